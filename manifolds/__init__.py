@@ -1,0 +1,41 @@
+"""Manifolds embedded in a vector space of arrays."""
+
+if __package__ != "retrax.manifolds":
+    raise ImportError(f"import this package as retrax.manifolds (pip install .), not as {__package__}: a second copy of its classes would not match the first")
+
+from .bundles import CotangentBundle, TangentBundle
+from .euclidean import Euclidean
+from .level_set import LevelSet
+from .manifold import HomogeneousSpace, Manifold, Verdict
+from .numerics.errors import (
+    ConvergenceError,
+    DomainError,
+    InvalidInputError,
+    NotOnManifoldError,
+    RetraxError,
+    UnknownRetractionError,
+)
+from .product import Product
+from .special_orthogonal import SO, hat, vee
+from .sphere import Sphere
+
+__all__ = [
+    "SO",
+    "ConvergenceError",
+    "CotangentBundle",
+    "DomainError",
+    "Euclidean",
+    "HomogeneousSpace",
+    "InvalidInputError",
+    "LevelSet",
+    "Manifold",
+    "NotOnManifoldError",
+    "Product",
+    "RetraxError",
+    "Sphere",
+    "TangentBundle",
+    "UnknownRetractionError",
+    "Verdict",
+    "hat",
+    "vee",
+]

@@ -1,0 +1,80 @@
+"""Tangent and cotangent bundles as embedded manifolds.
+
+A covector is stored as its tangent representative, so as subsets of the ambient space ``T*Q`` and ``TQ`` are the same set
+``{(x, v) : x in Q, v in T_xQ}``. They differ in what lives on them: the canonical forms belong to ``T*Q``.
+"""
+
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .manifold import Manifold
+from .numerics import ambient as vec
+from .numerics.ambient import Ambient, Frame
+
+Pair = tuple[Ambient, Ambient]
+
+
+class _VectorBundle(Manifold):
+    """``{(x, v) : x in M, v in T_xM}``, of dimension ``2n``."""
+
+    base: Manifold
+
+    @property
+    def dimension(self) -> int:
+        return 2 * self.base.dimension
+
+    @property
+    def ambient(self) -> tuple[Any, Any]:
+        return self.base.ambient, self.base.ambient
+
+    def spanning_frame(self, z: Pair) -> Frame:
+        """The vectors ``(e_i, D_xP_x(v)[e_i])`` and ``(0, e_i)``: a basis of the tangent space, not orthonormal."""
+        x, v = z
+        e = self.base.basis(x)
+        tilt = jax.vmap(lambda d: jax.jvp(lambda y: self.base.projection(y, v), (x,), (d,))[1])(e)
+        zero = jax.tree.map(jnp.zeros_like, e)
+        stack = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), (e, tilt), (zero, e))
+        return stack
+
+    def basis(self, z: Pair) -> Frame:
+        return vec.orthonormalise(self.spanning_frame(z))
+
+    def projection(self, z: Pair, a: Pair) -> Pair:
+        frame = self.basis(z)
+        return vec.combine(frame, vec.components(frame, a))
+
+    def restore(self, z: Pair) -> Pair:
+        x = self.base.restore(z[0])
+        return x, self.base.projection(x, z[1])
+
+    def violations(self, z: Pair) -> dict[str, Array]:
+        x, v = z
+        normal = vec.size(vec.subtract(v, self.base.projection(x, v))) / (1 + vec.size(v))
+        base = {f"base point: {words}": value for words, value in self.base.violations(x).items()}
+        return {**base, "relative normal part of the fibre": normal}
+
+    def random_point(self, key: Array) -> Pair:
+        first, second = jax.random.split(key)
+        x = self.base.random_point(first)
+        return x, self.base.random_tangent(second, x)
+
+
+@final
+class TangentBundle(_VectorBundle):
+    """Tangent bundle ``TM``; points are pairs ``(x, v)``."""
+
+
+@final
+class CotangentBundle(_VectorBundle):
+    """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``."""
+
+    def one_form(self, z: Pair, a: Pair) -> Array:
+        """Canonical one-form ``theta = p dq`` at ``z = (q, p)`` on a tangent vector ``a = (dq, dp)``."""
+        return vec.pairing(z[1], a[0])
+
+    def two_form(self, z: Pair, a: Pair, b: Pair) -> Array:
+        """Canonical two-form ``omega = -d theta = dq ^ dp`` at ``z`` on two tangent vectors ``(dq, dp)``."""
+        return vec.pairing(a[0], b[1]) - vec.pairing(b[0], a[1])

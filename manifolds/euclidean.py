@@ -1,0 +1,44 @@
+"""Euclidean space of arrays of any shape."""
+
+from math import prod
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .manifold import HomogeneousSpace, real
+
+
+@final
+class Euclidean(HomogeneousSpace):
+    """Vector space of real arrays: ``Euclidean(3)``, ``Euclidean((2, 3))``. Translations act on it; momentum is ``p``."""
+
+    shape: tuple[int, ...] = eqx.field(static=True, converter=lambda s: (s,) if isinstance(s, int) else tuple(s))
+
+    @property
+    def dimension(self) -> int:
+        return prod(self.shape)
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real(self.shape)
+
+    def projection(self, x: Array, a: Array) -> Array:
+        return a
+
+    def basis(self, x: Array) -> Array:
+        return jnp.eye(self.dimension, dtype=x.dtype).reshape(self.dimension, *self.shape)
+
+    def restore(self, x: Array) -> Array:
+        return x
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {}
+
+    def generators(self, x: Array) -> Array:
+        return self.basis(x)
+
+    def random_point(self, key: Array) -> Array:
+        return jax.random.normal(key, self.shape)

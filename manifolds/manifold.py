@@ -1,0 +1,158 @@
+"""The abstract manifold: a set of ambient arrays with its tangent spaces."""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, PyTree
+
+from .numerics import ambient as vec
+from .numerics.ambient import Ambient, Frame
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Answer to a membership question: true or false, with the reason in words."""
+
+    holds: bool
+    reason: str
+
+    def __bool__(self) -> bool:
+        return self.holds
+
+
+class Manifold(eqx.Module):
+    """An ``n``-dimensional manifold embedded in a vector space of arrays.
+
+    Points, tangent vectors and covectors are ambient arrays (pytrees for products) of one shape. Covectors pair with
+    vectors by the sum of products of entries; a covector is stored as its tangent representative.
+    Methods act on one point; batches are ``jax.vmap``.
+    """
+
+    @property
+    @abstractmethod
+    def dimension(self) -> int:
+        """Dimension ``n`` of the manifold."""
+
+    @property
+    @abstractmethod
+    def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
+        """Shapes and dtypes of the arrays that make up a point."""
+
+    @abstractmethod
+    def projection(self, x: Ambient, a: Ambient) -> Ambient:
+        """Orthogonal projection ``P_x a`` of an ambient vector on the tangent space at ``x``."""
+
+    @abstractmethod
+    def basis(self, x: Ambient) -> Frame:
+        """Orthonormal basis ``E(x)`` of the tangent space: leaves of shape ``(n, *leaf)``."""
+
+    @abstractmethod
+    def restore(self, x: Ambient) -> Ambient:
+        """One Newton step from an ambient point near the manifold towards it; the identity on the manifold.
+
+        Errors of size ``e`` become ``O(e^2)``: used to keep round-off from accumulating over long products.
+        """
+
+    @abstractmethod
+    def violations(self, x: Ambient) -> dict[str, Array]:
+        """The defining equations in words, each with how much ``x`` violates it (0 on the manifold)."""
+
+    @abstractmethod
+    def random_point(self, key: Array) -> Ambient:
+        """A random point from a JAX key."""
+
+    def random_tangent(self, key: Array, x: Ambient) -> Ambient:
+        """A random tangent vector at ``x``: the projection of a standard normal ambient vector."""
+        return self.projection(x, vec.normal(key, self.ambient))
+
+    def contains(self, x: Ambient, tolerance: float | None = None) -> Verdict:
+        """Whether ``x`` is a point of this manifold to ``tolerance`` (default: square root of machine epsilon)."""
+        wrong = self.describe_mismatch(x, "a point")
+        if wrong:
+            return Verdict(False, wrong)
+        limit = default_tolerance() if tolerance is None else tolerance
+        for words, value in _violations(self, jax.tree.map(jnp.asarray, x)).items():
+            if not float(value) <= limit:
+                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}")
+        return Verdict(True, f"on {self} to {limit:.1g}")
+
+    def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
+        """Whether ``v`` is tangent at ``x``: its normal part, relative to ``1 + max |v|``, is below ``tolerance``."""
+        wrong = self.describe_mismatch(v, "a tangent vector")
+        if wrong:
+            return Verdict(False, wrong)
+        limit = default_tolerance() if tolerance is None else tolerance
+        normal = float(_normal_part(self, jax.tree.map(jnp.asarray, x), jax.tree.map(jnp.asarray, v)))
+        if not normal <= limit:
+            return Verdict(False, f"not tangent to {self}: its relative normal part is {normal:.3g}, expected at most {limit:.1g}")
+        return Verdict(True, f"tangent to {self} to {limit:.1g}")
+
+    def describe_mismatch(self, a: Ambient, role: str) -> str:
+        """Words on how the structure of ``a`` differs from an ambient vector of this manifold; empty if it does not."""
+        expected, given = jax.tree.structure(self.ambient), jax.tree.structure(a)
+        if expected != given:
+            return f"{role} of {self} has the structure {expected}, got {given}"
+        for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
+            if np.shape(leaf) != shape.shape:
+                return f"{role} of {self} has shape {shape.shape} where {np.shape(leaf)} came"
+            if not isinstance(leaf, jax.core.Tracer) and not np.all(np.isfinite(np.asarray(leaf))):
+                return f"{role} of {self} has entries that are NaN or infinite"
+        return ""
+
+    def __mul__(self, other: "Manifold") -> "Manifold":
+        """Cartesian product; chains of ``*`` give one flat tuple of factors."""
+        from .product import Product
+
+        mine = self.factors if isinstance(self, Product) else (self,)
+        theirs = other.factors if isinstance(other, Product) else (other,)
+        return Product(*mine, *theirs)
+
+
+class HomogeneousSpace(Manifold):
+    """A manifold on which a matrix group acts by linear maps of the ambient space.
+
+    The action's generators give the momentum map ``J_i(q, p) = <p, xi_i(q)>``, conserved by every Hamiltonian that the
+    action leaves invariant.
+    """
+
+    @abstractmethod
+    def generators(self, x: Ambient) -> Frame:
+        """Infinitesimal generators ``xi_i(x)`` of the action, leaves of shape ``(group dimension, *leaf)``."""
+
+    def momentum(self, x: Ambient, p: Ambient) -> Array:
+        """Momentum map ``J_i = <p, xi_i(x)>`` of a covector ``p`` at ``x``."""
+        return vec.components(self.generators(x), p)
+
+
+def default_tolerance() -> float:
+    """Square root of the machine epsilon of the precision in use."""
+    return float(jnp.finfo(jnp.zeros(()).dtype).eps ** 0.5)
+
+
+@eqx.filter_jit
+def _violations(manifold: Manifold, x: Ambient) -> dict[str, Array]:
+    return manifold.violations(x)
+
+
+@eqx.filter_jit
+def _normal_part(manifold: Manifold, x: Ambient, v: Ambient) -> Array:
+    return vec.size(vec.subtract(v, manifold.projection(x, v))) / (1 + vec.size(v))
+
+
+def max_violation(manifold: Manifold, x: Ambient) -> Array:
+    """Largest violation of the defining equations at ``x``."""
+    return jnp.max(jnp.stack([*map(jnp.asarray, manifold.violations(x).values()), jnp.zeros(())]))
+
+
+def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
+    """Real array of a shape, in the precision that JAX is set to."""
+    return jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype)
+
+
+def same_point(x: Ambient, y: Ambient, tolerance: float) -> Bool[Array, ""]:
+    """Whether two points agree entry by entry, relative to ``1 + max |y|``."""
+    return vec.size(vec.subtract(x, y)) <= tolerance * (1 + vec.size(y))

@@ -1,0 +1,1 @@
+"""Numerical tools that every layer shares: ambient vector arithmetic, root finding, stable series, errors."""

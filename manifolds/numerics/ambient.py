@@ -1,0 +1,81 @@
+"""Arithmetic in the ambient vector space: points, tangent vectors and covectors are pytrees of arrays.
+
+A *frame* is a pytree of the same structure whose leaves carry one extra leading axis: its k-th slice is the k-th vector.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Float, PyTree
+
+Ambient = PyTree[Array]
+Frame = PyTree[Array]
+Coordinates = Float[Array, " k"]
+
+
+def pairing(a: Ambient, b: Ambient) -> Array:
+    """Pairing ``<a, b>`` of a covector with a vector: the real part of the sum of products of entries (Frobenius)."""
+    terms = jax.tree.map(lambda s, t: jnp.sum(jnp.real(jnp.conj(s) * t)), a, b)
+    return sum(jax.tree.leaves(terms), start=jnp.zeros(()))
+
+
+def add(a: Ambient, b: Ambient) -> Ambient:
+    """Sum ``a + b``."""
+    return jax.tree.map(jnp.add, a, b)
+
+
+def subtract(a: Ambient, b: Ambient) -> Ambient:
+    """Difference ``a - b``."""
+    return jax.tree.map(jnp.subtract, a, b)
+
+
+def scale(s: ArrayLike, a: Ambient) -> Ambient:
+    """Multiple ``s a`` by a scalar."""
+    return jax.tree.map(lambda leaf: s * leaf, a)
+
+
+def zeros(ambient: PyTree) -> Ambient:
+    """Zero of the ambient space described by a pytree of shapes (or of arrays)."""
+    return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), ambient)
+
+
+def normal(key: Array, ambient: PyTree) -> Ambient:
+    """Ambient vector with independent standard normal entries."""
+    leaves, structure = jax.tree.flatten(ambient)
+    keys = jax.random.split(key, max(len(leaves), 1))
+    drawn = [jax.random.normal(k, leaf.shape, leaf.dtype) for k, leaf in zip(keys, leaves, strict=False)]
+    return jax.tree.unflatten(structure, drawn)
+
+
+def size(a: Ambient) -> Array:
+    """Largest absolute entry ``max |a_i|``."""
+    leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(a) if leaf.size]
+    return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
+
+
+def combine(frame: Frame, coordinates: Coordinates) -> Ambient:
+    """Vector ``sum_k c_k E_k`` with coordinates ``c``, shape ``(k,)``, in a frame."""
+    return jax.tree.map(lambda leaf: jnp.tensordot(coordinates, leaf, 1), frame)
+
+
+def components(frame: Frame, a: Ambient) -> Coordinates:
+    """Pairings ``<E_k, a>``, shape ``(k,)``: the coordinates of ``a`` if the frame is orthonormal."""
+
+    def one(e: Array, leaf: Array) -> Array:
+        return jnp.real(jnp.conj(e.reshape(e.shape[0], -1)) @ leaf.reshape(-1))
+
+    terms = jax.tree.map(one, frame, a)
+    return sum(jax.tree.leaves(terms), start=jnp.zeros(()))
+
+
+def flatten_frame(frame: Frame) -> Float[Array, "k N"]:
+    """Matrix whose rows are the vectors of a frame, real and imaginary parts side by side."""
+    leaves = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(frame)]
+    parts = [part for leaf in leaves for part in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))]
+    return jnp.concatenate(parts, axis=1)
+
+
+def orthonormalise(frame: Frame) -> Frame:
+    """Orthonormal frame of the same span (Gram-Schmidt through a QR factorisation)."""
+    matrix = flatten_frame(frame)
+    mixing = jnp.linalg.inv(jnp.linalg.qr(matrix.T, mode="r"))
+    return jax.tree.map(lambda leaf: jnp.tensordot(mixing.T.astype(leaf.dtype), leaf, 1), frame)

@@ -1,0 +1,50 @@
+"""Even functions of an angle as smooth functions of its square.
+
+``sin(t)/t`` and its relatives are analytic in ``s = t^2``; written with a square root they lose every derivative at
+``s = 0``. Each function below is a Taylor polynomial for ``s <= 1`` (entire functions: rounding accuracy) and the closed
+form beyond, so derivatives of any order are right everywhere in every autodiff mode.
+"""
+
+from collections.abc import Callable
+from math import factorial
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+_TERMS = 11
+_ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240, 6435 / 557056)
+
+
+def _switch(s: Array, radius: float, coefficients: tuple[float, ...], closed: Callable[[Array], Array]) -> Array:
+    """Polynomial in ``s`` below ``radius``, closed form above; neither branch meets the other's singularity."""
+    near = s < radius
+    polynomial = jnp.polyval(jnp.asarray(coefficients[::-1], s.dtype), jnp.where(near, s, 0.0))
+    return jnp.where(near, polynomial, closed(jnp.where(near, radius, s)))
+
+
+def _entire(offset: int) -> tuple[float, ...]:
+    return tuple((-1.0) ** k / factorial(2 * k + offset) for k in range(_TERMS))
+
+
+def cosine(s: Array) -> Array:
+    """``cos(sqrt(s))``."""
+    return _switch(s, 1.0, _entire(0), lambda s: jnp.cos(jnp.sqrt(s)))
+
+
+def sinc(s: Array) -> Array:
+    """``sin(sqrt(s)) / sqrt(s)``."""
+    return _switch(s, 1.0, _entire(1), lambda s: jnp.sin(jnp.sqrt(s)) / jnp.sqrt(s))
+
+
+def cosc(s: Array) -> Array:
+    """``(1 - cos(sqrt(s))) / s``."""
+    return _switch(s, 1.0, _entire(2), lambda s: 2 * jnp.sin(jnp.sqrt(s) / 2) ** 2 / s)
+
+
+def angle_over_sine(s: Array, cosine_of_angle: Array) -> Array:
+    """``t / sin(t)`` for ``t`` in [0, pi), from ``s = sin(t)^2`` and ``cos(t)``: accurate from 0 to the edge."""
+    near = (s < 1e-2) & (cosine_of_angle > 0)
+    small = jnp.polyval(jnp.asarray(_ARCSINE[::-1], s.dtype), jnp.where(near, s, 0.0))
+    safe, c = jnp.where(near, 1.0, s), jnp.where(near, 0.0, cosine_of_angle)
+    root = jnp.sqrt(jnp.where(safe > 0, safe, 1.0))
+    return jnp.where(near, small, jnp.where(safe > 0, jnp.arctan2(root, c) / root, jnp.nan))

@@ -1,0 +1,70 @@
+"""Cartesian products of manifolds."""
+
+from collections.abc import Iterator
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .manifold import HomogeneousSpace, Manifold
+from .numerics import ambient as vec
+from .numerics.errors import InvalidInputError
+
+
+@final
+class Product(Manifold):
+    """Product of manifolds; a point is the tuple of its factors' points: ``R, w = q`` on ``SO(3) * Euclidean(3)``."""
+
+    factors: tuple[Manifold, ...]
+
+    def __init__(self, *factors: Manifold) -> None:
+        if not factors or not all(isinstance(factor, Manifold) for factor in factors):
+            raise InvalidInputError(f"Product takes one or more manifolds, got {factors!r}")
+        self.factors = factors
+
+    @property
+    def dimension(self) -> int:
+        return sum(factor.dimension for factor in self.factors)
+
+    @property
+    def ambient(self) -> tuple[Any, ...]:
+        return tuple(factor.ambient for factor in self.factors)
+
+    def projection(self, x: tuple, a: tuple) -> tuple:
+        return tuple(m.projection(xi, ai) for m, xi, ai in zip(self.factors, x, a, strict=True))
+
+    def basis(self, x: tuple) -> tuple:
+        return self.pad([m.basis(xi) for m, xi in zip(self.factors, x, strict=True)])
+
+    def restore(self, x: tuple) -> tuple:
+        return tuple(m.restore(xi) for m, xi in zip(self.factors, x, strict=True))
+
+    def violations(self, x: tuple) -> dict[str, Array]:
+        pairs = enumerate(zip(self.factors, x, strict=True))
+        return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
+
+    def random_point(self, key: Array) -> tuple:
+        keys = jax.random.split(key, len(self.factors))
+        return tuple(m.random_point(k) for m, k in zip(self.factors, keys, strict=True))
+
+    def pad(self, frames: list[vec.Frame]) -> tuple:
+        """Frames of the factors, one after the other, each zero on the other factors."""
+        counts = [jax.tree.leaves(frame)[0].shape[0] for frame in frames]
+        before = [sum(counts[:i]) for i in range(len(counts))]
+
+        def padded(leaf: Array, i: int) -> Array:
+            full = jnp.zeros((sum(counts), *leaf.shape[1:]), leaf.dtype)
+            return full.at[before[i] : before[i] + counts[i]].set(leaf)
+
+        return tuple(jax.tree.map(lambda leaf, i=i: padded(leaf, i), frame) for i, frame in enumerate(frames))
+
+
+def homogeneous_factors(manifold: Manifold, point: Any, path: str = "") -> Iterator[tuple[str, HomogeneousSpace, Any]]:
+    """Factors on which a group acts, each with a name such as ``factor 0, SO(n=3)`` and its part of ``point``."""
+    if isinstance(manifold, Product):
+        for i, (factor, part) in enumerate(zip(manifold.factors, point, strict=True)):
+            yield from homogeneous_factors(factor, part, f"{path}factor {i}, ")
+    elif isinstance(manifold, HomogeneousSpace):
+        yield f"{path}{manifold}", manifold, point

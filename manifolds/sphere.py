@@ -1,0 +1,47 @@
+"""The unit sphere."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .manifold import HomogeneousSpace, real
+from .special_orthogonal import skew_basis
+
+
+@final
+class Sphere(HomogeneousSpace):
+    """Unit sphere ``S^n = {x : |x| = 1}``; points are vectors of shape ``(n + 1,)``. Rotations of space act on it."""
+
+    n: int = eqx.field(static=True)
+
+    @property
+    def dimension(self) -> int:
+        return self.n
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n + 1,))
+
+    def projection(self, x: Array, a: Array) -> Array:
+        return a - (x @ a) * x
+
+    def basis(self, x: Array) -> Float[Array, "n n+1"]:
+        # The reflection that takes the first axis to -sign(x_0) x takes the other axes to the tangent space.
+        w = x.at[0].add(jnp.where(x[0] < 0, -1.0, 1.0))
+        return (jnp.eye(self.n + 1, dtype=x.dtype) - 2 * jnp.outer(w, w) / (w @ w))[1:]
+
+    def restore(self, x: Array) -> Array:
+        return x * (3 - x @ x) / 2
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {"||x|^2 - 1|": jnp.abs(x @ x - 1)}
+
+    def generators(self, x: Array) -> Array:
+        return jnp.asarray(skew_basis(self.n + 1), x.dtype) @ x
+
+    def random_point(self, key: Array) -> Array:
+        a = jax.random.normal(key, (self.n + 1,))
+        return a / jnp.linalg.norm(a)

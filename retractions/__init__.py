@@ -1,0 +1,47 @@
+"""Retractions, discretization maps and their cotangent lifts."""
+
+if __package__ != "retrax.retractions":
+    raise ImportError(f"import this package as retrax.retractions (pip install .), not as {__package__}: a second copy of its classes would not match the first")
+
+from .cotangent_lift import BundleRetraction, CotangentLift, alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
+from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
+from .euclidean import Addition
+from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
+from .level_set import LevelSetProjection
+from .product import ProductRetraction
+from .retraction import MidpointRetraction, Retraction
+from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
+from .sphere import SphereExponential, SphereProjection
+
+__all__ = [
+    "QR",
+    "SOQR",
+    "Addition",
+    "Adjoint",
+    "BundleRetraction",
+    "Cayley",
+    "CotangentLift",
+    "DiscretizationMap",
+    "Euler",
+    "Exponential",
+    "LevelSetProjection",
+    "Midpoint",
+    "MidpointRetraction",
+    "Polar",
+    "ProductRetraction",
+    "Projection",
+    "Retraction",
+    "RetractionFamily",
+    "SOCayley",
+    "SOExponential",
+    "SOPolar",
+    "SphereExponential",
+    "SphereProjection",
+    "Theta",
+    "alpha",
+    "alpha_inverse",
+    "cotangent_lift",
+    "default_retraction",
+    "phi",
+    "phi_inverse",
+]

@@ -1,0 +1,175 @@
+"""Discretization maps: from a tangent vector to the two ends of a step."""
+
+from abc import abstractmethod
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..manifolds import DomainError, InvalidInputError, Manifold
+from ..manifolds.manifold import default_tolerance, same_point
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.root import find_root
+from .product import ProductRetraction
+from .retraction import MidpointRetraction, Retraction, nan_unless
+
+Pair = tuple[Ambient, Ambient]
+
+
+class DiscretizationMap(eqx.Module):
+    """A map ``R_d = (R1, R2): TM -> M x M`` with (i) ``R_d(x, 0) = (x, x)``; (ii) ``D_v R2(x, 0) - D_v R1(x, 0) = Id``.
+
+    It turns a tangent vector, base point and velocity times step, into the two ends of a step
+    [Barbero-Linan, Martin de Diego, "Retraction maps: a seed of geometric integrators", 2022].
+    ``theta`` says where in the step the base point sits: 0 at its start, 1 at its end.
+    """
+
+    theta: eqx.AbstractVar[float]
+
+    @property
+    @abstractmethod
+    def retraction(self) -> Retraction:
+        """A retraction of the same manifold, by which solvers move base points."""
+
+    @abstractmethod
+    def __call__(self, x: Ambient, v: Ambient) -> Pair:
+        """The two ends ``(R1(x, v), R2(x, v))``."""
+
+    @property
+    def manifold(self) -> Manifold:
+        """The manifold that is discretized."""
+        return self.retraction.manifold
+
+    def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
+        """The ``(x, v)`` with ``R_d(x, v) = (x0, x1)``, by Newton's method; entries are NaN where it finds none."""
+        return newton_preimage(self, x0, x1)
+
+    def inverse(self, x0: Ambient, x1: Ambient) -> Pair:
+        """Inverse ``(x, v)`` with ``R_d(x, v) = (x0, x1)``.
+
+        Raises ``DomainError`` if none is found; under ``jit`` and ``vmap`` the entries are NaN there.
+        """
+        z = self.preimage(x0, x1)
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((x0, x1, z))):
+            gap = vec.size(vec.subtract(self(*z), (x0, x1)))
+            if not gap <= default_tolerance() * (1 + vec.size((x0, x1))):
+                raise DomainError(
+                    f"the two points are outside the image of {type(self).__name__}: its inverse misses them by "
+                    f"{float(gap):.3g}, expected 0; take points nearer to each other"
+                )
+        return z
+
+
+def newton_preimage(discretization: DiscretizationMap, x0: Ambient, x1: Ambient) -> Pair:
+    """Inverse of any discretization map by Newton's method on the tangent bundle, started at ``x0``."""
+    manifold, step = discretization.manifold, discretization.retraction
+    ends = jax.lax.stop_gradient((x0, x1))
+    base, chord = ends[0], manifold.projection(ends[0], vec.subtract(ends[1], ends[0]))
+    frame, frames = manifold.basis(base), (manifold.basis(ends[0]), manifold.basis(ends[1]))
+
+    def point(c: Array) -> Pair:
+        half = c.size // 2
+        x = step(base, vec.combine(frame, c[:half]))
+        return x, manifold.projection(x, vec.combine(frame, c[half:]))
+
+    def residual(c: Array) -> Array:
+        y0, y1 = discretization(*point(c))
+        gaps = vec.components(frames[0], vec.subtract(y0, x0)), vec.components(frames[1], vec.subtract(y1, x1))
+        return jnp.concatenate(gaps)
+
+    velocity = vec.components(frame, chord)
+    start = jnp.concatenate([discretization.theta * velocity, velocity])
+    c, converged = find_root(residual, start)
+    z = point(c)
+    return nan_unless(converged & same_point(discretization(*z), (x0, x1), default_tolerance()), z)
+
+
+@final
+class Theta(DiscretizationMap):
+    """``R_d(x, v) = (A(x, -theta v), B(x, (1 - theta) v))`` from retractions ``A`` and ``B``, usually the same one.
+
+    ``theta = 0`` is Euler, ``1/2`` midpoint (symmetric if ``A = B``, hence of order 2), ``1`` backward Euler.
+    """
+
+    backward: Retraction
+    other: Retraction | None
+    theta: float = eqx.field(static=True)
+
+    def __init__(self, retraction: Retraction, theta: float, forward: Retraction | None = None) -> None:
+        for given in (retraction, forward or retraction):
+            if not isinstance(given, Retraction):
+                raise InvalidInputError(f"a discretization map is made from retractions, got {given!r}; try Cayley(manifold)")
+        if not 0 <= theta <= 1:
+            raise InvalidInputError(f"theta must lie in [0, 1], got {theta}")
+        if forward is not None and type(forward.manifold) is not type(retraction.manifold):
+            raise InvalidInputError(
+                f"both retractions must act on one manifold, got {retraction.manifold} and {forward.manifold}"
+            )
+        self.backward, self.other, self.theta = retraction, forward, float(theta)
+
+    @property
+    def forward(self) -> Retraction:
+        """The retraction ``B`` of the second end."""
+        return self.backward if self.other is None else self.other
+
+    @property
+    def retraction(self) -> Retraction:
+        return self.forward
+
+    def __call__(self, x: Ambient, v: Ambient) -> Pair:
+        start = x if self.theta == 0 else self.backward(x, vec.scale(-self.theta, v))
+        end = x if self.theta == 1 else self.forward(x, vec.scale(1 - self.theta, v))
+        return start, end
+
+    def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
+        """Closed form for Euler, backward Euler and, where the retraction knows midpoints, the midpoint map; else Newton."""
+        if self.theta == 0:
+            return x0, self.forward.preimage(x0, x1)
+        if self.theta == 1:
+            return x1, vec.scale(-1.0, self.backward.preimage(x1, x0))
+        if self.other is None and isinstance(self.backward, ProductRetraction):
+            parts = zip(self.backward.factors, x0, x1, strict=True)
+            z = [Theta(factor, self.theta).preimage(y0, y1) for factor, y0, y1 in parts]
+            return tuple(x for x, _ in z), tuple(v for _, v in z)
+        if self.theta == 0.5 and self.other is None and isinstance(self.backward, MidpointRetraction):
+            x = self.backward.midpoint(x0, x1)
+            return x, vec.scale(2.0, self.backward.preimage(x, x1))
+        return newton_preimage(self, x0, x1)
+
+
+def Euler(retraction: Retraction) -> Theta:  # noqa: N802
+    """Explicit Euler: ``R_d(x, v) = (x, R(x, v))``."""
+    return Theta(retraction, 0.0)
+
+
+def Midpoint(retraction: Retraction) -> Theta:  # noqa: N802
+    """Midpoint rule: ``R_d(x, v) = (R(x, -v/2), R(x, v/2))``; symmetric, of order 2."""
+    return Theta(retraction, 0.5)
+
+
+@final
+class Adjoint(DiscretizationMap):
+    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own adjoint."""
+
+    inner: DiscretizationMap
+
+    @property
+    def retraction(self) -> Retraction:
+        return self.inner.retraction
+
+    @property
+    def theta(self) -> float:
+        return 1 - self.inner.theta
+
+    def __call__(self, x: Ambient, v: Ambient) -> Pair:
+        start, end = self.inner(x, vec.scale(-1.0, v))
+        return end, start
+
+    def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
+        x, v = self.inner.preimage(x1, x0)
+        return x, vec.scale(-1.0, v)
+
+

@@ -1,0 +1,28 @@
+"""Addition, the retraction of a vector space."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ..manifolds import Euclidean
+from .retraction import MidpointRetraction
+
+
+@final
+class Addition(MidpointRetraction):
+    """``R(x, v) = x + v`` on a Euclidean space, with inverse ``y - x``."""
+
+    manifold: Euclidean
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return x + v
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        return y - x
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.array(True)
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return (x0 + x1) / 2

@@ -1,0 +1,64 @@
+"""Retractions known by one name on several manifolds: ``Cayley(SO(3) * Euclidean(3))``."""
+
+from collections.abc import Callable
+
+from ..manifolds import SO, Euclidean, LevelSet, Manifold, Product, Sphere, UnknownRetractionError
+from .euclidean import Addition
+from .level_set import LevelSetProjection
+from .product import ProductRetraction
+from .retraction import Retraction
+from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
+from .sphere import SphereExponential, SphereProjection
+
+
+class RetractionFamily:
+    """Retractions that share a name. Called with a manifold it gives the one for it.
+
+    A product is taken factor by factor, a Euclidean factor by addition. A class of one's own joins with
+    ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
+    """
+
+    def __init__(self, name: str, members: dict[type[Manifold], Callable[..., Retraction]]) -> None:
+        self.name = name
+        self._members = {Euclidean: Addition, **members}
+
+    def register(self, manifold: type[Manifold], retraction: Callable[..., Retraction]) -> None:
+        """Make ``retraction(m)`` the member of this family for a manifold ``m`` of the given class."""
+        self._members[manifold] = retraction
+
+    def knows(self, manifold: Manifold) -> bool:
+        """Whether the family has a member for a manifold."""
+        if isinstance(manifold, Product):
+            return all(self.knows(factor) for factor in manifold.factors)
+        return any(kind in self._members for kind in type(manifold).__mro__)
+
+    def __call__(self, manifold: Manifold) -> Retraction:
+        if isinstance(manifold, Product):
+            return ProductRetraction(*(self(factor) for factor in manifold.factors))
+        for kind in type(manifold).__mro__:
+            if kind in self._members:
+                return self._members[kind](manifold)
+        known = [family.name for family in FAMILIES if family.knows(manifold)]
+        raise UnknownRetractionError(
+            f"{self.name} is not known on {manifold}; known there: {', '.join(known) or 'none'}. "
+            "Write a Retraction for it, and register it with the family if it belongs there"
+        )
+
+    def __repr__(self) -> str:
+        return self.name
+
+
+Exponential = RetractionFamily("Exponential", {Sphere: SphereExponential, SO: SOExponential})
+Cayley = RetractionFamily("Cayley", {SO: SOCayley})
+Polar = RetractionFamily("Polar", {SO: SOPolar})
+QR = RetractionFamily("QR", {SO: SOQR})
+Projection = RetractionFamily("Projection", {Sphere: SphereProjection, SO: SOPolar, LevelSet: LevelSetProjection})
+FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
+
+
+def default_retraction(manifold: Manifold) -> Retraction:
+    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold; factor by factor on products."""
+    if isinstance(manifold, Product):
+        return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))
+    family = next((family for family in FAMILIES if family.knows(manifold)), Exponential)
+    return family(manifold)

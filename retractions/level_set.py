@@ -1,0 +1,41 @@
+"""Projection onto a level set, by Newton's method."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..manifolds import LevelSet
+from ..manifolds.numerics.root import find_root, solve_small
+from .retraction import Retraction, nan_unless
+
+
+@final
+class LevelSetProjection(Retraction):
+    """``R(x, v)`` = critical point of the distance to ``x + v`` reached from ``x + v``: the nearest point for small ``v``.
+
+    It solves ``y = x + v + c'(y)' l``, ``c(y) = 0`` for ``y`` and ``l``; entries are NaN where Newton's method fails.
+    Inverse: ``v = y - x + c'(y)' l`` with ``l`` such that ``v`` is tangent at ``x``, a linear equation.
+    """
+
+    manifold: LevelSet
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        shape, a = self.manifold.shape, jnp.ravel(x + v)
+        start = jnp.ravel(self.manifold.restore(x + v))
+
+        def residual(unknown: Array) -> Array:
+            y, multipliers = unknown[: a.size], unknown[a.size :]
+            point = y.reshape(shape)
+            normal = self.manifold.jacobian(point).T @ multipliers
+            return jnp.concatenate([y - a - normal, self.manifold.equations(point)])
+
+        count = a.size - self.manifold.dimension
+        root, converged = find_root(residual, jnp.concatenate([start, jnp.zeros(count, a.dtype)]))
+        return nan_unless(converged, root[: a.size].reshape(shape))
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        here, there = self.manifold.jacobian(x), self.manifold.jacobian(y)
+        chord = jnp.ravel(y - x)
+        multipliers = solve_small(here @ there.T, -(here @ chord))
+        return (chord + there.T @ multipliers).reshape(self.manifold.shape)

@@ -1,0 +1,34 @@
+"""Retractions of products, factor by factor."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ..manifolds import InvalidInputError, Product
+from .retraction import Retraction
+
+
+@final
+class ProductRetraction(Retraction):
+    """Retraction of a product from one retraction for each factor."""
+
+    factors: tuple[Retraction, ...]
+
+    def __init__(self, *factors: Retraction) -> None:
+        if not factors or not all(isinstance(factor, Retraction) for factor in factors):
+            raise InvalidInputError(f"ProductRetraction takes one or more retractions, got {factors!r}")
+        self.factors = factors
+
+    @property
+    def manifold(self) -> Product:
+        return Product(*(factor.manifold for factor in self.factors))
+
+    def __call__(self, x: tuple, v: tuple) -> tuple:
+        return tuple(r(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True))
+
+    def preimage(self, x: tuple, y: tuple) -> tuple:
+        return tuple(r.preimage(xi, yi) for r, xi, yi in zip(self.factors, x, y, strict=True))
+
+    def domain(self, x: tuple, v: tuple) -> Bool[Array, ""]:
+        return jnp.all(jnp.stack([r.domain(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]))

@@ -1,0 +1,82 @@
+"""The abstract retraction, with the inverse and the domain that follow from its values."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ..manifolds import DomainError, Manifold
+from ..manifolds.manifold import default_tolerance, same_point
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.root import find_root
+
+
+class Retraction(eqx.Module):
+    """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
+
+    Subclass it with ``manifold`` and ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a
+    round trip); a class that knows closed forms writes them in their place.
+    """
+
+    manifold: eqx.AbstractVar[Manifold]
+
+    @abstractmethod
+    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off ``TM``."""
+
+    def preimage(self, x: Ambient, y: Ambient) -> Ambient:
+        """The tangent vector ``v`` at ``x`` with ``R(x, v) = y``; entries are NaN where there is none."""
+        return newton_preimage(self, x, y)
+
+    def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
+        """Whether ``v`` lies where ``R_x`` is known to be inverted by ``preimage``."""
+        back = self.preimage(x, self(x, v))
+        return same_point(back, v, default_tolerance())
+
+    def inverse(self, x: Ambient, y: Ambient) -> Ambient:
+        """Inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
+
+        Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised, the
+        entries are NaN there.
+        """
+        v = self.preimage(x, y)
+        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((x, y, v))):
+            gap = vec.size(vec.subtract(self(x, v), y))
+            if not gap <= default_tolerance() * (1 + vec.size(y)):
+                raise DomainError(
+                    f"the point is outside the image of {type(self).__name__} at the base point: the inverse misses it by "
+                    f"{float(gap):.3g}, expected 0; take a nearer point, or a retraction with a larger image"
+                )
+        return v
+
+
+def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient) -> Ambient:
+    """Inverse of any retraction by Newton's method in orthonormal coordinates of the tangent space."""
+    here, there = jax.lax.stop_gradient((x, y))
+    source, target = retraction.manifold.basis(here), retraction.manifold.basis(there)
+
+    def residual(c: Array) -> Array:
+        v = retraction.manifold.projection(x, vec.combine(source, c))
+        return vec.components(target, vec.subtract(retraction(x, v), y))
+
+    start = vec.components(source, vec.subtract(there, here))
+    c, converged = find_root(residual, start)
+    v = retraction.manifold.projection(x, vec.combine(source, c))
+    reached = converged & same_point(retraction(x, v), y, default_tolerance())
+    return nan_unless(reached, v)
+
+
+def nan_unless(valid: Bool[Array, ""], v: Ambient) -> Ambient:
+    """``v`` where ``valid``, NaN elsewhere."""
+    return jax.tree.map(lambda leaf: jnp.where(valid, leaf, jnp.nan), v)
+
+
+class MidpointRetraction(Retraction):
+    """A retraction whose midpoints are known: the ``m`` with ``R(m, -w) = x0`` and ``R(m, w) = x1`` for one ``w``."""
+
+    @abstractmethod
+    def midpoint(self, x0: Ambient, x1: Ambient) -> Ambient:
+        """The point midway between two points."""

@@ -1,0 +1,64 @@
+"""Retractions of the unit sphere [Absil, Mahony, Sepulchre 2008, 4.1.1 and 5.4.1]."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ..manifolds import Sphere
+from ..manifolds.numerics import series
+from .retraction import MidpointRetraction, nan_unless
+
+
+def _middle(x0: Array, x1: Array) -> Array:
+    return (x0 + x1) / jnp.linalg.norm(x0 + x1)
+
+
+@final
+class SphereExponential(MidpointRetraction):
+    """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
+
+    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi``.
+    """
+
+    manifold: Sphere
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        s = v @ v
+        return series.cosine(s) * x + series.sinc(s) * v
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        c = x @ y
+        w = y - c * x
+        return series.angle_over_sine(w @ w, c) * w
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return v @ v < jnp.pi**2
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return _middle(x0, x1)
+
+
+@final
+class SphereProjection(MidpointRetraction):
+    """Nearest point: ``R(x, v) = (x + v) / |x + v|``.
+
+    Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain the whole tangent space.
+    """
+
+    manifold: Sphere
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        y = x + v
+        return y / jnp.sqrt(y @ y)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        # Written with the tangential part of y, which keeps its relative accuracy for y near x.
+        c = x @ y
+        return nan_unless(c > 0, (y - c * x) / c)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return _middle(x0, x1)
