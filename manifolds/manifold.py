@@ -99,7 +99,8 @@ class Manifold(eqx.Module):
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
                 return f"{role} of {self} has shape {shape.shape} where {np.shape(leaf)} came"
-            if not isinstance(leaf, jax.core.Tracer) and not np.all(np.isfinite(np.asarray(leaf))):
+            known = not isinstance(leaf, jax.core.Tracer | jax.ShapeDtypeStruct)
+            if known and not np.all(np.isfinite(np.asarray(leaf))):
                 return f"{role} of {self} has entries that are NaN or infinite"
         return ""
 

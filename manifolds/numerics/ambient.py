@@ -67,6 +67,12 @@ def components(frame: Frame, a: Ambient) -> Coordinates:
     return sum(jax.tree.leaves(terms), start=jnp.zeros(()))
 
 
+def coordinate_sizes(frame: Frame, a: Ambient) -> Coordinates:
+    """Typical size, shape ``(k,)``, of the coordinates in a frame of vectors as large as ``a``, array by array."""
+    largest = jax.tree.map(lambda leaf: jnp.broadcast_to(jnp.max(jnp.abs(leaf), initial=0.0), leaf.shape), a)
+    return components(jax.tree.map(jnp.abs, frame), largest)
+
+
 def flatten_frame(frame: Frame) -> Float[Array, "k N"]:
     """Matrix whose rows are the vectors of a frame, real and imaginary parts side by side."""
     leaves = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(frame)]

@@ -1,0 +1,135 @@
+"""Integrators of initial-value problems on T*Q."""
+
+from abc import abstractmethod
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from ...manifolds import Euclidean, InvalidInputError, Manifold
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.root import find_root
+from ...retractions import CotangentLift, default_retraction
+from ..problem import OptimalControlProblem
+from ..stages import ControlStage, HamiltonianStage, Stage
+from ..stages.hamiltonian import Hamiltonian
+
+
+class Integrator(eqx.Module):
+    """A method that steps on ``T*Q`` by the cotangent lift of a discretization map."""
+
+    lift: eqx.AbstractVar[CotangentLift]
+
+    @abstractmethod
+    def stage(self, system: Any, step: ArrayLike) -> Stage:
+        """The stage whose stationary points are the steps of ``system``."""
+
+    @abstractmethod
+    def begin(self, system: Any, q: Ambient, p: Ambient) -> Any:
+        """Unknowns from which the first step is predicted."""
+
+    @abstractmethod
+    def control(self, unknowns: Any) -> Any:
+        """The control in a stage's unknowns; None where there is none."""
+
+    @abstractmethod
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        """Raise if ``system`` cannot be integrated from ``(q, p)``."""
+
+
+def _require_lift(lift: object) -> None:
+    if not isinstance(lift, CotangentLift):
+        raise InvalidInputError(f"an integrator takes a cotangent lift, got {lift!r}; try CotangentLift(Midpoint(retraction))")
+
+
+@final
+class SymplecticIntegrator(Integrator):
+    """Hamilton's equations: ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in ``T*Q``.
+
+    The system is a Hamiltonian ``H(q, p)``, a JAX function of ambient arrays. The step is a symplectic map of ``T*Q``;
+    symmetric, and of order 2, if the discretization map is symmetric.
+    """
+
+    lift: CotangentLift
+
+    def __check_init__(self) -> None:
+        _require_lift(self.lift)
+
+    def stage(self, system: Hamiltonian, step: ArrayLike) -> HamiltonianStage:
+        return HamiltonianStage(system, self.lift.discretization, step)
+
+    def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient, Ambient]:
+        return q, p, p
+
+    def control(self, unknowns: tuple[Ambient, Ambient, Ambient]) -> None:
+        return None
+
+    def check(self, system: Hamiltonian, q: Ambient, p: Ambient) -> None:
+        if not callable(system):
+            raise InvalidInputError(f"SymplecticIntegrator integrates a Hamiltonian H(q, p), got {system!r}")
+        value = jax.eval_shape(system, q, p)
+        if getattr(value, "shape", None) != ():
+            raise InvalidInputError(f"the Hamiltonian must return a scalar, got {value}")
+
+
+@final
+class PresymplecticIntegrator(Integrator):
+    """Extremals of a regular optimal control problem from ``(q0, p0)``.
+
+    ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of the problem, over its base point: the
+    equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the stage.
+    """
+
+    lift: CotangentLift
+
+    def __check_init__(self) -> None:
+        _require_lift(self.lift)
+
+    def stage(self, system: OptimalControlProblem, step: ArrayLike) -> ControlStage:
+        return ControlStage(system, self.lift.discretization, step)
+
+    def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
+        return q, extremal_control(system, q, p)
+
+    def control(self, unknowns: tuple[Ambient, Ambient]) -> Ambient:
+        return unknowns[1]
+
+    def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
+        if not isinstance(system, OptimalControlProblem):
+            raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
+        u = extremal_control(system, q, p)
+        system.check(q, u)
+        singular = _control_curvature(system, q, p, u)
+        if not singular[-1] > 1e-10 * singular[0]:
+            raise InvalidInputError(
+                f"the problem is singular here: the second derivative of Pontryagin's Hamiltonian in the controls has singular values "
+                f"{singular}, expected all positive; make the running cost strictly convex in every control"
+            )
+
+
+def resting_control(controls: Manifold) -> Ambient:
+    """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
+    return vec.zeros(controls.ambient) if isinstance(controls, Euclidean) else controls.random_point(jax.random.key(0))
+
+
+@eqx.filter_jit
+def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Ambient:
+    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none near."""
+    rest = resting_control(problem.controls)
+    zero = jnp.zeros(problem.controls.dimension)
+    root, found = find_root(jax.grad(lambda c: problem.hamiltonian(q, p, _steer(problem, rest, c))), zero)
+    return _steer(problem, rest, jnp.where(found, root, zero))
+
+
+def _steer(problem: OptimalControlProblem, u: Ambient, c: Array) -> Ambient:
+    return default_retraction(problem.controls)(u, vec.combine(problem.controls.basis(u), c))
+
+
+@eqx.filter_jit
+def _control_curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient, u: Ambient) -> Array:
+    """Singular values, descending, of ``d2H/du2``."""
+    hessian = jax.hessian(lambda c: problem.hamiltonian(q, p, _steer(problem, u, c)))(jnp.zeros(problem.controls.dimension))
+    return jnp.linalg.svd(hessian, compute_uv=False)

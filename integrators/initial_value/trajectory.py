@@ -1,0 +1,115 @@
+"""Integration over many steps."""
+
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from ...manifolds import ConvergenceError, InvalidInputError, NotOnManifoldError
+from ...manifolds.numerics.ambient import Ambient
+from ..results import Result, is_traced, warn_about_precision
+from .integrator import Integrator
+from .step import lifted_step
+
+
+@final
+class Trajectory(eqx.Module):
+    """A discrete trajectory on ``T*Q``: nodes along the leading axis of every leaf.
+
+    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``.
+    ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
+    """
+
+    times: Float[Array, " nodes"]
+    q: Ambient
+    p: Ambient
+    controls: Any
+    stage_times: Float[Array, " steps"]
+    result: Result
+    failed_step: Int[Array, ""]
+
+
+class _Carry(NamedTuple):
+    q: Ambient
+    p: Ambient
+    unknowns: Any
+    failed_step: Array
+
+
+def integrate(
+    system: Any,
+    integrator: Integrator,
+    start: tuple[Ambient, Ambient],
+    step_size: float,
+    steps: int,
+    save_every: int = 1,
+    throw: bool = True,
+) -> Trajectory:
+    """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in time).
+
+    ``system`` is a Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``, an ``OptimalControlProblem`` for a
+    ``PresymplecticIntegrator``. ``p0`` is any ambient array: it stands for the covector that is its tangent projection.
+    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, where input is not checked.
+
+    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
+    ``ConvergenceError`` if a step cannot be solved.
+    """
+    if not isinstance(integrator, Integrator):
+        raise InvalidInputError(f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)")
+    _check_counts(step_size, steps, save_every)
+    warn_about_precision()
+    q0, p0 = jax.tree.map(jnp.asarray, start)
+    manifold = integrator.lift.discretization.manifold
+    if not is_traced(q0, p0):
+        on = manifold.contains(q0)
+        wrong = "" if on else on.reason
+        wrong = wrong or manifold.describe_mismatch(p0, "a covector")
+        if wrong:
+            raise NotOnManifoldError(f"start: {wrong}")
+        integrator.check(system, q0, p0)
+    trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), steps // save_every, save_every)
+    if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
+        raise ConvergenceError(f"step {int(trajectory.failed_step)}: {Result[trajectory.result]}")
+    return trajectory
+
+
+def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
+    for name, count in (("steps", steps), ("save_every", save_every)):
+        if not isinstance(count, int | np.integer) or count < 1:
+            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
+    if steps % save_every:
+        raise InvalidInputError(f"steps must be a multiple of save_every, got {steps} and {save_every}")
+    if not is_traced(step_size) and not (np.ndim(step_size) == 0 and np.isfinite(step_size) and step_size != 0):
+        raise InvalidInputError(f"step_size must be a finite number other than 0, got {step_size!r}")
+
+
+@eqx.filter_jit
+def _integrate(
+    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
+) -> Trajectory:
+    manifold = integrator.lift.discretization.manifold
+    stage = integrator.stage(system, step_size)
+
+    def step(carry: _Carry, index: Array) -> tuple[_Carry, None]:
+        new = lifted_step(stage, carry.q, carry.p, carry.unknowns)
+        good = new.converged & (carry.failed_step < 0)
+        q = manifold.restore(new.q)
+        moved = _Carry(q, manifold.projection(q, new.p), new.unknowns, carry.failed_step)
+        kept = carry._replace(failed_step=jnp.where(carry.failed_step < 0, index, carry.failed_step))
+        return jax.tree.map(lambda a, b: jnp.where(good, a, b), moved, kept), None
+
+    def block(carry: _Carry, first: Array) -> tuple[_Carry, tuple[Ambient, Ambient, Any]]:
+        carry, _ = jax.lax.scan(step, carry, first + jnp.arange(every))
+        return carry, (carry.q, carry.p, integrator.control(carry.unknowns))
+
+    q0, p0 = start[0], manifold.projection(*start)
+    first = _Carry(q0, p0, integrator.begin(system, q0, p0), jnp.array(-1))
+    last, (q, p, controls) = jax.lax.scan(block, first, every * jnp.arange(saves))
+    q, p = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), (q0, p0), (q, p))
+    times = step_size * every * jnp.arange(saves + 1)
+    stage_times = times[1:] - (1 - integrator.lift.theta) * step_size
+    result = Result.where(last.failed_step < 0, Result.successful, Result.step_not_solved)
+    return Trajectory(times, q, p, controls, stage_times, result, last.failed_step)

@@ -1,0 +1,91 @@
+"""Optimal control problems and Pontryagin's Hamiltonian."""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
+from ..manifolds.manifold import default_tolerance
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+
+Dynamics = Callable[[Any, Any], Any]
+RunningCost = Callable[[Any, Any], Any]
+TerminalCost = Callable[[Any], Any]
+
+
+@final
+class OptimalControlProblem(eqx.Module):
+    """Minimise ``int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` on a manifold.
+
+    ``dynamics(q, u)`` returns a tangent vector at ``q``, ``running_cost(q, u)`` and ``terminal_cost(q)`` a scalar; all are
+    JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0 to 0.
+    """
+
+    manifold: Manifold
+    dynamics: Dynamics
+    running_cost: RunningCost
+    controls: Manifold
+    terminal_cost: TerminalCost | None
+    abnormal: bool = eqx.field(static=True)
+
+    def __init__(
+        self,
+        manifold: Manifold,
+        dynamics: Dynamics,
+        running_cost: RunningCost,
+        controls: Manifold | int,
+        terminal_cost: TerminalCost | None = None,
+        abnormal: bool = False,
+    ) -> None:
+        self.manifold = manifold
+        self.dynamics, self.running_cost, self.terminal_cost = dynamics, running_cost, terminal_cost
+        self.controls = Euclidean(controls) if isinstance(controls, int) else controls
+        self.abnormal = abnormal
+        for name, value in (("manifold", self.manifold), ("controls", self.controls)):
+            if not isinstance(value, Manifold):
+                raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
+        for name, value in (("dynamics", dynamics), ("running_cost", running_cost)):
+            if not callable(value):
+                raise InvalidInputError(f"{name} must be a function of (q, u), got {value!r}")
+
+    def velocity(self, q: Ambient, u: Ambient) -> Ambient:
+        """``X(q, u)``, in the structure of a point (a list in place of a tuple is accepted)."""
+        return jax.tree.unflatten(jax.tree.structure(self.manifold.ambient), jax.tree.leaves(self.dynamics(q, u)))
+
+    def cost_rate(self, q: Ambient, u: Ambient) -> Array:
+        """``p_0 F(q, u)``: the running cost, zero in the abnormal case."""
+        return jnp.zeros(()) if self.abnormal else jnp.asarray(self.running_cost(q, u))
+
+    def hamiltonian(self, q: Ambient, p: Ambient, u: Ambient) -> Array:
+        """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
+        return vec.pairing(p, self.velocity(q, u)) - self.cost_rate(q, u)
+
+    def check(self, q: Ambient, u: Ambient) -> None:
+        """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
+        wrong = self.manifold.describe_mismatch(jax.eval_shape(self.dynamics, q, u), "the value of dynamics, a tangent vector")
+        if wrong:
+            raise InvalidInputError(wrong)
+        costs = {"running_cost": lambda: self.running_cost(q, u)}
+        if self.terminal_cost is not None:
+            costs["terminal_cost"] = lambda: self.terminal_cost(q)
+        for name, cost in costs.items():
+            shape = jax.eval_shape(cost)
+            if getattr(shape, "shape", None) != ():
+                raise InvalidInputError(f"{name} must return a scalar, got {shape}; sum or pick an entry")
+        normal, size = map(float, _normal_velocity(self, q, u))
+        if not normal <= default_tolerance() * (1 + size):
+            raise NotOnManifoldError(
+                f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
+                f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
+            )
+
+
+@eqx.filter_jit
+def _normal_velocity(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
+    v = problem.velocity(q, u)
+    return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)

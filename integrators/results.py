@@ -1,0 +1,55 @@
+"""The one table of results: each entry is a sentence that says what happened and what to try next."""
+
+import warnings
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+
+class Result(eqx.Enumeration):
+    """How a computation ended. Compare with ``Result.successful``; ``Result[item]`` is the sentence."""
+
+    successful = "The equations are solved to the tolerance asked for."
+    step_not_solved = (
+        "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or another "
+        "retraction if the motion of one step leaves its domain."
+    )
+    too_many_iterations = (
+        "The iteration limit came before the conditions were met; try more iterations, a better guess, or more steps."
+    )
+    no_improvement = (
+        "No step along the computed directions improves the trajectory any more, and the conditions are not met; try a "
+        "better guess, more steps, or a longer horizon."
+    )
+    singular = (
+        "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached from this trajectory, or "
+        "the cost does not determine the controls; check that the end point is reachable and that the running cost is "
+        "strictly convex in every control."
+    )
+    wrong_point = (
+        "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."
+    )
+    not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
+
+
+@cache
+def warn_if_single_precision(dtype: str) -> None:
+    """Warn once if JAX computes in single precision."""
+    if dtype == "float32":
+        warnings.warn(
+            "JAX is in single precision, so about six digits can be expected; for double precision run "
+            'jax.config.update("jax_enable_x64", True) before the first array is made',
+            stacklevel=3,
+        )
+
+
+def warn_about_precision() -> None:
+    """Warn once if JAX computes in single precision."""
+    warn_if_single_precision(str(jnp.zeros(()).dtype))
+
+
+def is_traced(*trees: object) -> bool:
+    """Whether any array in the arguments is a JAX tracer, on whose values nothing can be checked."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))

@@ -1,0 +1,55 @@
+"""The stage of an optimal control problem."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import DiscretizationMap, default_retraction
+from ..problem import OptimalControlProblem
+from .stage import Stage
+
+Unknowns = tuple[Ambient, Ambient]
+
+
+@final
+class ControlStage(Stage):
+    """Unknowns ``y = (x, u)``; tangent vector ``h X(x, u)``; cost ``h p_0 F(x, u)``.
+
+    Its generating function is ``S(x, u; p0, p1) = <p1, R2(x, hX)> - <p0, R1(x, hX)> - h p_0 F``: the control ``u`` belongs to the
+    base point, at time ``t_k + theta h``.
+    """
+
+    problem: OptimalControlProblem
+    discretization: DiscretizationMap
+    step: ArrayLike
+
+    @property
+    def dimension(self) -> int:
+        return self.manifold.dimension + self.problem.controls.dimension
+
+    def move(self, y: Unknowns, d: Array) -> Unknowns:
+        x, u = y
+        n = self.manifold.dimension
+        controls = self.problem.controls
+        moved = default_retraction(controls)(u, vec.combine(controls.basis(u), d[n:]))
+        return self.discretization.retraction(x, vec.combine(self.manifold.basis(x), d[:n])), moved
+
+    def sizes(self, y: Unknowns) -> Array:
+        x, u = y
+        controls = self.problem.controls
+        parts = vec.coordinate_sizes(self.manifold.basis(x), x), vec.coordinate_sizes(controls.basis(u), u)
+        return jnp.maximum(jnp.concatenate(parts), 1.0)
+
+    def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        return y[0], vec.scale(self.step, self.problem.velocity(*y))
+
+    def cost(self, y: Unknowns) -> Array:
+        return jnp.asarray(self.step) * self.problem.cost_rate(*y)
+
+    def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
+        u = previous[1]
+        ahead = vec.scale(self.discretization.theta * self.step, self.problem.velocity(q0, u))
+        return self.discretization.retraction(q0, ahead), u

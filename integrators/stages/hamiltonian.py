@@ -1,0 +1,60 @@
+"""The stage of Hamilton's equations, on the Pontryagin bundle TQ + T*Q."""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import DiscretizationMap
+from .stage import Stage, positive
+
+Hamiltonian = Callable[[Any, Any], Any]
+Unknowns = tuple[Ambient, Ambient, Ambient]
+
+
+@final
+class HamiltonianStage(Stage):
+    """Unknowns ``y = (x, v, pi)`` with ``v`` tangent and ``pi`` a covector at ``x``; cost ``<pi, v> - h H(x, pi)``.
+
+    Stationarity of ``S = <p1, R2(x, v)> - <p0, R1(x, v)> - <pi, v> + h H(x, pi)`` says ``v = h dH/dp``, that ``pi`` is the covector
+    of the lifted map, and ``pdot = -h dH/dq``: one step is ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(x, pi))``.
+    """
+
+    hamiltonian: Hamiltonian
+    discretization: DiscretizationMap
+    step: ArrayLike
+
+    @property
+    def dimension(self) -> int:
+        return 3 * self.manifold.dimension
+
+    def move(self, y: Unknowns, d: Array) -> Unknowns:
+        x, v, pi = y
+        frame = self.manifold.basis(x)
+        dx, dv, dpi = (vec.combine(frame, part) for part in jnp.split(d, 3))
+        moved = self.discretization.retraction(x, dx)
+        fibre = self.manifold.projection
+        return moved, fibre(moved, vec.add(v, dv)), fibre(moved, vec.add(pi, dpi))
+
+    def sizes(self, y: Unknowns) -> Array:
+        x, v, pi = y
+        frame = self.manifold.basis(x)
+        position = jnp.maximum(vec.coordinate_sizes(frame, x), 1.0)
+        return jnp.concatenate([position, position, jnp.full_like(position, positive(vec.size(pi)))])
+
+    def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        return y[0], y[1]
+
+    def cost(self, y: Unknowns) -> Array:
+        x, v, pi = y
+        return vec.pairing(pi, v) - jnp.asarray(self.step) * self.hamiltonian(x, pi)
+
+    def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
+        fibre = self.manifold.projection
+        velocity = fibre(q0, vec.scale(self.step, jax.grad(self.hamiltonian, argnums=1)(q0, p0)))
+        x = self.discretization.retraction(q0, vec.scale(self.discretization.theta, velocity))
+        return x, fibre(x, velocity), fibre(x, p0)

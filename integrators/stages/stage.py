@@ -1,0 +1,64 @@
+"""The stage: what one step of a discretization is unknown in, where it begins and ends, and what it costs."""
+
+from abc import abstractmethod
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ...manifolds import Manifold
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import DiscretizationMap
+
+Unknowns = Any
+
+
+class Stage(eqx.Module):
+    """One step of a discrete variational problem.
+
+    Its generating function is ``S(y; p0, p1) = <p1, R2(x, v)> - <p0, R1(x, v)> - cost(y)`` with ``(x, v) = tangent(y)``. One step
+    from ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1(x, v) = q0``; a whole trajectory is the KKT system of
+    ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
+    """
+
+    discretization: eqx.AbstractVar[DiscretizationMap]
+
+    @property
+    def manifold(self) -> Manifold:
+        """The configuration manifold Q on which the ends of the step live."""
+        return self.discretization.manifold
+
+    @property
+    @abstractmethod
+    def dimension(self) -> int:
+        """Number of coordinates of the unknowns."""
+
+    @abstractmethod
+    def move(self, y: Unknowns, d: Array) -> Unknowns:
+        """Chart of the unknowns around ``y``: ``move(y, 0) = y``, coordinates ``d`` of shape ``(dimension,)``."""
+
+    @abstractmethod
+    def sizes(self, y: Unknowns) -> Array:
+        """Typical sizes of the coordinates of ``move``, shape ``(dimension,)``, all positive."""
+
+    @abstractmethod
+    def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        """The tangent vector ``(x, v)`` that the discretization map is applied to: base point and velocity times step."""
+
+    @abstractmethod
+    def cost(self, y: Unknowns) -> Array:
+        """Cost of the step."""
+
+    @abstractmethod
+    def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
+        """First guess of the unknowns for a step from ``(q0, p0)``, given those of the step before."""
+
+    def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        """Both ends ``(R1(x, v), R2(x, v))`` of the step."""
+        return self.discretization(*self.tangent(y))
+
+
+def positive(size: Array) -> Array:
+    """``size`` where it is positive, 1 where it is zero."""
+    return jnp.where(size > 0, size, 1.0)
