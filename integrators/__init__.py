@@ -1,1 +1,30 @@
-"""x"""
+"""Integrators of Hamilton's equations and of optimal control problems, built on cotangent lifts."""
+
+if __package__ != "retrax.integrators":
+    raise ImportError(f"import this package as retrax.integrators (pip install .), not as {__package__}: a second copy of its classes would not match the first")
+
+from .boundary_value import Checks, Guess, Solution, Statistics, interpolate, load_solution, solve
+from .initial_value import Integrator, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate
+from .problem import OptimalControlProblem
+from .results import Result
+from .stages import ControlStage, HamiltonianStage, Stage
+
+__all__ = [
+    "Checks",
+    "ControlStage",
+    "Guess",
+    "HamiltonianStage",
+    "Integrator",
+    "OptimalControlProblem",
+    "PresymplecticIntegrator",
+    "Result",
+    "Solution",
+    "Stage",
+    "Statistics",
+    "SymplecticIntegrator",
+    "Trajectory",
+    "integrate",
+    "interpolate",
+    "load_solution",
+    "solve",
+]

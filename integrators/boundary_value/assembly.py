@@ -1,0 +1,144 @@
+"""The KKT system of a discrete trajectory, assembled stage by stage.
+
+``min sum_k cost(y_k) + Phi(q_N)`` subject to the end of each stage being the beginning of the next, with Lagrangian
+``sum_k cost(y_k) + <p_k, R1(y_k)> - <p_{k+1}, R2(y_k)> + ...``: the multipliers are the costates.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient, Frame
+from ..stages import Stage
+from .boundary import NodeCondition
+from .elimination import BlockSystem
+
+
+BEFORE, AFTER = slice(None, -1), slice(1, None)  # the node before and the node after each stage
+
+
+class Iterate(NamedTuple):
+    """Unknowns of the stages (leading axis N) and costates at the nodes (leading axis N + 1, ambient arrays)."""
+
+    unknowns: Any
+    costates: Ambient
+
+
+class Assembled(NamedTuple):
+    """The KKT system at an iterate, and how far the iterate is from satisfying it."""
+
+    blocks: BlockSystem
+    frames: Frame
+    coordinates: Array  # multipliers in the frames, shape (N + 1, n)
+    nodes: Ambient
+    costates: Ambient
+    cost: Array
+    gap: Array  # largest distance between ends that should meet, entrywise in the ambient space, relative to 1 + size
+    stationarity: Array  # largest derivative of the Lagrangian, relative to its parts
+
+
+class _Parts(NamedTuple):
+    """Quantities of one stage whose derivatives fill a block row."""
+
+    slope: Array
+    start: Array
+    end: Array
+    cost: Array
+
+
+@final
+class DiscreteTrajectory(eqx.Module):
+    """A discrete optimal control problem: the same stage N times between two node conditions."""
+
+    stage: Stage
+    start: NodeCondition
+    end: NodeCondition
+    terminal_cost: Callable[[Any], Any] | None
+
+    def assemble(self, iterate: Iterate) -> Assembled:
+        """The KKT system at an iterate: values, first derivatives, and the Hessian of the Lagrangian."""
+        y = iterate.unknowns
+        begins, finishes = jax.vmap(self.stage.ends)(y)
+        nodes, gaps = self._nodes(begins, finishes)
+        frames = jax.vmap(self.stage.manifold.basis)(nodes)
+        gap = jax.vmap(vec.components)(frames, gaps)
+        gap = gap.at[0].multiply(self.start.mask()).at[-1].multiply(self.end.mask())
+        coordinates, costates, slope, curvature = self._multipliers(iterate.costates, nodes, frames)
+
+        (p0, e0), (p1, e1) = (jax.tree.map(lambda leaf, s=s: leaf[s], (costates, frames)) for s in (BEFORE, AFTER))
+        rows, parts = jax.vmap(self._block_row)(y, p0, p1, e0, e1)
+        last = rows.end[-1]
+        hessian = rows.slope.at[-1].add(last.T @ curvature @ last)
+        gradient = rows.cost.at[-1].add(slope @ last)
+        left = rows.start.at[0].multiply(self.start.mask()[:, None])
+        right = rows.end.at[-1].multiply(self.end.mask()[:, None])
+        blocks = BlockSystem(hessian, left, right, gradient, gap, self.start.mask(), self.end.mask())
+        distance = vec.size(gaps) / (1 + vec.size(nodes))
+        cost = jnp.sum(parts.cost) + self._terminal(jax.tree.map(lambda leaf: leaf[-1], nodes))
+        return Assembled(blocks, frames, coordinates, nodes, costates, cost, distance, _stationarity(blocks, coordinates, parts.slope))
+
+    def move(self, iterate: Iterate, assembled: Assembled, steps: Array, multipliers: Array, fraction: Array) -> Iterate:
+        """The iterate moved by a fraction of a step of the block system, through the charts of the stages."""
+        y = jax.vmap(self.stage.move)(iterate.unknowns, fraction * steps)
+        blended = assembled.coordinates + fraction * (multipliers - assembled.coordinates)
+        return Iterate(y, jax.vmap(vec.combine)(assembled.frames, blended))
+
+    def _nodes(self, begins: Ambient, finishes: Ambient) -> tuple[Ambient, Ambient]:
+        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the stage after it minus the end of the one before."""
+        first = self.start.node(jax.tree.map(lambda leaf: leaf[0], begins))
+        last = self.end.node(jax.tree.map(lambda leaf: leaf[-1], finishes))
+        before = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, finishes)
+        after = jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), begins, last)
+        nodes = jax.tree.map(lambda a, b: jnp.concatenate([a[:-1], b[None]]), before, last)
+        return nodes, vec.subtract(after, before)
+
+    def _terminal(self, q: Ambient) -> Array:
+        return jnp.zeros(()) if self.terminal_cost is None else jnp.asarray(self.terminal_cost(q))
+
+    def _multipliers(self, costates: Ambient, nodes: Ambient, frames: Frame) -> tuple[Array, Ambient, Array, Array]:
+        """Coordinates of the multipliers, the covectors they stand for, and slope and curvature of the terminal cost.
+
+        The multiplier of the last node is ``p_N + dPhi`` on fixed directions and zero on free ones (transversality); the
+        covector keeps the whole ambient gradient of Phi, whose normal part enters the Hessian.
+        """
+        last, frame = (jax.tree.map(lambda leaf: leaf[-1], tree) for tree in (nodes, frames))
+        derivative = jax.grad(self._terminal)(last)
+        slope = vec.components(frame, derivative)
+        push = jax.vmap(lambda e: jax.jvp(jax.grad(self._terminal), (last,), (e,))[1])(frame)
+        curvature = jax.vmap(lambda image: vec.components(frame, image))(push)
+        coordinates = jax.vmap(vec.components)(frames, costates)
+        coordinates = coordinates.at[-1].add(slope)
+        coordinates = coordinates.at[0].multiply(self.start.mask()).at[-1].multiply(self.end.mask())
+        covectors = jax.vmap(vec.combine)(frames, coordinates)
+        covectors = jax.tree.map(lambda leaf, d: leaf.at[-1].add(-d), covectors, derivative)
+        return coordinates, covectors, slope, curvature
+
+    def _block_row(self, y: Any, p0: Ambient, p1: Ambient, e0: Frame, e1: Frame) -> tuple[_Parts, _Parts]:
+        """Derivatives of one stage's parts in its chart, and the parts themselves."""
+
+        def lagrangian(d: Array) -> tuple[Array, tuple[Array, Array, Array]]:
+            moved = self.stage.move(y, d)
+            begin, finish = self.stage.ends(moved)
+            cost = self.stage.cost(moved)
+            parts = vec.components(e0, begin), vec.components(e1, finish), cost
+            return cost + vec.pairing(p0, begin) - vec.pairing(p1, finish), parts
+
+        def parts(d: Array) -> tuple[_Parts, _Parts]:
+            slope, (begin, finish, cost) = jax.grad(lagrangian, has_aux=True)(d)
+            return (_Parts(slope, begin, finish, cost),) * 2
+
+        return jax.jacfwd(parts, has_aux=True)(jnp.zeros(self.stage.dimension))
+
+
+def _stationarity(blocks: BlockSystem, coordinates: Array, slope: Array) -> Array:
+    """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate."""
+    starts = jnp.einsum("kns,kn->ks", blocks.left, coordinates[:-1])
+    ends = jnp.einsum("kns,kn->ks", blocks.right, coordinates[1:])
+    parts = jnp.max(jnp.abs(blocks.gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
+    scale = jnp.maximum(parts, 1e-3 * jnp.max(parts))
+    return jnp.max(jnp.abs(slope) / jnp.where(scale > 0, scale, 1.0))

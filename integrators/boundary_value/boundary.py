@@ -1,0 +1,87 @@
+"""Boundary conditions: a node of the trajectory that is fixed, free, or fixed in some factors of a product."""
+
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds.numerics.ambient import Ambient
+
+
+@final
+class NodeCondition(eqx.Module):
+    """The condition on the first or last node.
+
+    ``point`` holds the prescribed entries, and a first guess for the free ones. ``fixed_leaves`` says which of its arrays
+    are prescribed, ``fixed_coordinates`` the same for the coordinates in the basis of the tangent space.
+    """
+
+    point: Ambient
+    fixed_leaves: tuple[bool, ...] = eqx.field(static=True)
+    fixed_coordinates: tuple[bool, ...] = eqx.field(static=True)
+
+    def node(self, reached: Ambient) -> Ambient:
+        """The node: prescribed where fixed, the reached end of the stage where free."""
+        wanted, structure = jax.tree.flatten(self.point)
+        leaves = [w if fixed else r for w, r, fixed in zip(wanted, jax.tree.leaves(reached), self.fixed_leaves, strict=True)]
+        return jax.tree.unflatten(structure, leaves)
+
+    def mask(self) -> Array:
+        """1 for every fixed coordinate, 0 for every free one."""
+        return jnp.asarray(self.fixed_coordinates, float)
+
+
+def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) -> tuple[NodeCondition, NodeCondition]:
+    """Conditions at both ends from points of the manifold in which ``None`` marks what is free.
+
+    A free factor is first guessed equal to the one at the other end; free at both ends it needs ``guided``, a guess for
+    the whole trajectory. Raises ``NotOnManifoldError`` for a prescribed part that is off its manifold.
+    """
+    first, last = _merge(manifold, start, end), _merge(manifold, end, start)
+    conditions = []
+    for name, given, merged in (("start", start, first), ("end", end, last)):
+        missing = [leaf is None for leaf in jax.tree.leaves(merged, is_leaf=lambda leaf: leaf is None)]
+        if any(missing) and not guided:
+            raise InvalidInputError(f"{name} = {given!r} leaves a factor free that is free at the other end too; pass a guess")
+        fixed = list(_fixed(manifold, given, name))
+        leaves = tuple(flag for flag, factor in fixed for _ in jax.tree.leaves(factor.ambient))
+        coordinates = tuple(flag for flag, factor in fixed for _ in range(factor.dimension))
+        conditions.append(NodeCondition(_fill(manifold, merged), leaves, coordinates))
+    return conditions[0], conditions[1]
+
+
+def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
+    """``given`` with the entries of ``other`` where it is None."""
+    if isinstance(manifold, Product) and (isinstance(given, tuple | list) or isinstance(other, tuple | list)):
+        count = len(manifold.factors)
+        mine = given if isinstance(given, tuple | list) else (given,) * count
+        theirs = other if isinstance(other, tuple | list) else (other,) * count
+        if len(mine) == len(theirs) == count:
+            return tuple(_merge(m, a, b) for m, a, b in zip(manifold.factors, mine, theirs, strict=True))
+    return other if given is None else given
+
+
+def _fixed(manifold: Manifold, given: Any, name: str) -> Any:
+    """Pairs ``(is it fixed, factor)``, after a check of every fixed part."""
+    if given is None:
+        yield False, manifold
+    elif isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+        for i, (factor, part) in enumerate(zip(manifold.factors, given, strict=True)):
+            yield from _fixed(factor, part, f"{name}, factor {i}")
+    else:
+        verdict = manifold.contains(given)
+        if not verdict:
+            raise NotOnManifoldError(f"{name}: {verdict.reason}")
+        yield True, manifold
+
+
+def _fill(manifold: Manifold, merged: Any) -> Ambient:
+    """Arrays in the structure of a point, zero where nothing is known."""
+    if isinstance(manifold, Product) and isinstance(merged, tuple | list):
+        return tuple(_fill(factor, part) for factor, part in zip(manifold.factors, merged, strict=True))
+    if merged is None:
+        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), manifold.ambient)
+    return jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), merged, manifold.ambient)

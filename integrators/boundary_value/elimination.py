@@ -1,0 +1,80 @@
+"""Block elimination of a trajectory's KKT system: cost linear in the number of steps."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+
+class BlockSystem(NamedTuple):
+    """Linear system in the steps ``d_k`` of the stages and the multipliers ``c_k`` of the nodes, N stages, N + 1 nodes:
+
+        hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -gradient_k
+        left_k d_k - right_{k-1} d_{k-1}               = -gap_k
+
+    with no ``left`` at the last node and no ``right`` before the first. Where ``fixed_start`` or ``fixed_end`` is 0 the
+    equation of that node's coordinate is ``c = 0`` instead.
+    """
+
+    hessian: Float[Array, "N s s"]
+    left: Float[Array, "N n s"]
+    right: Float[Array, "N n s"]
+    gradient: Float[Array, "N s"]
+    gap: Float[Array, "N+1 n"]
+    fixed_start: Float[Array, " n"]
+    fixed_end: Float[Array, " n"]
+
+
+class BlockSolution(NamedTuple):
+    """Solution of a ``BlockSystem``, with the symmetric pivot blocks of the elimination, whose inertia is the system's."""
+
+    multipliers: Float[Array, "N+1 n"]
+    steps: Float[Array, "N s"]
+    pivots: Float[Array, "N n+s n+s"]
+    last_pivot: Float[Array, "n n"]
+
+
+def eliminate(system: BlockSystem) -> BlockSolution:
+    """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node."""
+    n = system.gap.shape[1]
+    size = n + system.hessian.shape[1]
+
+    def block(hessian: Array, left: Array, right: Array) -> tuple[Array, Array]:
+        corner = jnp.zeros((n, n), hessian.dtype)
+        pivot = jnp.block([[corner, left], [left.T, hessian]])
+        return pivot, jnp.concatenate([corner, -right.T])
+
+    pivots, couplings = jax.vmap(block)(system.hessian, system.left, system.right)
+    sides = jnp.concatenate([-system.gap[:-1], -system.gradient], axis=1)
+
+    def forward(carry: tuple[Array, Array], stage: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple]:
+        schur, shift = carry
+        pivot, coupling, side = stage
+        pivot = pivot.at[:n, :n].add(schur)
+        reduced = jnp.linalg.solve(pivot, jnp.concatenate([coupling, side.at[:n].add(shift)[:, None]], axis=1))
+        onto = -coupling.T @ reduced
+        return (onto[:, :n], onto[:, n]), (reduced, pivot)
+
+    start = (jnp.diag(system.fixed_start - 1), jnp.zeros(n, sides.dtype))
+    (schur, shift), (reduced, eliminated) = jax.lax.scan(forward, start, (pivots, couplings, sides))
+    last_pivot = schur + jnp.diag(system.fixed_end - 1)
+    last = jnp.linalg.solve(last_pivot, shift - system.gap[-1])
+
+    def backward(following: Array, stage: Array) -> tuple[Array, Array]:
+        unknowns = stage[:, n] - stage[:, :n] @ following
+        return unknowns[:n], unknowns
+
+    _, unknowns = jax.lax.scan(backward, last, reduced, reverse=True)
+    multipliers = jnp.concatenate([unknowns[:, :n], last[None]])
+    return BlockSolution(multipliers, unknowns[:, n:size], eliminated, last_pivot)
+
+
+def negative_eigenvalues(solution: BlockSolution) -> Array:
+    """Number of negative eigenvalues of the whole KKT matrix, by Sylvester's law of inertia.
+
+    It equals the number of node equations, ``(N + 1) n``, exactly if the Hessian is positive definite on the null space of
+    the constraints: the second-order sufficient condition of a strict local minimum.
+    """
+    counts = [jnp.sum(jnp.linalg.eigvalsh(block) < 0) for block in (solution.pivots, solution.last_pivot)]
+    return counts[0] + counts[1]

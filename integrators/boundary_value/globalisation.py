@@ -1,0 +1,179 @@
+"""Newton's method on the KKT system, made global: nothing is taken that does not improve, and every step descends.
+
+Merit: the l1 penalty ``cost + mu |gap|_1`` [Nocedal, Wright 2006, 18.3]. A trial is accepted if it decreases the merit as
+Armijo asks, or brings the KKT residual below nine tenths of the best so far (full Newton steps near a solution, which
+the merit can refuse). Indefinite reduced Hessians: the diagonal is raised until the step has positive curvature, a test
+that needs no inertia [Chiang, Zavala 2016].
+"""
+
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..results import Result
+from .assembly import Assembled, DiscreteTrajectory, Iterate
+from .elimination import BlockSolution, eliminate
+
+ARMIJO = 1e-4
+RECORD = 0.9
+SHORTEST = 2.0**-7
+FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
+CURVATURE = 1e-9
+
+
+class _Model(NamedTuple):
+    """What the merit function promises along a step: its value and slope, and the penalty."""
+
+    merit: Array
+    slope: Array
+    penalty: Array
+
+
+class _State(NamedTuple):
+    iterate: Iterate
+    assembled: Assembled
+    trial: Iterate
+    model: _Model
+    fraction: Array
+    shift: Array
+    best: Array
+    count: Array
+    solvable: Array
+    done: Array
+
+
+@final
+class NewtonResult(eqx.Module):
+    """The last accepted iterate with its KKT system, and how the iteration ended."""
+
+    iterate: Iterate
+    assembled: Assembled
+    factors: BlockSolution
+    iterations: Array
+    result: Result
+
+
+def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max_iterations: int) -> NewtonResult:
+    """Solve the KKT system of a discrete trajectory from a guess.
+
+    Converged where both the ambient gap and the relative stationarity are at most ``tolerance``.
+    """
+
+    def body(state: _State) -> _State:
+        state = _judge(problem, state)
+        done = _residual(state.assembled) <= tolerance
+        shift, factors = _regularised(state.assembled, state.shift)
+        solvable = jnp.isfinite(_largest(factors.steps)) & jnp.isfinite(_largest(factors.multipliers))
+        model = _promise(state.assembled, factors, shift, state.model.penalty)
+        trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
+        return state._replace(trial=trial, model=model, shift=shift, solvable=solvable, done=done)
+
+    def going(state: _State) -> Array:
+        stuck = state.shift > LARGEST_SHIFT
+        return ~state.done & state.solvable & ~stuck & (state.count <= max_iterations)
+
+    infinity, one = jnp.asarray(jnp.inf), jnp.ones(())
+    shapes = jax.eval_shape(problem.assemble, guess)
+    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    promise = _Model(infinity, jnp.zeros(()), jnp.zeros(()))
+    flags = jnp.array(True), jnp.array(False)
+    state = _State(guess, nothing, guess, promise, one, jnp.zeros(()), infinity, jnp.zeros((), int), *flags)
+    state = jax.lax.while_loop(going, body, state)
+    factors = eliminate(state.assembled.blocks)
+    return NewtonResult(state.iterate, state.assembled, factors, state.count - 1, _outcome(state, tolerance, max_iterations))
+
+
+def _largest(a: Array) -> Array:
+    """Largest absolute entry."""
+    return jnp.max(jnp.abs(a))
+
+
+def _residual(assembled: Assembled) -> Array:
+    return jnp.maximum(assembled.gap, assembled.stationarity)
+
+
+def _merit(assembled: Assembled, penalty: Array) -> Array:
+    return assembled.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap))
+
+
+def _judge(problem: DiscreteTrajectory, state: _State) -> _State:
+    """Assemble the trial, take it if it improves, and set the length and the shift of the next step."""
+    assembled = problem.assemble(state.trial)
+    residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
+    decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
+    improves = (decreases & (state.count > 0)) | (residual <= RECORD * state.best)
+    good = improves & jnp.isfinite(residual) & jnp.isfinite(merit)
+    new, old = (state.trial, assembled), (state.iterate, state.assembled)
+    iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.count == 0), a, b), new, old)
+
+    halved = state.fraction / 2
+    restart = good | (halved < SHORTEST)
+    lowered = jnp.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / 10)
+    raised = jnp.where(halved < SHORTEST, jnp.maximum(10 * state.shift, FIRST_SHIFT), state.shift)
+    return state._replace(
+        iterate=iterate,
+        assembled=kept,
+        fraction=jnp.where(restart, 1.0, halved),
+        shift=jnp.where(good, lowered, raised),
+        best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
+        count=state.count + 1,
+    )
+
+
+def _scales(assembled: Assembled) -> Array:
+    """Typical curvature of each coordinate, the unit of the shift."""
+    diagonal = jnp.max(jnp.abs(jnp.diagonal(assembled.blocks.hessian, axis1=1, axis2=2)), axis=0)
+    floor = 1e-3 * jnp.max(diagonal)
+    return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
+
+
+def _regularised(assembled: Assembled, shift: Array) -> tuple[Array, BlockSolution]:
+    """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature."""
+    blocks, scales = assembled.blocks, _scales(assembled)
+
+    def shifted(shift: Array) -> tuple[BlockSolution, Array]:
+        hessian = blocks.hessian + shift * jnp.diag(scales)
+        factors = eliminate(blocks._replace(hessian=hessian))
+        curvature = jnp.einsum("ks,kst,kt->", factors.steps, hessian, factors.steps)
+        size = jnp.einsum("ks,s,ks->", factors.steps, scales, factors.steps)
+        return factors, curvature >= CURVATURE * size
+
+    def body(state: tuple[Array, BlockSolution, Array, Array]) -> tuple[Array, BlockSolution, Array, Array]:
+        shift, _, _, tried = state
+        shift = jnp.where(tried > 0, jnp.maximum(10 * shift, FIRST_SHIFT), shift)
+        factors, descends = shifted(shift)
+        return shift, factors, descends, tried + 1
+
+    def going(state: tuple[Array, BlockSolution, Array, Array]) -> Array:
+        return ~state[2] & (state[0] < LARGEST_SHIFT)
+
+    shapes = jax.eval_shape(eliminate, blocks)
+    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+    shift, factors, _, _ = jax.lax.while_loop(going, body, (shift, nothing, jnp.array(False), jnp.zeros((), int)))
+    return shift, factors
+
+
+def _promise(assembled: Assembled, factors: BlockSolution, shift: Array, penalty: Array) -> _Model:
+    """Merit and its slope along the step, with a penalty large enough to make it a descent direction."""
+    blocks, d = assembled.blocks, factors.steps
+    hessian = blocks.hessian + shift * jnp.diag(_scales(assembled))
+    gap = jnp.sum(jnp.abs(blocks.gap))
+    ahead = jnp.sum(blocks.gradient * d)
+    wanted = (ahead + jnp.einsum("ks,kst,kt->", d, hessian, d) / 2) / (0.9 * jnp.where(gap > 0, gap, 1.0))
+    penalty = jnp.where(gap > 0, jnp.maximum(penalty, wanted), penalty)
+    return _Model(_merit(assembled, penalty), ahead - penalty * gap, penalty)
+
+
+def _outcome(state: _State, tolerance: float, max_iterations: int) -> Result:
+    """The result code of a finished iteration."""
+    finite = jnp.isfinite(_residual(state.assembled)) & jnp.isfinite(state.assembled.cost)
+    meets = jnp.max(jnp.abs(state.assembled.blocks.gap)) <= tolerance
+    wrong = (state.assembled.stationarity <= tolerance) & meets & (state.assembled.gap > tolerance)
+    result = Result.where(state.count > max_iterations, Result.too_many_iterations, Result.no_improvement)
+    result = Result.where(~state.solvable | (state.shift > LARGEST_SHIFT) & ~meets, Result.singular, result)
+    result = Result.where(wrong, Result.wrong_point, result)
+    result = Result.where(~finite, Result.not_finite, result)
+    return Result.where(state.done & finite, Result.successful, result)

@@ -1,0 +1,142 @@
+"""The immutable record of a solved optimal control problem, and its file format."""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...manifolds import ConvergenceError, InvalidInputError
+from .guess import Guess
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """How the computation went: Newton iterations, seconds to trace and compile (0 if done before), seconds to run."""
+
+    iterations: int
+    compile_seconds: float
+    run_seconds: float
+
+
+@dataclass(frozen=True)
+class Checks:
+    """What a user checks on a solution. Spreads are maximum minus minimum.
+
+    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, relative to
+    1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``constraint``: largest violation
+    of the manifold's equations at the nodes. ``hamiltonian``: value at the first stage and spread over the stages.
+    ``momenta``: for each factor on which a group acts, largest component and largest spread of a component over the nodes.
+    ``strict_minimum``: whether the Hessian is positive definite on the null space of the constraints.
+    """
+
+    gap: float
+    stationarity: float
+    constraint: float
+    hamiltonian: float
+    hamiltonian_spread: float
+    momenta: dict[str, tuple[float, float]]
+    strict_minimum: bool
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A discrete extremal. Arrays are NumPy arrays with the nodes (N + 1) or stages (N) along the leading axis.
+
+    ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
+    ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
+    factor that is a rotation group, the costate in the body and in the spatial frame. ``result`` says in words how the
+    computation ended, ``success`` whether the conditions are met.
+    """
+
+    times: np.ndarray
+    states: Any
+    costates: Any
+    stage_times: np.ndarray
+    stage_states: Any
+    stage_costates: Any
+    controls: Any
+    hamiltonians: np.ndarray
+    momenta: dict[str, np.ndarray]
+    body_costates: dict[str, np.ndarray]
+    spatial_costates: dict[str, np.ndarray]
+    cost: float
+    success: bool
+    result: str
+    checks: Checks
+    statistics: Statistics
+
+    @property
+    def steps(self) -> int:
+        """Number of steps N."""
+        return len(self.stage_times)
+
+    def guess(self) -> Guess:
+        """This solution as a guess for another problem with as many steps."""
+        return Guess(self.stage_states, self.controls, self.costates)
+
+    def report(self) -> None:
+        """Print what a user checks."""
+        print(self)
+
+    def __str__(self) -> str:
+        from .report import report_text
+
+        return report_text(self)
+
+    def require_success(self) -> "Solution":
+        """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
+        if not self.success:
+            raise ConvergenceError(f"{self.result}\n{self}")
+        return self
+
+    def save(self, path: str | Path) -> None:
+        """Write the solution to an ``.npz`` file that ``load_solution`` reads; nested parts are named by their path."""
+        flat: dict[str, np.ndarray] = {}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
+        np.savez(Path(path), **flat)
+
+
+_RECORDS = {"checks": Checks, "statistics": Statistics}
+_MARKS = {tuple: "tuple", dict: "dict"}
+
+
+def _flatten(name: str, value: Any, flat: dict[str, np.ndarray]) -> None:
+    """Entries ``name/0/...`` for tuples and ``name/key/...`` for dictionaries, each with its kind under ``name/kind``."""
+    if isinstance(value, tuple | dict):
+        flat[f"{name}/kind"] = np.asarray(_MARKS[type(value)])
+        items = value.items() if isinstance(value, dict) else enumerate(value)
+        keys = []
+        for key, part in items:
+            keys.append(str(key))
+            _flatten(f"{name}/{key}", part, flat)
+        flat[f"{name}/keys"] = np.asarray(keys, dtype=str)
+    else:
+        flat[name] = np.asarray(value)
+
+
+def _unflatten(name: str, flat: Any) -> Any:
+    if f"{name}/kind" not in flat:
+        value = flat[name]
+        return value.item() if value.ndim == 0 else value
+    parts = {str(key): _unflatten(f"{name}/{key}", flat) for key in flat[f"{name}/keys"]}
+    return parts if flat[f"{name}/kind"] == "dict" else tuple(parts.values())
+
+
+def load_solution(path: str | Path) -> Solution:
+    """Read a solution that ``Solution.save`` wrote. Raises ``InvalidInputError`` if the file is something else."""
+    with np.load(Path(path)) as flat:
+        missing = [f.name for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
+        if missing:
+            raise InvalidInputError(f"{path} is not a saved solution: it lacks {', '.join(missing)}; expected a file from Solution.save")
+        values = {f.name: _unflatten(f.name, flat) for f in fields(Solution)}
+    records = {name: record(**values[name]) for name, record in _RECORDS.items()}
+    return Solution(**{**values, **records})
+
+
+def to_numpy(tree: Any) -> Any:
+    """Arrays of a pytree on the host."""
+    return jax.tree.map(np.asarray, tree)

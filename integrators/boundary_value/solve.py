@@ -1,0 +1,185 @@
+"""The boundary-value problem: from a problem and its boundary conditions to a solution."""
+
+import time
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import DomainError, InvalidInputError
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import DiscretizationMap
+from ..initial_value.integrator import resting_control
+from ..problem import OptimalControlProblem
+from ..results import Result, warn_about_precision
+from ..stages import ControlStage
+from .assembly import DiscreteTrajectory, Iterate
+from .boundary import NodeCondition, boundary_conditions
+from .diagnostics import Diagnostics, diagnose
+from .elimination import negative_eigenvalues
+from .globalisation import NewtonResult, solve_kkt
+from .guess import Guess, interpolate
+from .solution import Checks, Solution, Statistics, to_numpy
+
+DEFAULT_TOLERANCE_POWER = 0.7
+
+
+def solve(
+    problem: OptimalControlProblem,
+    discretization: DiscretizationMap,
+    start: Any,
+    end: Any,
+    horizon: float,
+    steps: int,
+    guess: Guess | Solution | None = None,
+    tolerance: float | None = None,
+    max_iterations: int = 100,
+    throw: bool = True,
+) -> Solution:
+    """Solve an optimal control problem between two boundary conditions over ``[0, horizon]`` with ``steps`` equal steps.
+
+    ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1, None)``
+    prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at every
+    step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of the
+    retraction from start to end; or a ``Guess``, or a ``Solution`` with as many steps.
+
+    Converged where the ambient gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
+    double precision). Raises ``InvalidInputError``, ``NotOnManifoldError`` or ``DomainError`` for input that cannot be
+    solved as given, and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
+    """
+    _check_arguments(problem, discretization, horizon, steps, max_iterations)
+    warn_about_precision()
+    guess = guess.guess() if isinstance(guess, Solution) else guess
+    first, last = boundary_conditions(problem.manifold, start, end, guess is not None)
+    if guess is not None:
+        guess = _checked_guess(problem, guess, steps)
+    problem.check(first.point, resting_control(problem.controls))
+    limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
+    stage = ControlStage(problem, discretization, jnp.asarray(horizon / steps, float))
+    discrete = DiscreteTrajectory(stage, first, last, problem.terminal_cost)
+    output, compile_seconds, run_seconds = _timed(discrete, guess, steps, limit, max_iterations)
+    if guess is None and not output.guess_is_finite:
+        raise DomainError(
+            "no default guess: the end is outside the image of the retraction at the start (for rotations: half a turn "
+            "away or more); pass a guess, for instance one that passes through a point between them"
+        )
+    solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
+    return solution.require_success() if throw else solution
+
+
+def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any, max_iterations: Any) -> None:
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+    if not isinstance(discretization, DiscretizationMap):
+        raise InvalidInputError(f"solve takes a discretization map, got {discretization!r}; try Midpoint(Cayley(manifold))")
+    if jax.tree.structure(discretization.manifold.ambient) != jax.tree.structure(problem.manifold.ambient) or (
+        discretization.manifold.dimension != problem.manifold.dimension
+    ):
+        raise InvalidInputError(f"the discretization acts on {discretization.manifold}, the problem on {problem.manifold}; use one manifold")
+    if not (np.ndim(horizon) == 0 and np.isfinite(horizon) and horizon > 0):
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+    for name, count in (("steps", steps), ("max_iterations", max_iterations)):
+        if not isinstance(count, int | np.integer) or count < 1:
+            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
+
+
+def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> Guess:
+    """The guess as arrays with its costates filled in; raises where a shape is wrong."""
+    costates = guess.costates
+    if costates is None:
+        costates = jax.tree.map(lambda s: np.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
+    filled = Guess(guess.states, guess.controls, costates)
+    expected = (("states", problem.manifold, steps), ("controls", problem.controls, steps), ("costates", problem.manifold, steps + 1))
+    for name, manifold, count in expected:
+        given = getattr(filled, name)
+        shapes = jax.tree.map(lambda s, c=count: (c, *s.shape), manifold.ambient)
+        got = jax.tree.map(np.shape, given)
+        if shapes != got:
+            raise InvalidInputError(f"guess: {name} must have shapes {shapes}, got {got}")
+        if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(given)):
+            raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), filled)
+
+
+class _Output(NamedTuple):
+    newton: NewtonResult
+    diagnostics: Diagnostics
+    states: Ambient
+    costates: Ambient
+    negative: Array
+    guess_is_finite: Array
+
+
+def _kernel(discrete: DiscreteTrajectory, guess: Guess | None, steps: int, tolerance: float, max_iterations: int) -> _Output:
+    """Everything that runs on arrays, in one compiled function."""
+    stage = discrete.stage
+    if guess is None:
+        drawn = interpolate(stage.problem, stage.discretization, discrete.start.point, discrete.end.point, steps)
+        zero = jax.tree.map(lambda s: jnp.zeros((steps + 1, *s.shape), s.dtype), stage.manifold.ambient)
+        guess = Guess(drawn.states, drawn.controls, zero)
+    newton = solve_kkt(discrete, Iterate((guess.states, guess.controls), guess.costates), tolerance, max_iterations)
+    states = newton.assembled.nodes
+    costates = jax.vmap(stage.manifold.projection)(states, newton.assembled.costates)
+    diagnostics = diagnose(stage, newton.iterate.unknowns, states, costates)
+    finite = jnp.isfinite(vec.size(guess.states))
+    return _Output(newton, diagnostics, states, costates, negative_eigenvalues(newton.factors), finite)
+
+
+_compiled: dict[Any, Any] = {}
+
+
+def _timed(*arguments: Any) -> tuple[_Output, float, float]:
+    """Run the kernel; seconds to trace and compile (0 if it was compiled before), and to run."""
+    dynamic, static = eqx.partition(arguments, eqx.is_array)
+    leaves, structure = jax.tree.flatten(static)
+    shapes = jax.tree.map(lambda a: (a.shape, a.dtype), jax.tree.leaves(dynamic))
+    key = (tuple(leaves), structure, tuple(shapes), jnp.zeros(()).dtype)
+    began = time.perf_counter()
+    seconds = 0.0
+    if key not in _compiled:
+        _compiled[key] = jax.jit(lambda arrays: _kernel(*eqx.combine(arrays, static))).lower(dynamic).compile()
+        seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    output = jax.block_until_ready(_compiled[key](dynamic))
+    return output, seconds, time.perf_counter() - began
+
+
+def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, statistics: Statistics) -> Solution:
+    """The solution from the kernel's output."""
+    newton, diagnostics = output.newton, to_numpy(output.diagnostics)
+    steps = len(diagnostics.hamiltonians)
+    momenta = {name: (float(np.max(np.abs(j))), float(np.max(np.ptp(j, axis=0)))) for name, j in diagnostics.momenta.items()}
+    equations = (steps + 1) * discrete.stage.manifold.dimension
+    checks = Checks(
+        gap=float(newton.assembled.gap),
+        stationarity=float(newton.assembled.stationarity),
+        constraint=float(diagnostics.constraint),
+        hamiltonian=float(diagnostics.hamiltonians[0]),
+        hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
+        momenta=momenta,
+        strict_minimum=int(output.negative) == equations,
+    )
+    stage_states, controls = to_numpy(newton.iterate.unknowns)
+    times = np.linspace(0.0, horizon, steps + 1)
+    return Solution(
+        times=times,
+        states=to_numpy(output.states),
+        costates=to_numpy(output.costates),
+        stage_times=times[:-1] + discrete.stage.discretization.theta * horizon / steps,
+        stage_states=stage_states,
+        stage_costates=diagnostics.stage_costates,
+        controls=controls,
+        hamiltonians=diagnostics.hamiltonians,
+        momenta=diagnostics.momenta,
+        body_costates=diagnostics.body,
+        spatial_costates=diagnostics.spatial,
+        cost=float(newton.assembled.cost),
+        success=bool(newton.result == Result.successful),
+        result=Result[newton.result],
+        checks=checks,
+        statistics=statistics,
+    )
