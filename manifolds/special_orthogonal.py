@@ -13,17 +13,6 @@ from .manifold import HomogeneousSpace, real
 from .numerics import ambient as vec
 
 
-def hat(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
-    """Skew matrix of a vector: ``hat(w) y = w x y``."""
-    o = jnp.zeros_like(w[0])
-    return jnp.stack([jnp.stack([o, -w[2], w[1]]), jnp.stack([w[2], o, -w[0]]), jnp.stack([-w[1], w[0], o])])
-
-
-def vee(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Vector of the skew part of a matrix: ``vee(hat(w)) = w``."""
-    return jnp.stack([a[2, 1] - a[1, 2], a[0, 2] - a[2, 0], a[1, 0] - a[0, 1]]) / 2
-
-
 def skew_basis(n: int) -> np.ndarray:
     """Basis ``e_i`` of the skew ``n x n`` matrices, shape ``(n(n-1)/2, n, n)``: ``hat`` of the axes for n = 3."""
     planes = [(1, 2), (2, 0), (0, 1)] if n == 3 else list(combinations(range(n), 2))
@@ -31,6 +20,16 @@ def skew_basis(n: int) -> np.ndarray:
     for k, (i, j) in enumerate(planes):
         out[k, j, i], out[k, i, j] = 1.0, -1.0
     return out
+
+
+def hat(w: Float[Array, "3"]) -> Float[Array, "3 3"]:
+    """Skew matrix of a vector: ``hat(w) y = w x y``."""
+    return jnp.tensordot(w, jnp.asarray(skew_basis(3), w.dtype), 1)
+
+
+def vee(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Vector of the skew part of a matrix: ``vee(hat(w)) = w``."""
+    return jnp.tensordot(jnp.asarray(skew_basis(3) / 2, a.dtype), a, 2)
 
 
 @final

@@ -46,12 +46,16 @@ def rotation_sqrt(a: Matrix) -> Matrix:
     return jnp.linalg.solve(spd_sqrt(2 * eye + a + a.T), eye + a)
 
 
+def squared_angle(omega: Matrix) -> Array:
+    """``|w|^2`` of ``omega = hat(w)``."""
+    return jnp.sum(omega * omega) / 2
+
+
 def exponential(omega: Matrix) -> Matrix:
     """Matrix exponential of a skew matrix; Rodrigues' formula for n = 3."""
     if omega.shape[0] == 3:
-        w = vee(omega)
-        s, a = w @ w, hat(w)
-        return jnp.eye(3, dtype=omega.dtype) + series.sinc(s) * a + series.cosc(s) * (a @ a)
+        s = squared_angle(omega)
+        return jnp.eye(3, dtype=omega.dtype) + series.sinc(s) * omega + series.cosc(s) * (omega @ omega)
     return jax.scipy.linalg.expm(omega)
 
 
@@ -95,16 +99,14 @@ def cayley(omega: Matrix) -> Matrix:
     """Cayley transform ``(I - omega/2)^-1 (I + omega/2)`` of a skew matrix."""
     eye = jnp.eye(omega.shape[0], dtype=omega.dtype)
     if omega.shape[0] == 3:
-        w = vee(omega)
-        a = hat(w)
-        return eye + (a + a @ a / 2) / (1 + w @ w / 4)
+        return eye + (omega + omega @ omega / 2) / (1 + squared_angle(omega) / 4)
     return jnp.linalg.solve(eye - omega / 2, eye + omega / 2)
 
 
 def cayley_inverse(a: Matrix) -> Matrix:
     """``2 (a - I)(a + I)^-1``, skew, for a rotation without the eigenvalue -1."""
     if a.shape[0] == 3:
-        return hat(4 * vee(a) / (1 + jnp.trace(a)))
+        return 2 * (a - a.T) / (1 + jnp.trace(a))
     eye = jnp.eye(a.shape[0], dtype=a.dtype)
     omega = 2 * jnp.linalg.solve(a + eye, a - eye)
     return (omega - omega.T) / 2
@@ -114,16 +116,15 @@ def polar(omega: Matrix) -> Matrix:
     """Orthogonal polar factor of ``I + omega``: ``(I + omega)(I - omega^2)^(-1/2)`` for a skew matrix."""
     eye = jnp.eye(omega.shape[0], dtype=omega.dtype)
     if omega.shape[0] == 3:
-        w = vee(omega)
-        a, r = hat(w), jnp.sqrt(1 + w @ w)
-        return eye + a / r + a @ a / (r * (r + 1))
+        r = jnp.sqrt(1 + squared_angle(omega))
+        return eye + omega / r + omega @ omega / (r * (r + 1))
     return jnp.linalg.solve(spd_sqrt(eye - omega @ omega), eye + omega)
 
 
 def polar_inverse(a: Matrix) -> Matrix:
     """Skew ``omega`` whose ``I + omega`` has the polar factor ``a``: ``2 (a + a')^-1 a - I``."""
     if a.shape[0] == 3:
-        return hat(2 * vee(a) / (jnp.trace(a) - 1))
+        return (a - a.T) / (jnp.trace(a) - 1)
     omega = jnp.linalg.solve(a + a.T, a - a.T)
     return (omega - omega.T) / 2
 

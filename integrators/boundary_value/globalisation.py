@@ -6,7 +6,7 @@ the merit can refuse). Indefinite reduced Hessians: the diagonal is raised until
 that needs no inertia [Chiang, Zavala 2016].
 """
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from ..results import Result
 from .assembly import Assembled, DiscreteTrajectory, Iterate
-from .elimination import BlockSolution, eliminate
+from .elimination import BlockSolution, eliminate, negative_eigenvalues
 
 ARMIJO = 1e-4
 RECORD = 0.9
@@ -35,23 +35,26 @@ class _Model(NamedTuple):
 class _State(NamedTuple):
     iterate: Iterate
     assembled: Assembled
+    factors: BlockSolution
     trial: Iterate
     model: _Model
     fraction: Array
     shift: Array
     best: Array
     count: Array
-    solvable: Array
     done: Array
 
 
 @final
 class NewtonResult(eqx.Module):
-    """The last accepted iterate with its KKT system, and how the iteration ended."""
+    """The last accepted iterate with its KKT system, and how the iteration ended.
+
+    ``strict_minimum``: the Hessian of the Lagrangian is positive definite on the null space of the constraints there.
+    """
 
     iterate: Iterate
     assembled: Assembled
-    factors: BlockSolution
+    strict_minimum: Array
     iterations: Array
     result: Result
 
@@ -62,28 +65,38 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max
     Converged where both the ambient gap and the relative stationarity are at most ``tolerance``.
     """
 
+    assemble = jax.jit(lambda iterate: problem.assemble(iterate))  # traced once, for the shapes and for the loop
+
     def body(state: _State) -> _State:
-        state = _judge(problem, state)
+        state = _judge(assemble(state.trial), state)
         done = _residual(state.assembled) <= tolerance
-        shift, factors = _regularised(state.assembled, state.shift)
-        solvable = jnp.isfinite(_largest(factors.steps)) & jnp.isfinite(_largest(factors.multipliers))
+        # The last elimination is of the unchanged system: its inertia tells a minimum from a saddle.
+        shift, factors = _regularised(state.assembled, state.factors, jnp.where(done, 0.0, state.shift))
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
-        return state._replace(trial=trial, model=model, shift=shift, solvable=solvable, done=done)
+        return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
 
     def going(state: _State) -> Array:
-        stuck = state.shift > LARGEST_SHIFT
-        return ~state.done & state.solvable & ~stuck & (state.count <= max_iterations)
+        return ~state.done & _solvable(state) & (state.count <= max_iterations)
 
-    infinity, one = jnp.asarray(jnp.inf), jnp.ones(())
-    shapes = jax.eval_shape(problem.assemble, guess)
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    promise = _Model(infinity, jnp.zeros(()), jnp.zeros(()))
-    flags = jnp.array(True), jnp.array(False)
-    state = _State(guess, nothing, guess, promise, one, jnp.zeros(()), infinity, jnp.zeros((), int), *flags)
+    assembled = _zeros(jax.eval_shape(assemble, guess))
+    factors = _zeros(jax.eval_shape(eliminate, assembled.blocks))
+    zero, infinity = jnp.zeros(()), jnp.asarray(jnp.inf)
+    promise = _Model(infinity, zero, zero)
+    state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), jnp.array(False))
     state = jax.lax.while_loop(going, body, state)
-    factors = eliminate(state.assembled.blocks)
-    return NewtonResult(state.iterate, state.assembled, factors, state.count - 1, _outcome(state, tolerance, max_iterations))
+    result = _outcome(state, tolerance, max_iterations)
+    strict = negative_eigenvalues(state.factors) == state.assembled.blocks.gap.size
+    return NewtonResult(state.iterate, state.assembled, strict & (state.shift == 0), state.count - 1, result)
+
+
+def _zeros(shapes: Any) -> Any:
+    return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
+
+
+def _solvable(state: _State) -> Array:
+    finite = jnp.isfinite(_largest(state.factors.steps)) & jnp.isfinite(_largest(state.factors.multipliers))
+    return finite & (state.shift < LARGEST_SHIFT)
 
 
 def _largest(a: Array) -> Array:
@@ -99,9 +112,8 @@ def _merit(assembled: Assembled, penalty: Array) -> Array:
     return assembled.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap))
 
 
-def _judge(problem: DiscreteTrajectory, state: _State) -> _State:
-    """Assemble the trial, take it if it improves, and set the length and the shift of the next step."""
-    assembled = problem.assemble(state.trial)
+def _judge(assembled: Assembled, state: _State) -> _State:
+    """Take the assembled trial if it improves, and set the length and the shift of the next step."""
     residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
     improves = (decreases & (state.count > 0)) | (residual <= RECORD * state.best)
@@ -130,7 +142,7 @@ def _scales(assembled: Assembled) -> Array:
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(assembled: Assembled, shift: Array) -> tuple[Array, BlockSolution]:
+def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array) -> tuple[Array, BlockSolution]:
     """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature."""
     blocks, scales = assembled.blocks, _scales(assembled)
 
@@ -150,9 +162,8 @@ def _regularised(assembled: Assembled, shift: Array) -> tuple[Array, BlockSoluti
     def going(state: tuple[Array, BlockSolution, Array, Array]) -> Array:
         return ~state[2] & (state[0] < LARGEST_SHIFT)
 
-    shapes = jax.eval_shape(eliminate, blocks)
-    nothing = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
-    shift, factors, _, _ = jax.lax.while_loop(going, body, (shift, nothing, jnp.array(False), jnp.zeros((), int)))
+    start = (shift, factors, jnp.array(False), jnp.zeros((), int))
+    shift, factors, _, _ = jax.lax.while_loop(going, body, start)
     return shift, factors
 
 
@@ -173,7 +184,7 @@ def _outcome(state: _State, tolerance: float, max_iterations: int) -> Result:
     meets = jnp.max(jnp.abs(state.assembled.blocks.gap)) <= tolerance
     wrong = (state.assembled.stationarity <= tolerance) & meets & (state.assembled.gap > tolerance)
     result = Result.where(state.count > max_iterations, Result.too_many_iterations, Result.no_improvement)
-    result = Result.where(~state.solvable | (state.shift > LARGEST_SHIFT) & ~meets, Result.singular, result)
+    result = Result.where(~_solvable(state) & ~meets, Result.singular, result)
     result = Result.where(wrong, Result.wrong_point, result)
     result = Result.where(~finite, Result.not_finite, result)
     return Result.where(state.done & finite, Result.successful, result)

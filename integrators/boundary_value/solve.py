@@ -20,7 +20,6 @@ from ..stages import ControlStage
 from .assembly import DiscreteTrajectory, Iterate
 from .boundary import NodeCondition, boundary_conditions
 from .diagnostics import Diagnostics, diagnose
-from .elimination import negative_eigenvalues
 from .globalisation import NewtonResult, solve_kkt
 from .guess import Guess, interpolate
 from .solution import Checks, Solution, Statistics, to_numpy
@@ -110,7 +109,6 @@ class _Output(NamedTuple):
     diagnostics: Diagnostics
     states: Ambient
     costates: Ambient
-    negative: Array
     guess_is_finite: Array
 
 
@@ -126,7 +124,7 @@ def _kernel(discrete: DiscreteTrajectory, guess: Guess | None, steps: int, toler
     costates = jax.vmap(stage.manifold.projection)(states, newton.assembled.costates)
     diagnostics = diagnose(stage, newton.iterate.unknowns, states, costates)
     finite = jnp.isfinite(vec.size(guess.states))
-    return _Output(newton, diagnostics, states, costates, negative_eigenvalues(newton.factors), finite)
+    return _Output(newton, diagnostics, states, costates, finite)
 
 
 _compiled: dict[Any, Any] = {}
@@ -153,7 +151,6 @@ def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, stati
     newton, diagnostics = output.newton, to_numpy(output.diagnostics)
     steps = len(diagnostics.hamiltonians)
     momenta = {name: (float(np.max(np.abs(j))), float(np.max(np.ptp(j, axis=0)))) for name, j in diagnostics.momenta.items()}
-    equations = (steps + 1) * discrete.stage.manifold.dimension
     checks = Checks(
         gap=float(newton.assembled.gap),
         stationarity=float(newton.assembled.stationarity),
@@ -161,7 +158,7 @@ def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, stati
         hamiltonian=float(diagnostics.hamiltonians[0]),
         hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
         momenta=momenta,
-        strict_minimum=int(output.negative) == equations,
+        strict_minimum=bool(newton.strict_minimum),
     )
     stage_states, controls = to_numpy(newton.iterate.unknowns)
     times = np.linspace(0.0, horizon, steps + 1)
