@@ -3,7 +3,7 @@
 if __package__ != "retrax.integrators":
     raise ImportError(f"import this package as retrax.integrators (pip install .), not as {__package__}: a second copy of its classes would not match the first")
 
-from .boundary_value import Checks, Guess, Solution, Statistics, interpolate, load_solution, solve
+from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
 from .initial_value import Integrator, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate
 from .problem import OptimalControlProblem
 from .results import Result
@@ -24,7 +24,7 @@ __all__ = [
     "SymplecticIntegrator",
     "Trajectory",
     "integrate",
-    "interpolate",
+    "default_guess",
     "load_solution",
     "solve",
 ]

@@ -71,7 +71,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max
         state = _judge(assemble(state.trial), state)
         done = _residual(state.assembled) <= tolerance
         # The last elimination is of the unchanged system: its inertia tells a minimum from a saddle.
-        shift, factors = _regularised(state.assembled, state.factors, jnp.where(done, 0.0, state.shift))
+        shift, factors = _regularised(state.assembled, state.factors, jnp.where(done, 0.0, state.shift), done)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
         return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
@@ -142,8 +142,11 @@ def _scales(assembled: Assembled) -> Array:
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array) -> tuple[Array, BlockSolution]:
-    """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature."""
+def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, done: Array) -> tuple[Array, BlockSolution]:
+    """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature.
+
+    If ``done`` the shift that came is used as it is.
+    """
     blocks, scales = assembled.blocks, _scales(assembled)
 
     def shifted(shift: Array) -> tuple[BlockSolution, Array]:
@@ -151,7 +154,7 @@ def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array) -> 
         factors = eliminate(blocks._replace(hessian=hessian))
         curvature = jnp.einsum("ks,kst,kt->", factors.steps, hessian, factors.steps)
         size = jnp.einsum("ks,s,ks->", factors.steps, scales, factors.steps)
-        return factors, curvature >= CURVATURE * size
+        return factors, done | (curvature >= CURVATURE * size)
 
     def body(state: tuple[Array, BlockSolution, Array, Array]) -> tuple[Array, BlockSolution, Array, Array]:
         shift, _, _, tried = state

@@ -2,13 +2,15 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ...manifolds import DomainError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...retractions import DiscretizationMap
+from ...retractions import DiscretizationMap, Retraction
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 
@@ -24,16 +26,45 @@ class Guess(NamedTuple):
     costates: Any = None
 
 
-def interpolate(
+def default_guess(
     problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
 ) -> Guess:
-    """Guess on the curve ``s -> R(start, s v)`` with ``R(start, v) = end``, controls at rest.
+    """Guess along the curve of the retraction from start to end, or, outside its image, along a walk towards the end.
 
-    Entries are NaN if ``end`` is outside the image of the retraction at ``start``.
+    Controls rest, costates are zero. Raises ``DomainError`` if neither curve arrives near the end: the two points are
+    opposite to each other, and the user has to say which way round.
     """
-    retraction = discretization.retraction
-    v = retraction.preimage(start, end)
-    times: Array = (jnp.arange(steps) + discretization.theta) / steps
-    states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))(times)
+    retraction, theta = discretization.retraction, jnp.asarray(discretization.theta)
+    states, arrived = _curve(retraction, start, end, theta, steps)
+    if not arrived:
+        states, arrived = _walk(retraction, start, end, steps)
+    if not arrived:
+        raise DomainError(
+            "no default guess: the end is opposite to the start (for rotations: half a turn away), so no direction leads "
+            "to it; pass a guess, for instance one that goes through a point between them"
+        )
     rest = resting_control(problem.controls)
-    return Guess(states, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *leaf.shape)), rest))
+    controls = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *leaf.shape)), rest)
+    costates = jax.tree.map(lambda s: jnp.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
+    return Guess(states, controls, costates)
+
+
+@eqx.filter_jit
+def _curve(retraction: Retraction, start: Ambient, end: Ambient, theta: Array, steps: int) -> tuple[Ambient, Array]:
+    """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether there is such a ``v``."""
+    v = retraction.preimage(start, end)
+    times = (jnp.arange(steps) + theta) / steps
+    return jax.vmap(lambda s: retraction(start, vec.scale(s, v)))(times), jnp.isfinite(vec.size(v))
+
+
+@eqx.filter_jit
+def _walk(retraction: Retraction, start: Ambient, end: Ambient, steps: int) -> tuple[Ambient, Array]:
+    """A walk that covers, at step k of N, the fraction ``1/(N - k)`` of the chord's tangential part; and whether it arrives."""
+
+    def step(x: Ambient, k: Array) -> tuple[Ambient, Ambient]:
+        chord = retraction.manifold.projection(x, vec.subtract(end, x))
+        ahead = retraction(x, vec.scale(1 / (steps - k), chord))
+        return ahead, ahead
+
+    last, states = jax.lax.scan(step, start, jnp.arange(steps))
+    return states, vec.size(vec.subtract(last, end)) < vec.size(vec.subtract(start, end)) / 2

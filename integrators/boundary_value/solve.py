@@ -7,13 +7,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from ...manifolds import DomainError, InvalidInputError
-from ...manifolds.numerics import ambient as vec
+from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap
 from ..initial_value.integrator import resting_control
+from ..compilation import compiler_options
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
 from ..stages import ControlStage
@@ -21,7 +20,7 @@ from .assembly import DiscreteTrajectory, Iterate
 from .boundary import NodeCondition, boundary_conditions
 from .diagnostics import Diagnostics, diagnose
 from .globalisation import NewtonResult, solve_kkt
-from .guess import Guess, interpolate
+from .guess import Guess, default_guess
 from .solution import Checks, Solution, Statistics, to_numpy
 
 DEFAULT_TOLERANCE_POWER = 0.7
@@ -44,7 +43,7 @@ def solve(
     ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1, None)``
     prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at every
     step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of the
-    retraction from start to end; or a ``Guess``, or a ``Solution`` with as many steps.
+    retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or a ``Solution`` with as many steps.
 
     Converged where the ambient gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
     double precision). Raises ``InvalidInputError``, ``NotOnManifoldError`` or ``DomainError`` for input that cannot be
@@ -54,18 +53,14 @@ def solve(
     warn_about_precision()
     guess = guess.guess() if isinstance(guess, Solution) else guess
     first, last = boundary_conditions(problem.manifold, start, end, guess is not None)
-    if guess is not None:
-        guess = _checked_guess(problem, guess, steps)
     problem.check(first.point, resting_control(problem.controls))
+    if guess is None:
+        guess = default_guess(problem, discretization, first.point, last.point, steps)
+    guess = _checked_guess(problem, guess, steps)
     limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
     stage = ControlStage(problem, discretization, jnp.asarray(horizon / steps, float))
     discrete = DiscreteTrajectory(stage, first, last, problem.terminal_cost)
-    output, compile_seconds, run_seconds = _timed(discrete, guess, steps, limit, max_iterations)
-    if guess is None and not output.guess_is_finite:
-        raise DomainError(
-            "no default guess: the end is outside the image of the retraction at the start (for rotations: half a turn "
-            "away or more); pass a guess, for instance one that passes through a point between them"
-        )
+    output, compile_seconds, run_seconds = _timed(discrete, guess, limit, max_iterations)
     solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
     return solution.require_success() if throw else solution
 
@@ -109,22 +104,16 @@ class _Output(NamedTuple):
     diagnostics: Diagnostics
     states: Ambient
     costates: Ambient
-    guess_is_finite: Array
 
 
-def _kernel(discrete: DiscreteTrajectory, guess: Guess | None, steps: int, tolerance: float, max_iterations: int) -> _Output:
+def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: float, max_iterations: int) -> _Output:
     """Everything that runs on arrays, in one compiled function."""
     stage = discrete.stage
-    if guess is None:
-        drawn = interpolate(stage.problem, stage.discretization, discrete.start.point, discrete.end.point, steps)
-        zero = jax.tree.map(lambda s: jnp.zeros((steps + 1, *s.shape), s.dtype), stage.manifold.ambient)
-        guess = Guess(drawn.states, drawn.controls, zero)
     newton = solve_kkt(discrete, Iterate((guess.states, guess.controls), guess.costates), tolerance, max_iterations)
     states = newton.assembled.nodes
     costates = jax.vmap(stage.manifold.projection)(states, newton.assembled.costates)
     diagnostics = diagnose(stage, newton.iterate.unknowns, states, costates)
-    finite = jnp.isfinite(vec.size(guess.states))
-    return _Output(newton, diagnostics, states, costates, finite)
+    return _Output(newton, diagnostics, states, costates)
 
 
 _compiled: dict[Any, Any] = {}
@@ -139,7 +128,8 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
     began = time.perf_counter()
     seconds = 0.0
     if key not in _compiled:
-        _compiled[key] = jax.jit(lambda arrays: _kernel(*eqx.combine(arrays, static))).lower(dynamic).compile()
+        lowered = jax.jit(lambda arrays: _kernel(*eqx.combine(arrays, static))).lower(dynamic)
+        _compiled[key] = lowered.compile(compiler_options())
         seconds = time.perf_counter() - began
     began = time.perf_counter()
     output = jax.block_until_ready(_compiled[key](dynamic))
