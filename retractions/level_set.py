@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifolds import LevelSet
+from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, solve_small
 from .retraction import Retraction, nan_unless
 
@@ -38,4 +39,6 @@ class LevelSetProjection(Retraction):
         here, there = self.manifold.jacobian(x), self.manifold.jacobian(y)
         chord = jnp.ravel(y - x)
         multipliers = solve_small(here @ there.T, -(here @ chord))
-        return (chord + there.T @ multipliers).reshape(self.manifold.shape)
+        v = (chord + there.T @ multipliers).reshape(self.manifold.shape)
+        # The equation has a solution also where y is a far critical point of the distance to x + v.
+        return nan_unless(same_point(self(x, v), y, default_tolerance()), v)

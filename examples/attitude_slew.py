@@ -1,0 +1,133 @@
+"""Rest-to-rest slew of a spacecraft: 150 degrees about (1, 2, -2)/3 in 60 seconds with least torque.
+
+    R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
+
+on SO(3) x R^3. Inertia J = diag(5621, 4547, 2364) kg m^2: the spacecraft of the minimum-time reorientation problem in
+J. T. Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming", SIAM 2010, section 6.8.
+The reference optimum is the limit of the discrete ones as the steps shrink, 2504.24655710 N^2 m^2 s.
+
+Run it to solve, print the report, compare with the reference, and write two figures and the solution:
+
+    python examples/attitude_slew.py [--steps 200] [--output examples/output]
+"""
+
+import argparse
+from pathlib import Path
+
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from retrax.integrators import OptimalControlProblem, Solution, load_solution, solve
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Cayley, Midpoint
+
+jax.config.update("jax_enable_x64", True)
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+INERTIA = jnp.array([5621.0, 4547.0, 2364.0])  # kg m^2, principal axes
+AXIS = np.array([1.0, 2.0, -2.0]) / 3
+ANGLE = np.deg2rad(150)
+HORIZON = 60.0  # s
+REFERENCE_COST = 2504.24655710  # N^2 m^2 s
+
+Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w in rad/s
+
+
+def dynamics(q, u):
+    """Velocity of the attitude and of the body rate under a torque u in the body frame, N m."""
+    attitude, rate = q
+    return attitude @ hat(rate), (u - jnp.cross(rate, INERTIA * rate)) / INERTIA
+
+
+def torque_effort(q, u):
+    """Running cost |u|^2 / 2."""
+    return u @ u / 2
+
+
+PROBLEM = OptimalControlProblem(Q, dynamics, torque_effort, controls=3)
+
+
+def slew(steps):
+    """The optimal slew with a number of equal steps."""
+    start = (np.eye(3), np.zeros(3))
+    end = (Rotation.from_rotvec(ANGLE * AXIS).as_matrix(), np.zeros(3))
+    return solve(PROBLEM, Midpoint(Cayley(Q)), start, end, horizon=HORIZON, steps=steps)
+
+
+def plot_histories(solution: Solution, path):
+    """Attitude as a rotation vector, body rate, torque, and the errors of what the continuous flow conserves."""
+    figure, axes = plt.subplots(2, 2, figsize=(10, 7), sharex=True, layout="constrained")
+    attitude = Rotation.from_matrix(solution.states[0]).as_rotvec()
+    histories = (
+        ("rotation vector [rad]", solution.times, attitude),
+        ("body rate [rad/s]", solution.times, solution.states[1]),
+        ("torque [N m]", solution.stage_times, solution.controls),
+    )
+    for axis, (label, times, values) in zip(axes.flat, histories, strict=False):
+        axis.plot(times, values, label=["1", "2", "3"])
+        axis.set_ylabel(label)
+    axes[0, 0].legend(title="body axis", fontsize="small")
+    (momentum,) = solution.spatial_costates.values()
+    energy = solution.hamiltonians - solution.hamiltonians.mean()
+    drift = np.linalg.norm(momentum - momentum[0], axis=1) / np.linalg.norm(momentum[0])
+    axes[1, 1].semilogy(solution.stage_times, np.abs(energy) / abs(solution.hamiltonians.mean()), label="Hamiltonian")
+    axes[1, 1].semilogy(solution.times, np.maximum(drift, 1e-17), label="spatial covector")
+    axes[1, 1].set_ylabel("relative error")
+    axes[1, 1].legend(fontsize="small")
+    for axis in axes[1]:
+        axis.set_xlabel("time [s]")
+    figure.suptitle(f"Slew of {np.rad2deg(ANGLE):.0f} deg in {HORIZON:.0f} s, cost {solution.cost:.4f} N$^2$ m$^2$ s")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def plot_paths(solution: Solution, path):
+    """The three body axes as paths on the sphere of directions."""
+    figure = plt.figure(figsize=(7, 7), layout="constrained")
+    axis = figure.add_subplot(projection="3d")
+    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
+    sphere = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+    axis.plot_wireframe(*sphere, color="0.85", linewidth=0.5)
+    for i, name in enumerate(("first", "second", "third")):
+        points = solution.states[0][:, :, i]
+        axis.plot(*points.T, label=f"{name} body axis")
+        axis.scatter(*points[[0, -1]].T, s=20)
+    axis.set_box_aspect((1, 1, 1))
+    axis.set_axis_off()
+    axis.legend(loc="upper left", fontsize="small")
+    axis.set_title("Body axes in the inertial frame")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def main(arguments=None):
+    """Solve, print, compare, plot, save; returns the solution and the extrapolated cost."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--steps", type=int, default=200, help="number of steps, even")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    options = parser.parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+
+    solution = slew(options.steps)
+    solution.report()
+    coarse = slew(options.steps // 2)
+    extrapolated = solution.cost + (solution.cost - coarse.cost) / 3
+    error = abs(extrapolated - REFERENCE_COST) / REFERENCE_COST
+    print(f"\ncost extrapolated from {coarse.steps} and {solution.steps} steps: {extrapolated:.8f} N^2 m^2 s")
+    print(f"reference optimum:                         {REFERENCE_COST:.8f} N^2 m^2 s, relative difference {error:.1e}")
+
+    stem = options.output / "attitude_slew"
+    plot_histories(solution, f"{stem}_histories.png")
+    plot_paths(solution, f"{stem}_paths.png")
+    solution.save(f"{stem}.npz")
+    unchanged = np.array_equal(load_solution(f"{stem}.npz").controls, solution.controls)
+    print(f"written: {stem}_histories.png, {stem}_paths.png, {stem}.npz (loads back unchanged: {unchanged})")
+    return solution, extrapolated
+
+
+if __name__ == "__main__":
+    main()

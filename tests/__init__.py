@@ -1,0 +1,1 @@
+"""Tests of retrax: each states a mathematical fact."""

@@ -1,0 +1,20 @@
+"""Settings of every test: double precision, and the seeds and examples of the property-based ones."""
+
+import os
+
+import jax
+from hypothesis import HealthCheck, settings
+
+jax.config.update("jax_enable_x64", True)
+
+# A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no fault.
+settings.register_profile(
+    "local",
+    max_examples=10,
+    deadline=None,
+    derandomize=False,
+    print_blob=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.register_profile("ci", settings.get_profile("local"), derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "local")

@@ -1,0 +1,1 @@
+"""Facts about retractions, discretization maps and cotangent lifts."""

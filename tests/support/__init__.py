@@ -1,0 +1,1 @@
+"""What the tests share: the manifolds and retractions under test, draws, kernels in flat coordinates, slopes."""

@@ -1,0 +1,123 @@
+"""Manifolds, retractions and discretization maps under test, by readable names."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from retrax.manifolds import SO, CotangentBundle, Euclidean, LevelSet, Manifold, Product, Sphere, TangentBundle
+from retrax.retractions import (
+    QR,
+    Adjoint,
+    BundleRetraction,
+    Cayley,
+    DiscretizationMap,
+    Exponential,
+    Polar,
+    Projection,
+    Retraction,
+    SphereExponential,
+    Theta,
+)
+
+
+@final
+class Ellipsoid(LevelSet):
+    """``{x'Ax = 1}`` with ``A = diag(1, 2, 3)``."""
+
+    def __init__(self) -> None:
+        self.shape = (3,)
+
+    def constraint(self, x: Array) -> Array:
+        return x @ (jnp.array([1.0, 2.0, 3.0]) * x) - 1
+
+
+@final
+class Intersection(LevelSet):
+    """Surface in the 2 x 2 matrices: ``|x|^2 = 1`` and ``x_00^2 + 2 x_01^2 - 3 x_11^2 = 1/4``, two independent equations."""
+
+    def __init__(self) -> None:
+        self.shape = (2, 2)
+
+    def constraint(self, x: Array) -> Array:
+        return jnp.stack([jnp.sum(x * x) - 1, x[0, 0] ** 2 + 2 * x[0, 1] ** 2 - 3 * x[1, 1] ** 2 - 0.25])
+
+
+NESTED = Product(SO(3) * Euclidean(3), Sphere(2))
+
+MANIFOLDS: dict[str, Manifold] = {
+    "R2x3": Euclidean((2, 3)),
+    "S2": Sphere(2),
+    "S4": Sphere(4),
+    "SO2": SO(2),
+    "SO3": SO(3),
+    "SO4": SO(4),
+    "ellipsoid": Ellipsoid(),
+    "intersection": Intersection(),
+    "SO3*R3": SO(3) * Euclidean(3),
+    "(SO3*R3)*S2": NESTED,
+    "T*S2": CotangentBundle(Sphere(2)),
+    "TSO3": TangentBundle(SO(3)),
+}
+
+RETRACTIONS: dict[str, Retraction] = {
+    "addition-R2x3": Exponential(Euclidean((2, 3))),
+    "exponential-S2": Exponential(Sphere(2)),
+    "exponential-S4": Exponential(Sphere(4)),
+    "projection-S2": Projection(Sphere(2)),
+    "projection-S4": Projection(Sphere(4)),
+    "exponential-SO2": Exponential(SO(2)),
+    "exponential-SO3": Exponential(SO(3)),
+    "exponential-SO4": Exponential(SO(4)),
+    "cayley-SO2": Cayley(SO(2)),
+    "cayley-SO3": Cayley(SO(3)),
+    "cayley-SO4": Cayley(SO(4)),
+    "polar-SO2": Polar(SO(2)),
+    "polar-SO3": Polar(SO(3)),
+    "polar-SO4": Polar(SO(4)),
+    "qr-SO2": QR(SO(2)),
+    "qr-SO3": QR(SO(3)),
+    "qr-SO4": QR(SO(4)),
+    "nearest-ellipsoid": Projection(Ellipsoid()),
+    "nearest-intersection": Projection(Intersection()),
+    "cayley-SO3*R3": Cayley(SO(3) * Euclidean(3)),
+    "exponential-(SO3*R3)*S2": Exponential(NESTED),
+    "bundle-T*S2": BundleRetraction(SphereExponential(Sphere(2))),
+}
+
+# Longest tangent vector (Euclidean norm in the ambient space) that the facts about inverses use.
+# On SO(3) and SO(4) an angle is at most that norm over the square root of 2.
+REACH = {
+    "addition": 3.0,
+    "exponential-S2": 3.1,
+    "exponential-S4": 3.1,
+    "exponential": 3.1,
+    "projection": 3.0,
+    "cayley": 3.0,
+    "polar": 3.0,
+    "qr": 3.0,
+    "nearest": 0.3,
+    "bundle": 1.0,
+}
+
+# Maps made of two different retractions of one manifold, tested with the maps of the first.
+PARTNERS: dict[str, Retraction] = {
+    "exponential-S2": Projection(Sphere(2)),
+    "cayley-SO3": QR(SO(3)),
+    "polar-SO4": Cayley(SO(4)),
+}
+
+
+def reach(name: str) -> float:
+    """Longest tangent vector for the facts about a retraction's inverse."""
+    return REACH[name.split("-")[0]]
+
+
+def discretization_maps(name: str) -> dict[str, DiscretizationMap]:
+    """The discretization maps that are made of one retraction, and of it and its partner."""
+    retraction = RETRACTIONS[name]
+    maps = {f"theta={theta}": Theta(retraction, theta) for theta in (0.0, 0.3, 0.5, 1.0)}
+    maps["adjoint(0.3)"] = Adjoint(Theta(retraction, 0.3))
+    if name in PARTNERS:
+        maps["two retractions"] = Theta(retraction, 0.4, PARTNERS[name])
+    return maps
