@@ -18,11 +18,10 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-from scipy.spatial.transform import Rotation
-
 from retrax.integrators import OptimalControlProblem, Solution, load_solution, solve
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Midpoint
+from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")

@@ -15,7 +15,6 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, SymplecticIntegrator, integrate, solve
 from retrax.manifolds import LevelSet
 from retrax.retractions import CotangentLift, Midpoint, Projection
@@ -63,7 +62,7 @@ def plot(solution, geodesic, path):
     axis.plot(*geodesic.T, color="0.5", linewidth=0.8, label="a geodesic")
     axis.plot(*solution.states.T, color="C3", linewidth=2, label="the extremal")
     axis.scatter(*np.stack([START, END]).T, color="C3", s=25)
-    axis.set_aspect("equal")
+    axis.set_box_aspect(1 / np.sqrt(np.asarray(M.weights)), zoom=1.4)
     axis.set_axis_off()
     axis.legend(loc="upper left")
     figure.savefig(path, dpi=150)

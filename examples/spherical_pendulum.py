@@ -16,7 +16,6 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-
 from retrax.integrators import SymplecticIntegrator, integrate
 from retrax.manifolds import Sphere
 from retrax.retractions import CotangentLift, Midpoint, Projection

@@ -1,7 +1,12 @@
 """Integrators of Hamilton's equations and of optimal control problems, built on cotangent lifts."""
 
 if __package__ != "retrax.integrators":
-    raise ImportError(f"import this package as retrax.integrators (pip install .), not as {__package__}: a second copy of its classes would not match the first")
+    raise ImportError(
+        f"import this package as retrax.integrators (pip install .), not as {__package__}: "
+        "a second copy of its classes would not match the first"
+    )
+        f"import this package as retrax.integrators (pip install .), not as {__package__}: a second copy of its classes would not match the first"
+    )
 
 from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
 from .initial_value import Integrator, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate
@@ -23,8 +28,8 @@ __all__ = [
     "Statistics",
     "SymplecticIntegrator",
     "Trajectory",
-    "integrate",
     "default_guess",
+    "integrate",
     "load_solution",
     "solve",
 ]

@@ -6,13 +6,13 @@ import jax
 
 
 @cache
-def compiler_options() -> dict[str, bool]:
+def compiler_options() -> dict[str, str | bool]:
     """Per-function options that halve XLA's time to compile on a CPU and leave the running time unchanged.
 
     The fusion emitters of jaxlib 0.10 spend most of a compilation on the many small loops of per-stage derivatives. A
     jaxlib without the option compiles with its defaults. Nothing global is set.
     """
-    options = {"xla_cpu_use_fusion_emitters": False}
+    options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
     if jax.default_backend() != "cpu":
         return {}
     try:

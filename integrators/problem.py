@@ -70,11 +70,11 @@ class OptimalControlProblem(eqx.Module):
         wrong = self.manifold.describe_mismatch(jax.eval_shape(self.dynamics, q, u), "the value of dynamics, a tangent vector")
         if wrong:
             raise InvalidInputError(wrong)
-        costs = {"running_cost": lambda: self.running_cost(q, u)}
+        costs: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"running_cost": (self.running_cost, (q, u))}
         if self.terminal_cost is not None:
-            costs["terminal_cost"] = lambda: self.terminal_cost(q)
-        for name, cost in costs.items():
-            shape = jax.eval_shape(cost)
+            costs["terminal_cost"] = (self.terminal_cost, (q,))
+        for name, (cost, at) in costs.items():
+            shape = jax.eval_shape(cost, *at)
             if getattr(shape, "shape", None) != ():
                 raise InvalidInputError(f"{name} must return a scalar, got {shape}; sum or pick an entry")
         normal, size = map(float, _normal_velocity(self, q, u))

@@ -4,7 +4,6 @@ import warnings
 from functools import cache
 
 import equinox as eqx
-import jax
 import jax.numpy as jnp
 
 
@@ -24,9 +23,9 @@ class Result(eqx.Enumeration):
         "better guess, more steps, or a longer horizon."
     )
     singular = (
-        "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached from this trajectory, or "
-        "the cost does not determine the controls; check that the end point is reachable and that the running cost is "
-        "strictly convex in every control."
+        "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached from "
+        "this trajectory, or the cost does not determine the controls; check that the end point is reachable and that the "
+        "running cost is strictly convex in every control, or give a guess that moves."
     )
     wrong_point = (
         "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."
@@ -48,8 +47,3 @@ def warn_if_single_precision(dtype: str) -> None:
 def warn_about_precision() -> None:
     """Warn once if JAX computes in single precision."""
     warn_if_single_precision(str(jnp.zeros(()).dtype))
-
-
-def is_traced(*trees: object) -> bool:
-    """Whether any array in the arguments is a JAX tracer, on whose values nothing can be checked."""
-    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(trees))

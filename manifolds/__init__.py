@@ -1,7 +1,12 @@
 """Manifolds embedded in a vector space of arrays."""
 
 if __package__ != "retrax.manifolds":
-    raise ImportError(f"import this package as retrax.manifolds (pip install .), not as {__package__}: a second copy of its classes would not match the first")
+    raise ImportError(
+        f"import this package as retrax.manifolds (pip install .), not as {__package__}: "
+        "a second copy of its classes would not match the first"
+    )
+        f"import this package as retrax.manifolds (pip install .), not as {__package__}: a second copy of its classes would not match the first"
+    )
 
 from .bundles import CotangentBundle, TangentBundle
 from .euclidean import Euclidean

@@ -36,24 +36,23 @@ class _VectorBundle(Manifold):
         e = self.base.basis(x)
         tilt = jax.vmap(lambda d: jax.jvp(lambda y: self.base.projection(y, v), (x,), (d,))[1])(e)
         zero = jax.tree.map(jnp.zeros_like, e)
-        stack = jax.tree.map(lambda a, b: jnp.concatenate([a, b]), (e, tilt), (zero, e))
-        return stack
+        return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), (e, tilt), (zero, e))
 
-    def basis(self, z: Pair) -> Frame:
-        return vec.orthonormalise(self.spanning_frame(z))
+    def basis(self, x: Pair) -> Frame:
+        return vec.orthonormalise(self.spanning_frame(x))
 
-    def projection(self, z: Pair, a: Pair) -> Pair:
-        frame = self.basis(z)
+    def projection(self, x: Pair, a: Pair) -> Pair:
+        frame = self.basis(x)
         return vec.combine(frame, vec.components(frame, a))
 
-    def restore(self, z: Pair) -> Pair:
-        x = self.base.restore(z[0])
-        return x, self.base.projection(x, z[1])
+    def restore(self, x: Pair) -> Pair:
+        base = self.base.restore(x[0])
+        return base, self.base.projection(base, x[1])
 
-    def violations(self, z: Pair) -> dict[str, Array]:
-        x, v = z
-        normal = vec.size(vec.subtract(v, self.base.projection(x, v))) / (1 + vec.size(v))
-        base = {f"base point: {words}": value for words, value in self.base.violations(x).items()}
+    def violations(self, x: Pair) -> dict[str, Array]:
+        point, v = x
+        normal = vec.size(vec.subtract(v, self.base.projection(point, v))) / (1 + vec.size(v))
+        base = {f"base point: {words}": value for words, value in self.base.violations(point).items()}
         return {**base, "relative normal part of the fibre": normal}
 
     def random_point(self, key: Array) -> Pair:

@@ -88,7 +88,9 @@ class Manifold(eqx.Module):
         limit = default_tolerance() if tolerance is None else tolerance
         normal = float(_normal_part(self, jax.tree.map(jnp.asarray, x), jax.tree.map(jnp.asarray, v)))
         if not normal <= limit:
-            return Verdict(False, f"not tangent to {self}: its relative normal part is {normal:.3g}, expected at most {limit:.1g}")
+            return Verdict(
+                False, f"not tangent to {self}: its relative normal part is {normal:.3g}, expected at most {limit:.1g}"
+            )
         return Verdict(True, f"tangent to {self} to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
@@ -99,7 +101,7 @@ class Manifold(eqx.Module):
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
                 return f"{role} of {self} has shape {shape.shape} where {np.shape(leaf)} came"
-            known = not isinstance(leaf, jax.core.Tracer | jax.ShapeDtypeStruct)
+            known = not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))
             if known and not np.all(np.isfinite(np.asarray(leaf))):
                 return f"{role} of {self} has entries that are NaN or infinite"
         return ""

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from typing import Any, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array

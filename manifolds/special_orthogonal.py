@@ -51,7 +51,7 @@ class SO(HomogeneousSpace):
         return real((self.n, self.n))
 
     def skew(self, x: Array, v: Array) -> Array:
-        """Left-trivialised tangent vector ``Omega = skew(x'v)``: exactly skew even where ``v`` is slightly off the tangent space."""
+        """Left-trivialised tangent vector ``Omega = skew(x'v)``, exactly skew for any ambient ``v``."""
         a = x.T @ v
         return (a - a.T) / 2
 

@@ -85,7 +85,7 @@ class CotangentLift(DiscretizationMap):
 
     @property
     def retraction(self) -> Retraction:
-        return BundleRetraction(self.discretization.retraction)
+        return BundleRetraction(base=self.discretization.retraction)
 
     @property
     def theta(self) -> float:
@@ -117,6 +117,9 @@ class BundleRetraction(Retraction):
     """Retraction of ``T*Q`` over a retraction of ``Q``: move the base, project the moved covector."""
 
     base: Retraction
+
+    def __init__(self, base: Retraction) -> None:
+        self.base = base
 
     @property
     def manifold(self) -> CotangentBundle:

@@ -53,7 +53,7 @@ class DiscretizationMap(eqx.Module):
         Raises ``DomainError`` if none is found; under ``jit`` and ``vmap`` the entries are NaN there.
         """
         z = self.preimage(x0, x1)
-        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((x0, x1, z))):
+        if not vec.is_traced(x0, x1, z):
             gap = vec.size(vec.subtract(self(*z), (x0, x1)))
             if not gap <= default_tolerance() * (1 + vec.size((x0, x1))):
                 raise DomainError(
@@ -145,12 +145,12 @@ class Theta(DiscretizationMap):
         return newton_preimage(self, x0, x1)
 
 
-def Euler(retraction: Retraction) -> Theta:  # noqa: N802
+def Euler(retraction: Retraction) -> Theta:
     """Explicit Euler: ``R_d(x, v) = (x, R(x, v))``."""
     return Theta(retraction, 0.0)
 
 
-def Midpoint(retraction: Retraction) -> Theta:  # noqa: N802
+def Midpoint(retraction: Retraction) -> Theta:
     """Midpoint rule: ``R_d(x, v) = (R(x, -v/2), R(x, v/2))``; symmetric, of order 2."""
     return Theta(retraction, 0.5)
 
@@ -176,5 +176,3 @@ class Adjoint(DiscretizationMap):
     def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
         x, v = self.inner.preimage(x1, x0)
         return x, vec.scale(-1.0, v)
-
-

@@ -43,7 +43,7 @@ class Retraction(eqx.Module):
         entries are NaN there.
         """
         v = self.preimage(x, y)
-        if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((x, y, v))):
+        if not vec.is_traced(x, y, v):
             gap = vec.size(vec.subtract(self(x, v), y))
             if not gap <= default_tolerance() * (1 + vec.size(y)):
                 raise DomainError(

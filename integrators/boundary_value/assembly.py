@@ -18,7 +18,6 @@ from ..stages import Stage
 from .boundary import NodeCondition
 from .elimination import BlockSystem
 
-
 BEFORE, AFTER = slice(None, -1), slice(1, None)  # the node before and the node after each stage
 
 
@@ -80,7 +79,16 @@ class DiscreteTrajectory(eqx.Module):
         blocks = BlockSystem(hessian, left, right, gradient, gap, self.start.mask(), self.end.mask())
         distance = vec.size(gaps) / (1 + vec.size(nodes))
         cost = jnp.sum(parts.cost) + self._terminal(jax.tree.map(lambda leaf: leaf[-1], nodes))
-        return Assembled(blocks, frames, coordinates, nodes, costates, cost, distance, _stationarity(blocks, coordinates, parts.slope))
+        return Assembled(
+            blocks,
+            frames,
+            coordinates,
+            nodes,
+            costates,
+            cost,
+            distance,
+            _stationarity(blocks, coordinates, parts.slope),
+        )
 
     def move(self, iterate: Iterate, assembled: Assembled, steps: Array, multipliers: Array, fraction: Array) -> Iterate:
         """The iterate moved by a fraction of a step of the block system, through the charts of the stages."""
@@ -130,7 +138,8 @@ class DiscreteTrajectory(eqx.Module):
 
         def parts(d: Array) -> tuple[_Parts, _Parts]:
             slope, (begin, finish, cost) = jax.grad(lagrangian, has_aux=True)(d)
-            return (_Parts(slope, begin, finish, cost),) * 2
+            values = _Parts(slope, begin, finish, cost)
+            return values, values
 
         return jax.jacfwd(parts, has_aux=True)(jnp.zeros(self.stage.dimension))
 

@@ -41,7 +41,7 @@ class _State(NamedTuple):
     fraction: Array
     shift: Array
     best: Array
-    count: Array
+    trials: Array
     done: Array
 
 
@@ -77,7 +77,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max
         return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
 
     def going(state: _State) -> Array:
-        return ~state.done & _solvable(state) & (state.count <= max_iterations)
+        return ~state.done & _solvable(state) & (state.trials <= max_iterations)
 
     assembled = _zeros(jax.eval_shape(assemble, guess))
     factors = _zeros(jax.eval_shape(eliminate, assembled.blocks))
@@ -87,7 +87,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max
     state = jax.lax.while_loop(going, body, state)
     result = _outcome(state, tolerance, max_iterations)
     strict = negative_eigenvalues(state.factors) == state.assembled.blocks.gap.size
-    return NewtonResult(state.iterate, state.assembled, strict & (state.shift == 0), state.count - 1, result)
+    return NewtonResult(state.iterate, state.assembled, strict & (state.shift == 0), state.trials - 1, result)
 
 
 def _zeros(shapes: Any) -> Any:
@@ -116,10 +116,10 @@ def _judge(assembled: Assembled, state: _State) -> _State:
     """Take the assembled trial if it improves, and set the length and the shift of the next step."""
     residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
-    improves = (decreases & (state.count > 0)) | (residual <= RECORD * state.best)
+    improves = (decreases & (state.trials > 0)) | (residual <= RECORD * state.best)
     good = improves & jnp.isfinite(residual) & jnp.isfinite(merit)
     new, old = (state.trial, assembled), (state.iterate, state.assembled)
-    iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.count == 0), a, b), new, old)
+    iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
 
     halved = state.fraction / 2
     restart = good | (halved < SHORTEST)
@@ -131,7 +131,7 @@ def _judge(assembled: Assembled, state: _State) -> _State:
         fraction=jnp.where(restart, 1.0, halved),
         shift=jnp.where(good, lowered, raised),
         best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
-        count=state.count + 1,
+        trials=state.trials + 1,
     )
 
 
@@ -186,7 +186,7 @@ def _outcome(state: _State, tolerance: float, max_iterations: int) -> Result:
     finite = jnp.isfinite(_residual(state.assembled)) & jnp.isfinite(state.assembled.cost)
     meets = jnp.max(jnp.abs(state.assembled.blocks.gap)) <= tolerance
     wrong = (state.assembled.stationarity <= tolerance) & meets & (state.assembled.gap > tolerance)
-    result = Result.where(state.count > max_iterations, Result.too_many_iterations, Result.no_improvement)
+    result = Result.where(state.trials > max_iterations, Result.too_many_iterations, Result.no_improvement)
     result = Result.where(~_solvable(state) & ~meets, Result.singular, result)
     result = Result.where(wrong, Result.wrong_point, result)
     result = Result.where(~finite, Result.not_finite, result)

@@ -97,7 +97,7 @@ class Solution:
         for field in fields(self):
             value = getattr(self, field.name)
             _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
-        np.savez(Path(path), **flat)
+        np.savez(Path(path), allow_pickle=False, **flat)
 
 
 _RECORDS = {"checks": Checks, "statistics": Statistics}
@@ -131,7 +131,9 @@ def load_solution(path: str | Path) -> Solution:
     with np.load(Path(path)) as flat:
         missing = [f.name for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
         if missing:
-            raise InvalidInputError(f"{path} is not a saved solution: it lacks {', '.join(missing)}; expected a file from Solution.save")
+            raise InvalidInputError(
+                f"{path} is not a saved solution: it lacks {', '.join(missing)}; expected a file from Solution.save"
+            )
         values = {f.name: _unflatten(f.name, flat) for f in fields(Solution)}
     records = {name: record(**values[name]) for name, record in _RECORDS.items()}
     return Solution(**{**values, **records})

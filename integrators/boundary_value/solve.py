@@ -1,7 +1,7 @@
 """The boundary-value problem: from a problem and its boundary conditions to a solution."""
 
 import time
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import equinox as eqx
 import jax
@@ -11,13 +11,13 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap
-from ..initial_value.integrator import resting_control
 from ..compilation import compiler_options
+from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
 from ..stages import ControlStage
 from .assembly import DiscreteTrajectory, Iterate
-from .boundary import NodeCondition, boundary_conditions
+from .boundary import boundary_conditions
 from .diagnostics import Diagnostics, diagnose
 from .globalisation import NewtonResult, solve_kkt
 from .guess import Guess, default_guess
@@ -58,7 +58,7 @@ def solve(
         guess = default_guess(problem, discretization, first.point, last.point, steps)
     guess = _checked_guess(problem, guess, steps)
     limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
-    stage = ControlStage(problem, discretization, jnp.asarray(horizon / steps, float))
+    stage = ControlStage(problem=problem, discretization=discretization, step=jnp.asarray(horizon / steps, float))
     discrete = DiscreteTrajectory(stage, first, last, problem.terminal_cost)
     output, compile_seconds, run_seconds = _timed(discrete, guess, limit, max_iterations)
     solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
@@ -73,7 +73,9 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
     if jax.tree.structure(discretization.manifold.ambient) != jax.tree.structure(problem.manifold.ambient) or (
         discretization.manifold.dimension != problem.manifold.dimension
     ):
-        raise InvalidInputError(f"the discretization acts on {discretization.manifold}, the problem on {problem.manifold}; use one manifold")
+        raise InvalidInputError(
+            f"the discretization acts on {discretization.manifold}, the problem on {problem.manifold}; use one manifold"
+        )
     if not (np.ndim(horizon) == 0 and np.isfinite(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
@@ -87,7 +89,11 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
     if costates is None:
         costates = jax.tree.map(lambda s: np.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
     filled = Guess(guess.states, guess.controls, costates)
-    expected = (("states", problem.manifold, steps), ("controls", problem.controls, steps), ("costates", problem.manifold, steps + 1))
+    expected = (
+        ("states", problem.manifold, steps),
+        ("controls", problem.controls, steps),
+        ("costates", problem.manifold, steps + 1),
+    )
     for name, manifold, count in expected:
         given = getattr(filled, name)
         shapes = jax.tree.map(lambda s, c=count: (c, *s.shape), manifold.ambient)
@@ -108,7 +114,7 @@ class _Output(NamedTuple):
 
 def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: float, max_iterations: int) -> _Output:
     """Everything that runs on arrays, in one compiled function."""
-    stage = discrete.stage
+    stage = cast(ControlStage, discrete.stage)
     newton = solve_kkt(discrete, Iterate((guess.states, guess.controls), guess.costates), tolerance, max_iterations)
     states = newton.assembled.nodes
     costates = jax.vmap(stage.manifold.projection)(states, newton.assembled.costates)

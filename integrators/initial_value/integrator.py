@@ -59,7 +59,7 @@ class SymplecticIntegrator(Integrator):
         _require_lift(self.lift)
 
     def stage(self, system: Hamiltonian, step: ArrayLike) -> HamiltonianStage:
-        return HamiltonianStage(system, self.lift.discretization, step)
+        return HamiltonianStage(hamiltonian=system, discretization=self.lift.discretization, step=step)
 
     def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient, Ambient]:
         return q, p, p
@@ -89,7 +89,7 @@ class PresymplecticIntegrator(Integrator):
         _require_lift(self.lift)
 
     def stage(self, system: OptimalControlProblem, step: ArrayLike) -> ControlStage:
-        return ControlStage(system, self.lift.discretization, step)
+        return ControlStage(problem=system, discretization=self.lift.discretization, step=step)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
         return q, extremal_control(system, q, p)
@@ -105,8 +105,8 @@ class PresymplecticIntegrator(Integrator):
         singular = _control_curvature(system, q, p, u)
         if not singular[-1] > 1e-10 * singular[0]:
             raise InvalidInputError(
-                f"the problem is singular here: the second derivative of Pontryagin's Hamiltonian in the controls has singular values "
-                f"{singular}, expected all positive; make the running cost strictly convex in every control"
+                "the problem is singular here: the second derivative of Pontryagin's Hamiltonian in the controls has "
+                f"singular values {singular}, expected all positive; make the running cost strictly convex in every control"
             )
 
 

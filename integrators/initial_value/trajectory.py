@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, NotOnManifoldError
-from ...manifolds.numerics.ambient import Ambient
-from ..results import Result, is_traced, warn_about_precision
+from ...manifolds.numerics.ambient import Ambient, is_traced
+from ..results import Result, warn_about_precision
 from .integrator import Integrator
 from .step import lifted_step
 
@@ -58,7 +58,9 @@ def integrate(
     ``ConvergenceError`` if a step cannot be solved.
     """
     if not isinstance(integrator, Integrator):
-        raise InvalidInputError(f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)")
+        raise InvalidInputError(
+            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)"
+        )
     _check_counts(step_size, steps, save_every)
     warn_about_precision()
     q0, p0 = jax.tree.map(jnp.asarray, start)

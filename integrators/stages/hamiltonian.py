@@ -41,7 +41,7 @@ class HamiltonianStage(Stage):
         return moved, fibre(moved, vec.add(v, dv)), fibre(moved, vec.add(pi, dpi))
 
     def sizes(self, y: Unknowns) -> Array:
-        x, v, pi = y
+        x, _, pi = y
         frame = self.manifold.basis(x)
         position = jnp.maximum(vec.coordinate_sizes(frame, x), 1.0)
         return jnp.concatenate([position, position, jnp.full_like(position, positive(vec.size(pi)))])

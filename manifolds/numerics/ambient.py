@@ -5,11 +5,17 @@ A *frame* is a pytree of the same structure whose leaves carry one extra leading
 
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 Ambient = PyTree[Array]
 Frame = PyTree[Array]
 Coordinates = Float[Array, " k"]
+
+
+def is_traced(*trees: object) -> bool:
+    """Whether any array in the arguments is a JAX tracer, on whose values nothing can be checked."""
+    return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
 def pairing(a: Ambient, b: Ambient) -> Array:

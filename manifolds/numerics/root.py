@@ -49,7 +49,7 @@ class _Iteration(NamedTuple):
     step: Array  # largest entry of the last step, in units of the unknowns' sizes
     ratio: Array  # the last step over the one before
     converged: Array
-    count: Array
+    chords: Array  # steps taken with the present Jacobian
 
 
 def _newton(residual: Callable[[Vector], Vector], start: Vector) -> tuple[Vector, Array]:
@@ -65,14 +65,14 @@ def _newton(residual: Callable[[Vector], Vector], start: Vector) -> tuple[Vector
             step = jnp.max(jnp.abs(d))
             ratio = step / s.step
             # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-            remaining = jnp.where(s.count == 0, step * step, step * jnp.minimum(ratio, 1.0))
-            done = (remaining <= rounding) | ((step <= quadratic) & (ratio > SLOW) & (s.count > 0))
-            return _Iteration(s.c - d, step, ratio, done, s.count + 1)
+            remaining = jnp.where(s.chords == 0, step * step, step * jnp.minimum(ratio, 1.0))
+            done = (remaining <= rounding) | ((step <= quadratic) & (ratio > SLOW) & (s.chords > 0))
+            return _Iteration(s.c - d, step, ratio, done, s.chords + 1)
 
         def going(s: _Iteration) -> Array:
-            return ~s.converged & (s.count < MAX_CHORDS) & ((s.count < 2) | (s.ratio < SLOW))
+            return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
 
-        return jax.lax.while_loop(going, chord, state._replace(step=infinity, ratio=infinity, count=jnp.zeros((), int)))
+        return jax.lax.while_loop(going, chord, state._replace(step=infinity, ratio=infinity, chords=jnp.zeros((), int)))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
         return chords(pair[0]), pair[1] + 1

@@ -1,0 +1,118 @@
+"""Numerics that the facts are stated with: compiled kernels, flat coordinates, slopes, differences, random draws."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+from hypothesis import strategies as st
+from jax.flatten_util import ravel_pytree
+
+from retrax.manifolds import CotangentBundle, Manifold, TangentBundle
+from retrax.manifolds.numerics import ambient as vec
+
+from .cases import MANIFOLDS
+
+SEEDS = st.integers(0, 2**31 - 1)
+FRACTIONS = st.floats(0.0, 1.0)
+
+# The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
+COMPILER_OPTIONS = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+
+
+def compiled(function: Callable) -> Callable:
+    """``function`` compiled quickly, with numpy arrays as its values."""
+    fast = jax.jit(function, compiler_options=COMPILER_OPTIONS)
+    return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
+
+
+def flat(a: Any) -> jax.Array:
+    """The entries of an ambient vector, or of several, as one vector."""
+    return ravel_pytree(a)[0]
+
+
+def unflat(manifold: Manifold) -> Callable:
+    """The map from vectors to ambient vectors of a manifold."""
+    return ravel_pytree(vec.zeros(manifold.ambient))[1]
+
+
+def ambient_size(manifold: Manifold) -> int:
+    """Dimension of the ambient space."""
+    return sum(leaf.size for leaf in jax.tree.leaves(manifold.ambient))
+
+
+def norm(a: Any) -> float:
+    """Largest absolute entry of an ambient vector; NaN if any entry is."""
+    return float(max(np.max(np.abs(leaf), initial=0.0) for leaf in jax.tree.leaves(a)))
+
+
+# Differences of order 6: f'(0) = sum_k w_k f(k h) / h.
+NODES = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+WEIGHTS = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60.0
+
+
+def differences(values: np.ndarray, h: float) -> np.ndarray:
+    """Derivative at 0, to order ``h^6``, of a function with these ``values`` at ``h NODES``."""
+    return np.tensordot(WEIGHTS, values, 1) / h
+
+
+def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
+    """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``; infinite where none is."""
+    seen = errors > floor
+    return float(np.polyfit(np.log(t[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= 3 else np.inf
+
+
+@lru_cache
+def _sampler(manifold: Manifold) -> Callable:
+    def sample(seed: jax.Array) -> tuple:
+        x = manifold.random_point(jax.random.key(seed))
+        return flat(x), vec.flatten_frame(manifold.basis(x))
+
+    return compiled(sample)
+
+
+def draw_point(manifold: Manifold, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A random point, flat, and the orthonormal basis of the tangent space there, by rows."""
+    return _sampler(manifold)(seed)
+
+
+def draw_tangent(rng: np.random.Generator, basis: np.ndarray, length: float) -> np.ndarray:
+    """A tangent vector of this Euclidean length in a random direction."""
+    c = rng.standard_normal(basis.shape[0])
+    return length * (c / np.linalg.norm(c)) @ basis
+
+
+@lru_cache
+def _bundle_sampler(manifold: Manifold) -> Callable:
+    cotangent = CotangentBundle(manifold)
+    of_base, of_bundle = unflat(manifold), unflat(cotangent)
+
+    def frames(x: jax.Array, p: jax.Array) -> tuple:
+        q = of_base(x)
+        z = q, manifold.projection(q, of_base(p))
+        return flat(z), vec.flatten_frame(cotangent.basis(z))
+
+    def over(z: jax.Array, zdot: jax.Array) -> jax.Array:
+        return vec.flatten_frame(TangentBundle(cotangent).spanning_frame((of_bundle(z), of_bundle(zdot))))
+
+    return compiled(frames), compiled(over)
+
+
+def draw_bundle_tangent(manifold: Manifold, seed: int, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """A random point of ``TT*Q``, flat ``(x, p, xdot, pdot)``, and the frame of its tangent space, by rows.
+
+    The second half of the frame is ``(0, e_i)`` with an orthonormal basis ``e_i`` of the tangent space of ``T*Q``.
+    ``length`` is the Euclidean length of ``(xdot, pdot)``.
+    """
+    rng = np.random.default_rng(seed)
+    frames, over = _bundle_sampler(manifold)
+    x, _ = draw_point(manifold, seed)
+    z, basis = frames(x, rng.standard_normal(x.size))
+    zdot = draw_tangent(rng, basis, length)
+    return np.concatenate([z, zdot]), over(z, zdot)
+
+
+def named(name: str) -> tuple[Manifold, int]:
+    """A manifold under test and the dimension of its ambient space."""
+    return MANIFOLDS[name], ambient_size(MANIFOLDS[name])
