@@ -5,8 +5,6 @@ if __package__ != "retrax.integrators":
         f"import this package as retrax.integrators (pip install .), not as {__package__}: "
         "a second copy of its classes would not match the first"
     )
-        f"import this package as retrax.integrators (pip install .), not as {__package__}: a second copy of its classes would not match the first"
-    )
 
 from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
 from .initial_value import Integrator, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate

@@ -5,8 +5,6 @@ if __package__ != "retrax.manifolds":
         f"import this package as retrax.manifolds (pip install .), not as {__package__}: "
         "a second copy of its classes would not match the first"
     )
-        f"import this package as retrax.manifolds (pip install .), not as {__package__}: a second copy of its classes would not match the first"
-    )
 
 from .bundles import CotangentBundle, TangentBundle
 from .euclidean import Euclidean

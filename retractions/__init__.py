@@ -5,8 +5,6 @@ if __package__ != "retrax.retractions":
         f"import this package as retrax.retractions (pip install .), not as {__package__}: "
         "a second copy of its classes would not match the first"
     )
-        f"import this package as retrax.retractions (pip install .), not as {__package__}: a second copy of its classes would not match the first"
-    )
 
 from .cotangent_lift import BundleRetraction, CotangentLift, alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta

@@ -1,5 +1,6 @@
 """Points, tangent spaces, projections and bases of every manifold."""
 
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
@@ -8,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-
 from retrax.manifolds import Manifold
 from retrax.manifolds.manifold import max_violation
 from retrax.manifolds.numerics import ambient as vec
+
 from tests.support.cases import MANIFOLDS
-from tests.support.numerics import SEEDS, ambient_size, compiled, flat, slope, unflat
+from tests.support.numerics import SEEDS, ambient_size, compiled, draw_point, flat, unflat
 
 DIMENSIONS = {
     "R2x3": 6,
@@ -30,40 +31,41 @@ DIMENSIONS = {
     "TSO3": 6,
 }
 DISTANCES = 2.0 ** -np.arange(5, 15)
-EPS = np.finfo(float).eps
 
 every_manifold = pytest.mark.parametrize("name", MANIFOLDS)
 
 
 @lru_cache
-def kernel(name: str) -> Any:
+def _kernel(name: str) -> Callable:
     """One compiled function a manifold, from which each test reads the numbers it is about."""
     manifold, unravel = MANIFOLDS[name], unflat(MANIFOLDS[name])
 
-    def facts(seed: jax.Array) -> dict[str, Any]:
-        keys = jax.random.split(jax.random.key(seed), 3)
-        x = manifold.random_point(keys[0])
-        a = flat(vec.normal(keys[1], manifold.ambient))
-        projected = jax.vmap(lambda e: flat(manifold.projection(x, unravel(e))))
-        normal = a - projected(a[None])[0]
-
-        def moved(direction: jax.Array, distance: float) -> Any:
-            return unravel(flat(x) + distance * direction / jnp.linalg.norm(direction))
+    def facts(x: jax.Array, a: jax.Array) -> dict[str, jax.Array]:
+        point = unravel(x)
+        projected = jax.vmap(lambda e: flat(manifold.projection(point, unravel(e))))
+        projector = projected(jnp.eye(a.size)).T
+        normal = a - projector @ a
+        unit = normal / jnp.linalg.norm(normal)
 
         def after_restoring(distance: jax.Array) -> jax.Array:
-            return max_violation(manifold, manifold.restore(moved(a, distance)))
+            return max_violation(manifold, manifold.restore(unravel(x + distance * a)))
 
         return {
-            "point": x,
-            "tangent": manifold.random_tangent(keys[2], x),
-            "projector": projected(jnp.eye(a.size)).T,
-            "basis": vec.flatten_frame(manifold.basis(x)),
-            "restored": flat(manifold.restore(x)) - flat(x),
-            "off": jnp.stack([max_violation(manifold, moved(normal, d)) for d in (0.0, 0.01, 0.1)]),
+            "projector": projector,
+            "basis": vec.flatten_frame(manifold.basis(point)),
+            "restored": flat(manifold.restore(point)) - x,
+            "off": jax.vmap(lambda d: max_violation(manifold, unravel(x + d * unit)))(jnp.array([0.0, 0.01, 0.1])),
             "after restoring": jax.vmap(after_restoring)(DISTANCES),
         }
 
     return compiled(facts)
+
+
+def facts_at(name: str, seed: int) -> dict[str, np.ndarray]:
+    """The facts of a manifold at a random point and for a random ambient unit vector."""
+    x, _, _ = draw_point(MANIFOLDS[name], seed)
+    a = np.random.default_rng(seed).standard_normal(x.size)
+    return _kernel(name)(x, a / np.linalg.norm(a))
 
 
 @pytest.mark.parametrize(("name", "dimension"), DIMENSIONS.items())
@@ -74,17 +76,19 @@ def test_dimension(name: str, dimension: int) -> None:
 @every_manifold
 @given(seed=SEEDS)
 def test_random_points_are_on_the_manifold_and_random_tangents_are_tangent(name, seed):
-    manifold, facts = MANIFOLDS[name], kernel(name)(seed)
-    where = manifold.contains(facts["point"])
+    manifold = MANIFOLDS[name]
+    x, v, _ = draw_point(manifold, seed)
+    point, tangent = map(unflat(manifold), (x, v))
+    where = manifold.contains(point, 1e-12)
     assert where, where.reason
-    tangent = manifold.is_tangent(facts["point"], facts["tangent"], 1e-12)
+    tangent = manifold.is_tangent(point, tangent, 1e-12)
     assert tangent, tangent.reason
 
 
 @every_manifold
 @given(seed=SEEDS)
 def test_projection_is_an_orthogonal_projector_of_rank_n(name, seed):
-    p = kernel(name)(seed)["projector"]
+    p = facts_at(name, seed)["projector"]
     np.testing.assert_allclose(p @ p, p, atol=1e-13)
     np.testing.assert_allclose(p, p.T, atol=1e-13)
     assert np.linalg.matrix_rank(p, tol=1e-8) == MANIFOLDS[name].dimension
@@ -93,7 +97,7 @@ def test_projection_is_an_orthogonal_projector_of_rank_n(name, seed):
 @every_manifold
 @given(seed=SEEDS)
 def test_basis_is_orthonormal_and_spans_the_image_of_the_projection(name, seed):
-    facts = kernel(name)(seed)
+    facts = facts_at(name, seed)
     e = facts["basis"]
     assert e.shape == (MANIFOLDS[name].dimension, ambient_size(MANIFOLDS[name]))
     np.testing.assert_allclose(e @ e.T, np.eye(len(e)), atol=1e-13)
@@ -103,21 +107,21 @@ def test_basis_is_orthonormal_and_spans_the_image_of_the_projection(name, seed):
 @every_manifold
 @given(seed=SEEDS)
 def test_restore_is_the_identity_on_the_manifold(name, seed):
-    facts = kernel(name)(seed)
-    np.testing.assert_allclose(facts["restored"], 0, atol=1e-14 * (1 + np.max(np.abs(flat(facts["point"])))))
+    np.testing.assert_allclose(facts_at(name, seed)["restored"], 0, atol=1e-14)
 
 
 @every_manifold
 @given(seed=SEEDS)
 def test_restore_makes_an_error_of_first_order_one_of_second(name, seed):
-    violations = kernel(name)(seed)["after restoring"]
-    assert slope(DISTANCES, violations, floor=1e3 * EPS) > 1.9
+    # A bound in place of a slope: along some directions the error changes sign, which no power of the distance does.
+    violations = facts_at(name, seed)["after restoring"]
+    np.testing.assert_array_less(violations, 10 * DISTANCES**2)
 
 
 @pytest.mark.parametrize("name", [name for name in MANIFOLDS if name != "R2x3"])
 @given(seed=SEEDS)
 def test_violations_grow_off_the_manifold(name, seed):
-    on, near, far = kernel(name)(seed)["off"]
+    on, near, far = facts_at(name, seed)["off"]
     assert on < 1e-12
     assert near > 1e-4
     assert far > 5 * near
@@ -125,7 +129,7 @@ def test_violations_grow_off_the_manifold(name, seed):
 
 def wrong_points(manifold: Manifold) -> dict[str, tuple[Any, str]]:
     """Points that are no points, each with words that the answer must have."""
-    x = manifold.random_point(jax.random.key(1))
+    x = unflat(manifold)(draw_point(manifold, 1)[0])
     leaves, structure = jax.tree.flatten(x)
     nan = jax.tree.unflatten(structure, [leaves[0].at[(0,) * leaves[0].ndim].set(jnp.nan), *leaves[1:]])
     short = jax.tree.unflatten(structure, [leaves[0][..., 1:], *leaves[1:]])
@@ -151,7 +155,7 @@ def test_contains_says_in_words_what_is_wrong(name, kind):
 @pytest.mark.parametrize("name", ["S2", "SO3", "ellipsoid"])
 def test_is_tangent_says_in_words_what_is_wrong(name):
     manifold = MANIFOLDS[name]
-    x = manifold.random_point(jax.random.key(1))
+    x = unflat(manifold)(draw_point(manifold, 1)[0])
     assert "relative normal part" in manifold.is_tangent(x, x + 0.1).reason
     assert not manifold.is_tangent(x, x + 0.1)
     assert "where () came" in manifold.is_tangent(x, 1.0).reason

@@ -4,7 +4,6 @@ from typing import final
 
 import jax.numpy as jnp
 from jaxtyping import Array
-
 from retrax.manifolds import SO, CotangentBundle, Euclidean, LevelSet, Manifold, Product, Sphere, TangentBundle
 from retrax.retractions import (
     QR,

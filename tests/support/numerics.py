@@ -8,11 +8,8 @@ import jax
 import numpy as np
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
-
 from retrax.manifolds import CotangentBundle, Manifold, TangentBundle
 from retrax.manifolds.numerics import ambient as vec
-
-from .cases import MANIFOLDS
 
 SEEDS = st.integers(0, 2**31 - 1)
 FRACTIONS = st.floats(0.0, 1.0)
@@ -66,14 +63,15 @@ def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
 @lru_cache
 def _sampler(manifold: Manifold) -> Callable:
     def sample(seed: jax.Array) -> tuple:
-        x = manifold.random_point(jax.random.key(seed))
-        return flat(x), vec.flatten_frame(manifold.basis(x))
+        first, second = jax.random.split(jax.random.key(seed))
+        x = manifold.random_point(first)
+        return flat(x), flat(manifold.random_tangent(second, x)), vec.flatten_frame(manifold.basis(x))
 
     return compiled(sample)
 
 
-def draw_point(manifold: Manifold, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """A random point, flat, and the orthonormal basis of the tangent space there, by rows."""
+def draw_point(manifold: Manifold, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A random point and a random tangent vector there, flat, and the orthonormal basis of the tangent space, by rows."""
     return _sampler(manifold)(seed)
 
 
@@ -84,35 +82,30 @@ def draw_tangent(rng: np.random.Generator, basis: np.ndarray, length: float) -> 
 
 
 @lru_cache
-def _bundle_sampler(manifold: Manifold) -> Callable:
+def _bundle_frames(manifold: Manifold) -> tuple[Callable, Callable]:
     cotangent = CotangentBundle(manifold)
     of_base, of_bundle = unflat(manifold), unflat(cotangent)
 
-    def frames(x: jax.Array, p: jax.Array) -> tuple:
+    def over_base(x: jax.Array, p: jax.Array) -> tuple:
         q = of_base(x)
         z = q, manifold.projection(q, of_base(p))
         return flat(z), vec.flatten_frame(cotangent.basis(z))
 
-    def over(z: jax.Array, zdot: jax.Array) -> jax.Array:
+    def over_bundle(z: jax.Array, zdot: jax.Array) -> jax.Array:
         return vec.flatten_frame(TangentBundle(cotangent).spanning_frame((of_bundle(z), of_bundle(zdot))))
 
-    return compiled(frames), compiled(over)
+    return compiled(over_base), compiled(over_bundle)
 
 
 def draw_bundle_tangent(manifold: Manifold, seed: int, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """A random point of ``TT*Q``, flat ``(x, p, xdot, pdot)``, and the frame of its tangent space, by rows.
+    """A random point of ``TT*Q``, flat ``(x, p, xdot, pdot)``, and a frame of its tangent space, by rows.
 
     The second half of the frame is ``(0, e_i)`` with an orthonormal basis ``e_i`` of the tangent space of ``T*Q``.
     ``length`` is the Euclidean length of ``(xdot, pdot)``.
     """
     rng = np.random.default_rng(seed)
-    frames, over = _bundle_sampler(manifold)
-    x, _ = draw_point(manifold, seed)
-    z, basis = frames(x, rng.standard_normal(x.size))
+    over_base, over_bundle = _bundle_frames(manifold)
+    x, p, _ = draw_point(manifold, seed)
+    z, basis = over_base(x, p)
     zdot = draw_tangent(rng, basis, length)
-    return np.concatenate([z, zdot]), over(z, zdot)
-
-
-def named(name: str) -> tuple[Manifold, int]:
-    """A manifold under test and the dimension of its ambient space."""
-    return MANIFOLDS[name], ambient_size(MANIFOLDS[name])
+    return np.concatenate([z, zdot]), over_bundle(z, zdot)
