@@ -1,0 +1,128 @@
+"""Rotations in three coordinates, group actions and their momenta."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from retrax.manifolds import SO, Euclidean, HomogeneousSpace, Product, Sphere, hat, vee
+from retrax.manifolds.product import homogeneous_factors
+
+from tests.support.cases import MANIFOLDS, NESTED
+from tests.support.numerics import SEEDS, compiled, draw_point, unflat
+
+SPACES = [name for name, manifold in MANIFOLDS.items() if isinstance(manifold, HomogeneousSpace)]
+ROTATIONS = ["SO2", "SO3", "SO4"]
+EULER = compiled(lambda w, y: (hat(w) @ y, vee(hat(w)), hat(w)))
+
+
+@lru_cache
+def _generators(name: str):
+    space, unravel = MANIFOLDS[name], unflat(MANIFOLDS[name])
+
+    def facts(x, p):
+        q = unravel(x)
+        return space.generators(q), space.momentum(q, unravel(p)), space.basis(q)
+
+    return compiled(facts)
+
+
+@lru_cache
+def _trivialisations(name: str):
+    space = MANIFOLDS[name]
+
+    def facts(x, p, mu):
+        eye = jnp.eye(space.n)
+        return space.body(x, p), space.spatial(x, p), space.body(x, space.covector(x, mu)), space.generators(eye)
+
+    return compiled(facts)
+
+
+@given(seed=SEEDS)
+def test_hat_is_the_cross_product_and_vee_its_inverse(seed):
+    w, y = np.random.default_rng(seed).standard_normal((2, 3))
+    turned, back, matrix = EULER(w, y)
+    np.testing.assert_allclose(turned, np.cross(w, y), atol=1e-14)
+    np.testing.assert_array_equal(back, w)
+    np.testing.assert_array_equal(matrix, -matrix.T)
+
+
+@given(seed=SEEDS)
+def test_vee_takes_the_skew_part(seed):
+    a = np.random.default_rng(seed).standard_normal((3, 3))
+    np.testing.assert_allclose(EULER(np.asarray(vee(jnp.asarray(a))), np.zeros(3))[2], (a - a.T) / 2, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", SPACES)
+@given(seed=SEEDS)
+def test_generators_span_the_tangent_space(name, seed):
+    x, _, e = draw_point(MANIFOLDS[name], seed)
+    xi, _, _ = _generators(name)(x, x)
+    xi = xi.reshape(-1, x.size)
+    np.testing.assert_allclose(xi @ e.T @ e, xi, atol=1e-14)
+    assert np.linalg.matrix_rank(xi, tol=1e-8) == MANIFOLDS[name].dimension
+
+
+@pytest.mark.parametrize("name", SPACES)
+@given(seed=SEEDS)
+def test_momentum_pairs_the_covector_with_the_generators(name, seed):
+    x, p, _ = draw_point(MANIFOLDS[name], seed)
+    xi, momentum, _ = _generators(name)(x, p)
+    np.testing.assert_allclose(momentum, xi.reshape(-1, x.size) @ p, atol=1e-14)
+
+
+@given(seed=SEEDS)
+def test_momentum_of_a_rotation_of_space_is_the_angular_momentum(seed):
+    x, p, _ = draw_point(Sphere(2), seed)
+    np.testing.assert_allclose(_generators("S2")(x, p)[1], np.cross(x, p), atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ROTATIONS)
+@given(seed=SEEDS)
+def test_covector_inverts_body(name, seed):
+    space = MANIFOLDS[name]
+    x, p, _ = draw_point(space, seed)
+    mu = np.random.default_rng(seed).standard_normal(space.dimension)
+    shape = (space.n, space.n)
+    _, _, back, _ = _trivialisations(name)(x.reshape(shape), p.reshape(shape), mu)
+    np.testing.assert_allclose(back, mu, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", ROTATIONS)
+@given(seed=SEEDS)
+def test_spatial_covector_is_the_body_covector_moved_by_the_point(name, seed):
+    space = MANIFOLDS[name]
+    x, p, _ = draw_point(space, seed)
+    x, p = x.reshape(space.n, space.n), p.reshape(space.n, space.n)
+    body, spatial, _, e = _trivialisations(name)(x, p, np.zeros(space.dimension))
+    np.testing.assert_allclose(np.tensordot(spatial, e, 1), x @ np.tensordot(body, e, 1) @ x.T, atol=1e-13)
+    if space.n == 3:
+        np.testing.assert_allclose(spatial, x @ body, atol=1e-14)
+        w = np.random.default_rng(seed).standard_normal(3)
+        np.testing.assert_allclose(np.sum(p * (x @ EULER(w, w)[2])), body @ w, atol=1e-13)
+
+
+def test_the_star_flattens_and_product_nests():
+    flat = SO(3) * Euclidean(3) * Sphere(2)
+    assert flat.factors == (SO(3), Euclidean(3), Sphere(2))
+    assert (SO(3) * (Euclidean(3) * Sphere(2))).factors == flat.factors
+    assert NESTED.factors == (SO(3) * Euclidean(3), Sphere(2))
+    assert jax.tree.map(lambda leaf: leaf.shape, NESTED.ambient) == (((3, 3), (3,)), (3,))
+
+
+def test_homogeneous_factors_are_named_by_their_path():
+    point = unflat(NESTED)(draw_point(NESTED, 0)[0])
+    found = list(homogeneous_factors(NESTED, point))
+    words = ["factor 0, factor 0, SO(n=3)", "factor 0, factor 1, Euclidean(shape=(3,))", "factor 1, Sphere(n=2)"]
+    assert [name for name, _, _ in found] == words
+    assert [space for _, space, _ in found] == [SO(3), Euclidean(3), Sphere(2)]
+    assert found[0][2] is point[0][0]
+    assert list(homogeneous_factors(MANIFOLDS["ellipsoid"], point)) == []
+
+
+@pytest.mark.parametrize("factors", [(), (Sphere(2), "S2"), (Sphere,)], ids=["none", "a string", "a class"])
+def test_a_product_of_other_things_is_refused(factors):
+    with pytest.raises(ValueError, match="Product takes one or more manifolds, got"):
+        Product(*factors)

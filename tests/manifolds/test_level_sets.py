@@ -1,0 +1,83 @@
+"""Manifolds that are made from a constraint function."""
+
+from functools import lru_cache
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from retrax.manifolds import LevelSet, Sphere
+
+from tests.support.cases import MANIFOLDS
+from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
+
+
+@final
+class RoundSphere(LevelSet):
+    """The unit sphere as a level set."""
+
+    def constraint(self, x):
+        return x @ x - 1
+
+
+@final
+class Cone(LevelSet):
+    """``x^2 + y^2 = z^2``, no manifold at its apex."""
+
+    def constraint(self, x):
+        return x[0] ** 2 + x[1] ** 2 - x[2] ** 2
+
+
+@final
+class Nowhere(LevelSet):
+    """``|x|^2 = -1``."""
+
+    def constraint(self, x):
+        return x @ x + 1
+
+
+SAME = compiled(lambda x, a: (RoundSphere(3).projection(x, a), Sphere(2).projection(x, a)))
+
+
+@lru_cache
+def _jacobian(name: str):
+    return compiled(lambda x: MANIFOLDS[name].jacobian(unflat(MANIFOLDS[name])(x)))
+
+
+@given(seed=SEEDS)
+def test_the_sphere_as_a_level_set_has_the_tangent_spaces_of_the_sphere(seed):
+    x, _, _ = draw_point(Sphere(2), seed)
+    a = np.random.default_rng(seed).standard_normal(3)
+    np.testing.assert_allclose(*SAME(x, a), atol=1e-14)
+    assert RoundSphere(3).contains(x, 1e-14)
+
+
+@pytest.mark.parametrize("name", ["ellipsoid", "intersection"])
+@given(seed=SEEDS)
+def test_the_jacobian_annihilates_the_tangent_space(name, seed):
+    manifold = MANIFOLDS[name]
+    x, v, _ = draw_point(manifold, seed)
+    j = _jacobian(name)(x)
+    assert j.shape == (x.size - manifold.dimension, x.size)
+    np.testing.assert_allclose(j @ v, 0, atol=1e-13)
+    assert np.linalg.matrix_rank(j) == len(j)
+
+
+def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
+    assert Cone(3).contains(jnp.array([3.0, 4.0, 5.0]))
+    verdict = Cone(3).contains(jnp.zeros(3))
+    assert not verdict
+    assert "rank lost by the constraint's Jacobian is 1" in verdict.reason
+
+
+def test_a_level_set_without_points_says_so():
+    with pytest.raises(eqx.EquinoxRuntimeError, match=r"no point of Nowhere.* was found from 20 random starts; check the"):
+        jax.block_until_ready(Nowhere(2).random_point(jax.random.key(0)))
+
+
+def test_random_points_differ():
+    points = [draw_point(MANIFOLDS["ellipsoid"], seed)[0] for seed in range(4)]
+    assert min(np.max(np.abs(flat(a - b))) for i, a in enumerate(points) for b in points[:i]) > 1e-3

@@ -1,0 +1,131 @@
+"""The numerical tools below the geometry: smooth series, Newton's method, ambient vectors."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from retrax.manifolds.numerics import ambient as vec
+from retrax.manifolds.numerics import series
+from retrax.manifolds.numerics.root import find_root
+
+from tests.support.numerics import SEEDS, compiled
+
+ANGLES = st.one_of(st.floats(0.0, 3.1), st.sampled_from([0.0, 1e-200, 1e-9, 0.1, 1.0]))
+
+
+@compiled
+def _entire(s):
+    functions = {"cosine": series.cosine, "sinc": series.sinc, "cosc": series.cosc}
+    derivatives = {f"d {name}": jax.grad(f)(s) for name, f in functions.items()}
+    backwards = {f"dd {name}": jax.jacrev(jax.jacrev(f))(s) for name, f in functions.items()}
+    return {**{name: f(s) for name, f in functions.items()}, **derivatives, **backwards}
+
+
+@compiled
+def _arc(t):
+    return series.angle_over_sine(jnp.sin(t) ** 2, jnp.cos(t))
+
+
+@given(t=ANGLES)
+def test_even_functions_of_an_angle(t):
+    f = _entire(t * t)
+    np.testing.assert_allclose(f["cosine"], np.cos(t), atol=3e-16, rtol=0)
+    np.testing.assert_allclose(f["sinc"], np.sinc(t / np.pi), atol=3e-16, rtol=0)
+    np.testing.assert_allclose(f["cosc"], 0.5 * np.sinc(t / 2 / np.pi) ** 2, atol=3e-16, rtol=0)
+
+
+@given(t=ANGLES)
+def test_even_functions_satisfy_their_differential_equations(t):
+    # In s = t^2: 2 cosine' = -sinc, 2 s sinc' = cosine - sinc, 2 s cosc' = sinc - 2 cosc, and once more.
+    s, f = t * t, _entire(t * t)
+    np.testing.assert_allclose(2 * f["d cosine"], -f["sinc"], atol=1e-15)
+    np.testing.assert_allclose(2 * s * f["d sinc"], f["cosine"] - f["sinc"], atol=2e-15)
+    np.testing.assert_allclose(2 * s * f["d cosc"], f["sinc"] - 2 * f["cosc"], atol=2e-15)
+    np.testing.assert_allclose(2 * f["dd cosine"], -f["d sinc"], atol=2e-15)
+    np.testing.assert_allclose(2 * s * f["dd sinc"] + 2 * f["d sinc"], f["d cosine"] - f["d sinc"], atol=5e-15)
+    np.testing.assert_allclose(2 * s * f["dd cosc"] + 2 * f["d cosc"], f["d sinc"] - 2 * f["d cosc"], atol=5e-15)
+
+
+def test_even_functions_have_their_derivatives_at_zero():
+    f = _entire(0.0)
+    expected = {"d cosine": -1 / 2, "d sinc": -1 / 6, "d cosc": -1 / 24, "dd cosine": 1 / 12, "dd sinc": 1 / 60}
+    for name, value in expected.items():
+        np.testing.assert_allclose(f[name], value, rtol=1e-15)
+
+
+@given(t=st.one_of(st.floats(0.0, np.pi - 1e-6), st.sampled_from([1e-9, 0.1, np.pi / 2, np.pi - 1e-6])))
+def test_angle_over_sine(t):
+    np.testing.assert_allclose(_arc(t), t / np.sin(t) if t > 0 else 1.0, rtol=2e-15)
+
+
+def _cubic(c, a):
+    """``c_i^3 + c_i + (sum c) / 10 = a_i``: one root for each ``a``."""
+    return c**3 + c + jnp.sum(c) / 10 - a
+
+
+@lru_cache
+def _root():
+    def solve(a):
+        return find_root(lambda c: _cubic(c, a), jnp.zeros(2))
+
+    def facts(a, direction):
+        slopes = jax.jvp(lambda a: solve(a)[0], (a,), (direction,))[1]
+        curved = jax.jvp(lambda a: jax.grad(lambda b: jnp.sum(jnp.sin(solve(b)[0])))(a), (a,), (direction,))[1]
+        return *solve(a), slopes, jax.jacrev(lambda a: solve(a)[0])(a), curved
+
+    return compiled(facts)
+
+
+@given(seed=SEEDS)
+def test_find_root_solves_and_differentiates_implicitly(seed):
+    a, direction = np.random.default_rng(seed).standard_normal((2, 2))
+    c, converged, slopes, pulled, curved = _root()(a, direction)
+    assert converged
+    np.testing.assert_allclose(_cubic(c, a), 0, atol=1e-14)
+    jacobian = np.linalg.inv(np.diag(3 * c**2 + 1) + 0.1)
+    np.testing.assert_allclose(slopes, jacobian @ direction, atol=1e-13)
+    np.testing.assert_allclose(pulled, jacobian, atol=1e-13)
+    # d/da [J' cos c] = J' (-sin c dc) - J' diag(6 c dc) J' cos c, with dc = J direction.
+    dc, weights = jacobian @ direction, jacobian.T @ np.cos(c)
+    np.testing.assert_allclose(curved, jacobian.T @ (-np.sin(c) * dc - 6 * c * dc * weights), atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
+def test_find_root_knows_the_size_of_its_unknowns(scale):
+    c, converged = find_root(lambda c: (c / scale) ** 2 - 2.0, jnp.array([scale]), scale)
+    assert converged
+    np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "residual",
+    [lambda c: c**2 + 1, lambda c: jnp.exp(c), lambda c: c * jnp.nan],
+    ids=["no real root", "root at infinity", "NaN"],
+)
+def test_find_root_says_where_it_found_none(residual):
+    assert not find_root(residual, jnp.array([0.5]))[1]
+
+
+@given(seed=SEEDS)
+def test_orthonormalise_keeps_the_span(seed):
+    rng = np.random.default_rng(seed)
+    frame = (jnp.asarray(rng.standard_normal((3, 2, 2))), jnp.asarray(rng.standard_normal((3, 3))))
+    before, after = np.asarray(vec.flatten_frame(frame)), np.asarray(vec.flatten_frame(vec.orthonormalise(frame)))
+    np.testing.assert_allclose(after @ after.T, np.eye(3), atol=1e-13)
+    np.testing.assert_allclose(before @ after.T @ after, before, atol=1e-12)
+
+
+@given(seed=SEEDS)
+def test_components_are_coordinates_in_an_orthonormal_frame_and_combine_their_inverse(seed):
+    rng = np.random.default_rng(seed)
+    frame = vec.orthonormalise((jnp.asarray(rng.standard_normal((3, 2, 2))), jnp.asarray(rng.standard_normal((3, 3)))))
+    c = jnp.asarray(rng.standard_normal(3))
+    a = vec.combine(frame, c)
+    np.testing.assert_allclose(vec.components(frame, a), c, atol=1e-14)
+    np.testing.assert_allclose(vec.pairing(a, a), c @ c, rtol=1e-13)
+    sizes = vec.coordinate_sizes(frame, a)
+    assert np.all(np.abs(np.asarray(c)) <= np.asarray(sizes))
