@@ -6,6 +6,7 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
@@ -54,12 +55,20 @@ class OptimalControlProblem(eqx.Module):
                 raise InvalidInputError(f"{name} must be a function of (q, u), got {value!r}")
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
-        """``X(q, u)``, in the structure of a point (a list in place of a tuple is accepted)."""
-        return jax.tree.unflatten(jax.tree.structure(self.manifold.ambient), jax.tree.leaves(self.dynamics(q, u)))
+        """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
+        v = self.dynamics(q, u)
+        wrong = self.manifold.describe_mismatch(jax.eval_shape(lambda: v), "the value of dynamics, a tangent vector")
+        if wrong:
+            raise InvalidInputError(wrong)
+        return v
 
     def cost_rate(self, q: Ambient, u: Ambient) -> Array:
         """``p_0 F(q, u)``: the running cost, zero in the abnormal case."""
-        return jnp.zeros(()) if self.abnormal else jnp.asarray(self.running_cost(q, u))
+        return jnp.zeros(()) if self.abnormal else _scalar("running_cost", self.running_cost(q, u))
+
+    def final_cost(self, q: Ambient) -> Array:
+        """Terminal cost ``Phi(q)``, zero if there is none."""
+        return jnp.zeros(()) if self.terminal_cost is None else _scalar("terminal_cost", self.terminal_cost(q))
 
     def hamiltonian(self, q: Ambient, p: Ambient, u: Ambient) -> Array:
         """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
@@ -67,17 +76,12 @@ class OptimalControlProblem(eqx.Module):
 
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
-        wrong = self.manifold.describe_mismatch(jax.eval_shape(self.dynamics, q, u), "the value of dynamics, a tangent vector")
-        if wrong:
-            raise InvalidInputError(wrong)
-        costs: dict[str, tuple[Callable[..., Any], tuple[Any, ...]]] = {"running_cost": (self.running_cost, (q, u))}
-        if self.terminal_cost is not None:
-            costs["terminal_cost"] = (self.terminal_cost, (q,))
-        for name, (cost, at) in costs.items():
-            shape = jax.eval_shape(cost, *at)
-            if getattr(shape, "shape", None) != ():
-                raise InvalidInputError(f"{name} must return a scalar, got {shape}; sum or pick an entry")
-        normal, size = map(float, _normal_velocity(self, q, u))
+        normal, size, costs = jax.device_get(_probe(self, q, u))
+        if not np.all(np.isfinite((normal, size, *costs))):
+            raise InvalidInputError(
+                f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size}, running and terminal "
+                f"cost {costs}; check them there"
+            )
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
@@ -86,6 +90,15 @@ class OptimalControlProblem(eqx.Module):
 
 
 @eqx.filter_jit
-def _normal_velocity(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
+def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Normal part and size of the velocity, and both costs."""
     v = problem.velocity(q, u)
-    return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
+    normal = vec.size(vec.subtract(v, problem.manifold.projection(q, v)))
+    return normal, vec.size(v), (problem.cost_rate(q, u), problem.final_cost(q))
+
+
+def _scalar(name: str, value: Any) -> Array:
+    value = jnp.asarray(value)
+    if value.shape != ():
+        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {value.shape}; sum it or pick an entry")
+    return value

@@ -75,10 +75,10 @@ class Manifold(eqx.Module):
         if wrong:
             return Verdict(False, wrong)
         limit = default_tolerance() if tolerance is None else tolerance
-        for words, value in _violations(self, jax.tree.map(jnp.asarray, x)).items():
-            if not float(value) <= limit:
-                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}")
-        return Verdict(True, f"on {self} to {limit:.1g}")
+        for words, value in jax.device_get(_violations(self, jax.tree.map(jnp.asarray, x))).items():
+            if not value <= limit:
+                return Verdict(False, f"not on {self}: {words} is {value:.3g}, expected at most {limit:.1g}")
+        return Verdict(True, f"a point of the manifold to {limit:.1g}")
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
         """Whether ``v`` is tangent at ``x``: its normal part, relative to ``1 + max |v|``, is below ``tolerance``."""
@@ -91,7 +91,7 @@ class Manifold(eqx.Module):
             return Verdict(
                 False, f"not tangent to {self}: its relative normal part is {normal:.3g}, expected at most {limit:.1g}"
             )
-        return Verdict(True, f"tangent to {self} to {limit:.1g}")
+        return Verdict(True, f"tangent to the manifold to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
         """Words on how the structure of ``a`` differs from an ambient vector of this manifold; empty if it does not."""
@@ -133,7 +133,7 @@ class HomogeneousSpace(Manifold):
 
 def default_tolerance() -> float:
     """Square root of the machine epsilon of the precision in use."""
-    return float(jnp.finfo(jnp.zeros(()).dtype).eps ** 0.5)
+    return float(jnp.finfo(jax.dtypes.canonicalize_dtype(float)).eps ** 0.5)
 
 
 @eqx.filter_jit
@@ -153,7 +153,7 @@ def max_violation(manifold: Manifold, x: Ambient) -> Array:
 
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     """Real array of a shape, in the precision that JAX is set to."""
-    return jax.ShapeDtypeStruct(shape, jnp.zeros(()).dtype)
+    return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(float))
 
 
 def same_point(x: Ambient, y: Ambient, tolerance: float) -> Bool[Array, ""]:

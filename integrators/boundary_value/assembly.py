@@ -57,7 +57,7 @@ class DiscreteTrajectory(eqx.Module):
     stage: Stage
     start: NodeCondition
     end: NodeCondition
-    terminal_cost: Callable[[Any], Any] | None
+    terminal_cost: Callable[[Any], Array]
 
     def assemble(self, iterate: Iterate) -> Assembled:
         """The KKT system at an iterate: values, first derivatives, and the Hessian of the Lagrangian."""
@@ -78,7 +78,7 @@ class DiscreteTrajectory(eqx.Module):
         right = rows.end.at[-1].multiply(self.end.mask()[:, None])
         blocks = BlockSystem(hessian, left, right, gradient, gap, self.start.mask(), self.end.mask())
         distance = vec.size(gaps) / (1 + vec.size(nodes))
-        cost = jnp.sum(parts.cost) + self._terminal(jax.tree.map(lambda leaf: leaf[-1], nodes))
+        cost = jnp.sum(parts.cost) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], nodes))
         return Assembled(
             blocks,
             frames,
@@ -105,9 +105,6 @@ class DiscreteTrajectory(eqx.Module):
         nodes = jax.tree.map(lambda a, b: jnp.concatenate([a[:-1], b[None]]), before, last)
         return nodes, vec.subtract(after, before)
 
-    def _terminal(self, q: Ambient) -> Array:
-        return jnp.zeros(()) if self.terminal_cost is None else jnp.asarray(self.terminal_cost(q))
-
     def _multipliers(self, costates: Ambient, nodes: Ambient, frames: Frame) -> tuple[Array, Ambient, Array, Array]:
         """Coordinates of the multipliers, the covectors they stand for, and slope and curvature of the terminal cost.
 
@@ -115,9 +112,9 @@ class DiscreteTrajectory(eqx.Module):
         covector keeps the whole ambient gradient of Phi, whose normal part enters the Hessian.
         """
         last, frame = (jax.tree.map(lambda leaf: leaf[-1], tree) for tree in (nodes, frames))
-        derivative = jax.grad(self._terminal)(last)
+        derivative = jax.grad(self.terminal_cost)(last)
         slope = vec.components(frame, derivative)
-        push = jax.vmap(lambda e: jax.jvp(jax.grad(self._terminal), (last,), (e,))[1])(frame)
+        push = jax.vmap(lambda e: jax.jvp(jax.grad(self.terminal_cost), (last,), (e,))[1])(frame)
         curvature = jax.vmap(lambda image: vec.components(frame, image))(push)
         coordinates = jax.vmap(vec.components)(frames, costates)
         coordinates = coordinates.at[-1].add(slope)

@@ -10,7 +10,7 @@ from jaxtyping import Array
 from ...manifolds import DomainError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...retractions import DiscretizationMap, Retraction
+from ...retractions import DiscretizationMap
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 
@@ -34,37 +34,50 @@ def default_guess(
     Controls rest, costates are zero. Raises ``DomainError`` if neither curve arrives near the end: the two points are
     opposite to each other, and the user has to say which way round.
     """
-    retraction, theta = discretization.retraction, jnp.asarray(discretization.theta)
-    states, arrived = _curve(retraction, start, end, theta, steps)
+    ends = jax.tree.map(jnp.asarray, (start, end))
+    guess, arrived = _curve(problem, discretization, *ends, steps)
     if not arrived:
-        states, arrived = _walk(retraction, start, end, steps)
+        guess, arrived = _walk(problem, discretization, *ends, steps)
     if not arrived:
         raise DomainError(
             "no default guess: the end is opposite to the start (for rotations: half a turn away), so no direction leads "
             "to it; pass a guess, for instance one that goes through a point between them"
         )
-    rest = resting_control(problem.controls)
-    controls = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *leaf.shape)), rest)
-    costates = jax.tree.map(lambda s: jnp.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
-    return Guess(states, controls, costates)
+    return guess
 
 
 @eqx.filter_jit
-def _curve(retraction: Retraction, start: Ambient, end: Ambient, theta: Array, steps: int) -> tuple[Ambient, Array]:
+def _curve(
+    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
+) -> tuple[Guess, Array]:
     """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether there is such a ``v``."""
+    retraction = discretization.retraction
     v = retraction.preimage(start, end)
-    times = (jnp.arange(steps) + theta) / steps
-    return jax.vmap(lambda s: retraction(start, vec.scale(s, v)))(times), jnp.isfinite(vec.size(v))
+    times = (jnp.arange(steps) + discretization.theta) / steps
+    states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))(times)
+    return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v))
 
 
 @eqx.filter_jit
-def _walk(retraction: Retraction, start: Ambient, end: Ambient, steps: int) -> tuple[Ambient, Array]:
+def _walk(
+    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
+) -> tuple[Guess, Array]:
     """A walk that covers, at step k of N, the fraction ``1/(N - k)`` of the chord's tangential part; and whether it arrives."""
+    manifold, retraction = discretization.manifold, discretization.retraction
 
     def step(x: Ambient, k: Array) -> tuple[Ambient, Ambient]:
-        chord = retraction.manifold.projection(x, vec.subtract(end, x))
+        chord = manifold.projection(x, vec.subtract(end, x))
         ahead = retraction(x, vec.scale(1 / (steps - k), chord))
         return ahead, ahead
 
     last, states = jax.lax.scan(step, start, jnp.arange(steps))
-    return states, vec.size(vec.subtract(last, end)) < vec.size(vec.subtract(start, end)) / 2
+    arrived = vec.size(vec.subtract(last, end)) < vec.size(vec.subtract(start, end)) / 2
+    return _at_rest(problem, states, steps), arrived
+
+
+def _at_rest(problem: OptimalControlProblem, states: Ambient, steps: int) -> Guess:
+    """The guess with given states, resting controls and zero costates."""
+    rest = resting_control(problem.controls)
+    controls = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (steps, *leaf.shape)), rest)
+    costates = jax.tree.map(lambda s: jnp.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
+    return Guess(states, controls, costates)

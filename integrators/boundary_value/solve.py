@@ -56,10 +56,11 @@ def solve(
     problem.check(first.point, resting_control(problem.controls))
     if guess is None:
         guess = default_guess(problem, discretization, first.point, last.point, steps)
-    guess = _checked_guess(problem, guess, steps)
+    else:
+        guess = _checked_guess(problem, guess, steps)
     limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
     stage = ControlStage(problem=problem, discretization=discretization, step=jnp.asarray(horizon / steps, float))
-    discrete = DiscreteTrajectory(stage, first, last, problem.terminal_cost)
+    discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
     output, compile_seconds, run_seconds = _timed(discrete, guess, limit, max_iterations)
     solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
     return solution.require_success() if throw else solution

@@ -82,6 +82,18 @@ def draw_tangent(rng: np.random.Generator, basis: np.ndarray, length: float) -> 
 
 
 @lru_cache
+def _nearest(manifold: Manifold) -> Callable:
+    unravel = unflat(manifold)
+    return compiled(lambda a: jax.lax.fori_loop(0, 6, lambda _, a: flat(manifold.restore(unravel(a))), a))
+
+
+def draw_near(manifold: Manifold, x: np.ndarray, rng: np.random.Generator, distance: float) -> np.ndarray:
+    """A point of the manifold about this far from ``x``, reached through the ambient space."""
+    a = rng.standard_normal(x.size)
+    return _nearest(manifold)(x + distance * a / np.linalg.norm(a))
+
+
+@lru_cache
 def _bundle_frames(manifold: Manifold) -> tuple[Callable, Callable]:
     cotangent = CotangentBundle(manifold)
     of_base, of_bundle = unflat(manifold), unflat(cotangent)

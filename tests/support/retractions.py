@@ -1,4 +1,4 @@
-"""Compiled kernels of retractions, in flat coordinates: values with derivatives of orders one and two, and inverses."""
+"""Compiled kernels of retractions, in flat coordinates: values, inverses, derivatives of orders one and two."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -6,17 +6,17 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 import numpy as np
-
-from retrax.manifolds import Manifold
 from retrax.retractions import Retraction
 from retrax.retractions.retraction import newton_preimage
 
-from .cases import RETRACTIONS, reach
-from .numerics import NODES, compiled, draw_point, draw_tangent, flat, unflat
+from .cases import RETRACTIONS
+from .numerics import NODES, compiled, draw_near, draw_point, draw_tangent, flat, unflat
 
-# Spacing of the differences: the error of order 6 and the rounding divided by it are both below 1e-11.
+# Spacing of the differences: the error of order 6 and the rounding divided by it are both below 1e-10.
 STEP = 4e-3
 LENGTHS = 2.0 ** -np.arange(4, 15)
+
+Vector = jax.Array
 
 
 def flat_retraction(retraction: Retraction) -> Callable:
@@ -25,108 +25,122 @@ def flat_retraction(retraction: Retraction) -> Callable:
     return lambda x, v: flat(retraction(unravel(x), unravel(v)))
 
 
+def _values(retraction: Retraction, x: Vector, v: Vector, y: Vector) -> dict:
+    """Values and inverses: from ``v`` to the point and back, from the point ``y`` to the vector and back."""
+    move, unravel = flat_retraction(retraction), unflat(retraction.manifold)
+    moved = jax.vmap(lambda t: move(x, t * v))(jnp.concatenate([jnp.array([0.0, 1.0]), LENGTHS]))
+    targets = jnp.stack([moved[1], y])
+    back = jax.vmap(lambda y: flat(retraction.inverse(unravel(x), unravel(y))))(targets)
+    return {
+        "at zero": moved[0],
+        "value": moved[1],
+        "short": moved[2:],
+        "inside": retraction.domain(unravel(x), unravel(v)),
+        "back": back[0],
+        "to y": back[1],
+        "there": move(x, back[1]),
+    }
+
+
+def _derivatives(move: Callable, z: tuple, d: tuple, e: tuple, c: Vector, frame: Vector) -> dict:
+    """Derivatives at ``z = (x, v)`` along the ambient directions ``d``, ``e``, and those of the height ``<c, R>``."""
+
+    def along(y: tuple) -> Callable:
+        return lambda *z: jax.jvp(move, z, y)[1]
+
+    def height(z: tuple) -> Vector:
+        return c @ move(*z)
+
+    def shifted(s: Vector) -> tuple:
+        return jax.tree.map(lambda a, b: a + s * b, z, d)
+
+    gradient = jax.grad(height)
+    return {
+        "push": jax.vmap(lambda b: along((jnp.zeros_like(b), b))(*z))(frame),
+        "forward": along(d)(*z),
+        "reverse": gradient(z),
+        "forward forward": jax.jvp(along(d), z, e)[1],
+        "forward reverse": jax.jvp(gradient, (z,), (d,))[1],
+        "reverse reverse": jax.grad(lambda z: sum(g @ b for g, b in zip(gradient(z), d, strict=True)))(z),
+        "values": jax.vmap(lambda s: move(*shifted(s)))(STEP * NODES),
+        "gradients": jax.vmap(lambda s: gradient(shifted(s)))(STEP * NODES),
+    }
+
+
 @lru_cache
-def _derivatives(name: str) -> Callable:
-    move = flat_retraction(RETRACTIONS[name])
+def _kernel(name: str) -> Callable:
+    retraction = RETRACTIONS[name]
+    move = flat_retraction(retraction)
 
-    def facts(z: tuple, d: tuple, e: tuple, c: jax.Array, frame: jax.Array) -> dict:
-        def along(y: tuple) -> Callable:
-            return lambda *z: jax.jvp(move, z, y)[1]
-
-        def height(z: tuple) -> jax.Array:
-            return c @ move(*z)
-
-        def shifted(s: jax.Array) -> tuple:
-            return jax.tree.map(lambda a, b: a + s * b, z, d)
-
-        gradient = jax.grad(height)
-        return {
-            "push": jax.vmap(lambda b: jax.jvp(move, z, (jnp.zeros_like(b), b))[1])(frame),
-            "forward": along(d)(*z),
-            "reverse": gradient(z),
-            "forward forward": jax.jvp(along(d), z, e)[1],
-            "forward reverse": jax.jvp(gradient, (z,), (d,))[1],
-            "reverse reverse": jax.grad(lambda z: sum(g @ b for g, b in zip(gradient(z), d, strict=True)))(z),
-            "values": jax.vmap(lambda s: move(*shifted(s)))(STEP * NODES),
-            "gradients": jax.vmap(lambda s: gradient(shifted(s)))(STEP * NODES),
-        }
+    def facts(z: tuple, y: Vector, d: tuple, e: tuple, c: Vector, frame: Vector) -> dict:
+        return {**_values(retraction, *z, y), **_derivatives(move, z, d, e, c, frame)}
 
     return compiled(facts)
 
 
-@lru_cache
-def _values(name: str) -> Callable:
-    move = flat_retraction(RETRACTIONS[name])
+def retraction_facts(name: str, seed: int, length: float, along: str = "ambient directions") -> dict:
+    """Everything about a retraction at a random point and a random tangent vector of this length.
 
-    def facts(x: jax.Array, v: jax.Array) -> tuple:
-        return move(x, v), jax.vmap(lambda t: move(x, t * v))(LENGTHS), move(x, jnp.zeros_like(v))
-
-    return compiled(facts)
-
-
-def draw(name: str, seed: int, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A point, a tangent vector of this length and the basis there."""
-    x, _, basis = draw_point(RETRACTIONS[name].manifold, seed)
-    return x, draw_tangent(np.random.default_rng(seed), basis, length), basis
-
-
-def values(name: str, x: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """``R(x, v)``, ``R(x, t v)`` for ``t`` in ``LENGTHS``, and ``R(x, 0)``."""
-    return _values(name)(x, v)
-
-
-def derivatives(name: str, seed: int, length: float, both: tuple | None = None) -> dict:
-    """First and second derivatives at a tangent vector of this length, along random ambient directions (or ``both``)."""
-    x, v, frame = draw(name, seed, length)
-    rng = np.random.default_rng(seed + 1)
+    The second derivatives are taken along random ambient directions of ``TM``, or twice along the fibre's ``(0, w)`` with
+    a unit tangent vector ``w``.
+    """
+    manifold, rng = RETRACTIONS[name].manifold, np.random.default_rng(seed)
+    x, _, frame = draw_point(manifold, seed)
+    v, w = draw_tangent(rng, frame, length), draw_tangent(rng, frame, 1.0)
     c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
-    d, e = (directions[:2], directions[2:]) if both is None else both
-    facts = _derivatives(name)((x, v), tuple(d), tuple(e), c, frame)
-    return {**facts, "x": x, "v": v, "d": d, "e": e, "c": c, "frame": frame}
+    fibre = np.zeros_like(x), w
+    d, e = (fibre, fibre) if along == "the fibre" else (tuple(directions[:2]), tuple(directions[2:]))
+    y = draw_near(manifold, x, rng, 0.3)
+    given = {"x": x, "v": v, "w": w, "y": y, "d": d, "e": e, "c": c, "frame": frame}
+    return {**given, **_kernel(name)((x, v), y, d, e, c, frame)}
 
 
 @lru_cache
-def _inverses(name: str) -> Callable:
-    retraction: Retraction = RETRACTIONS[name]
-    manifold: Manifold = retraction.manifold
-    move, unravel = flat_retraction(retraction), unflat(manifold)
+def _newton(name: str) -> Callable:
+    retraction = RETRACTIONS[name]
+    move, unravel = flat_retraction(retraction), unflat(retraction.manifold)
 
-    def facts(x: jax.Array, y: jax.Array, a: jax.Array, b: jax.Array) -> dict:
-        def closed(x: jax.Array, y: jax.Array) -> jax.Array:
-            return flat(retraction.inverse(unravel(x), unravel(y)))
+    def facts(x: Vector, v: Vector) -> tuple:
+        y = move(x, v)
+        return flat(newton_preimage(retraction, unravel(x), unravel(y)))
 
-        def newton(x: jax.Array, y: jax.Array) -> jax.Array:
-            return flat(newton_preimage(retraction, unravel(x), unravel(y)))
+    return compiled(facts)
 
-        def on_curves(inverse: Callable) -> Callable:
+
+def newton_inverse(name: str, seed: int, length: float) -> tuple[np.ndarray, np.ndarray]:
+    """A random tangent vector of this length, and what Newton's method finds from its value."""
+    x, _, frame = draw_point(RETRACTIONS[name].manifold, seed)
+    v = draw_tangent(np.random.default_rng(seed), frame, length)
+    return v, _newton(name)(x, v)
+
+
+@lru_cache
+def _newton_derivatives(name: str) -> Callable:
+    retraction = RETRACTIONS[name]
+    move, unravel = flat_retraction(retraction), unflat(retraction.manifold)
+
+    def facts(x: Vector, v: Vector, a: Vector, c: Vector) -> dict:
+        y = move(x, v)
+        # The velocity of a curve through y: any tangent vector there.
+        b = jax.jvp(lambda v: move(x, v), (v,), (a,))[1]
+
+        def between(s: Vector) -> Vector:
             """The inverse between the points ``R(x, s_0 a)`` and ``R(y, s_1 b)``."""
-            return lambda s: inverse(move(x, s[0] * a), move(y, s[1] * b))
+            return flat(newton_preimage(retraction, unravel(move(x, s[0] * a)), unravel(move(y, s[1] * b))))
 
-        at_zero = jnp.zeros(2)
         lines = jnp.eye(2)[:, None, :] * (STEP * NODES)[None, :, None]
-        v = closed(x, y)
         return {
-            "closed": v,
-            "there": move(x, v),
-            "inside": retraction.domain(unravel(x), unravel(v)),
-            "newton": newton(x, y),
-            "forward": jax.jacfwd(on_curves(newton))(at_zero),
-            "reverse": jax.jacrev(on_curves(newton))(at_zero),
-            "closed forward": jax.jacfwd(on_curves(closed))(at_zero),
-            "values": jax.vmap(jax.vmap(on_curves(newton)))(lines),
+            "forward": jax.jacfwd(between)(jnp.zeros(2)),
+            "reverse": jax.grad(lambda s: c @ between(s))(jnp.zeros(2)),
+            "values": jax.vmap(jax.vmap(between))(lines),
         }
 
     return compiled(facts)
 
 
-def inverses(name: str, seed: int, length: float) -> dict:
-    """Inverses between a random point and one at this distance, and their derivatives along curves of both."""
-    x, v, basis = draw(name, seed, length)
-    y = values(name, x, v)[0]
-    a = draw_tangent(np.random.default_rng(seed + 1), basis, 1.0)
-    # Any tangent vector at y will do for its curve: the one from the nearest draw, projected by the derivative of R.
-    b = _derivatives(name)((x, v), (a, a), (a, a), a, basis)["push"][0]
-    return {**_inverses(name)(x, y, a, b), "x": x, "y": y, "v": v}
-
-
-__all__ = ["LENGTHS", "STEP", "derivatives", "draw", "flat_retraction", "inverses", "reach", "values"]
+def newton_derivatives(name: str, seed: int, length: float) -> dict:
+    """Derivatives of Newton's inverse along curves of both points, and its values on them."""
+    x, _, frame = draw_point(RETRACTIONS[name].manifold, seed)
+    rng = np.random.default_rng(seed)
+    v, a, c = draw_tangent(rng, frame, length), draw_tangent(rng, frame, 1.0), rng.standard_normal(x.size)
+    return {"c": c, **_newton_derivatives(name)(x, v, a, c)}

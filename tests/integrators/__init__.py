@@ -1,0 +1,1 @@
+"""Tests of the integrators: initial-value steps, trajectories, and the boundary-value solver."""

@@ -1,0 +1,151 @@
+"""One step of Hamilton's equations: the definition, and what follows from it."""
+
+from collections.abc import Callable
+from functools import cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from retrax.integrators import SymplecticIntegrator
+from retrax.integrators.initial_value import lifted_step
+from retrax.manifolds import CotangentBundle, Euclidean
+from retrax.manifolds.manifold import max_violation
+from retrax.manifolds.numerics import ambient as vec
+from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
+
+from tests.support.numerics import SEEDS, norm
+
+from .problems import (
+    ENERGIES,
+    MANIFOLDS,
+    SPHERE,
+    FreeTheta,
+    compiled,
+    form_matrix,
+    hamiltonian_field,
+    pendulum_energy,
+)
+
+THETAS = (0.0, 0.3, 0.5, 1.0)
+STEPS = st.floats(0.01, 0.2)
+
+on_every_manifold = pytest.mark.parametrize("name", MANIFOLDS)
+
+
+def with_every_theta(test: Callable) -> Callable:
+    """Random points, steps and thetas, and the four thetas that have names."""
+    for theta in THETAS:
+        test = example(seed=1, h=0.2, theta=theta)(test)
+    return given(seed=SEEDS, h=STEPS, theta=st.floats(0.0, 1.0))(test)
+
+
+@cache
+def kernel(name: str) -> Callable:
+    """One compiled function a manifold: a step from a random point, its derivative on a basis, and the definition."""
+    manifold, energy = MANIFOLDS[name], ENERGIES[name]
+    bundle = CotangentBundle(manifold)
+
+    def facts(seed: jax.Array, h: jax.Array, theta: jax.Array) -> dict[str, jax.Array]:
+        lift = CotangentLift(FreeTheta(default_retraction(manifold), theta))
+        stage = SymplecticIntegrator(lift).stage(energy, h)
+
+        def step(z: tuple) -> tuple:
+            result = lifted_step(stage, *z, (*z, z[1]))
+            return (result.q, result.p), (result.unknowns, result.converged)
+
+        z0 = bundle.random_point(jax.random.key(seed))
+        frame = bundle.basis(z0)
+        z1, push, ((x, v, pi), converged) = jax.linearize(step, z0, has_aux=True)
+        images = jax.vmap(push)(frame)
+        tangent = jax.vmap(lambda image: bundle.projection(z1, image))(images)
+        field = hamiltonian_field(bundle, energy, (x, pi))
+        return {
+            "converged": converged,
+            "symplectic": form_matrix(bundle, z1, images) - form_matrix(bundle, z0, frame),
+            "tangent": vec.subtract(images, tangent),
+            "on the bundle": max_violation(bundle, z1),
+            "definition": vec.subtract(lift((x, pi), vec.scale(h, field)), (z0, z1)),
+            "velocity": vec.subtract(vec.scale(h, field[0]), v),
+        }
+
+    return compiled(facts)
+
+
+@on_every_manifold
+@with_every_theta
+def test_the_step_is_symplectic(name, seed, h, theta):
+    facts = kernel(name)(seed, h, theta)
+    assert facts["converged"]
+    assert norm(facts["symplectic"]) < 1e-11
+
+
+@on_every_manifold
+@with_every_theta
+def test_the_step_and_its_derivative_stay_on_the_cotangent_bundle(name, seed, h, theta):
+    facts = kernel(name)(seed, h, theta)
+    assert facts["on the bundle"] < 1e-12
+    assert norm(facts["tangent"]) < 1e-11
+
+
+@on_every_manifold
+@with_every_theta
+def test_the_step_is_the_cotangent_lift_of_the_hamiltonian_vector_field_at_its_stage(name, seed, h, theta):
+    facts = kernel(name)(seed, h, theta)
+    assert norm(facts["definition"]) < 1e-12
+    assert norm(facts["velocity"]) < 1e-12
+
+
+@cache
+def sphere_step() -> Callable:
+    """A step of the pendulum; theta is an argument."""
+
+    def step(q: jax.Array, p: jax.Array, h: jax.Array, theta: jax.Array) -> tuple:
+        lift = CotangentLift(FreeTheta(Projection(SPHERE), theta))
+        return lifted_step(SymplecticIntegrator(lift).stage(pendulum_energy, h), q, p, (q, p, p))[:2]
+
+    return compiled(step)
+
+
+def state(seed: int) -> tuple[jax.Array, jax.Array]:
+    return CotangentBundle(SPHERE).random_point(jax.random.key(seed))
+
+
+@with_every_theta
+def test_a_step_back_with_the_adjoint_map_returns(seed, h, theta):
+    q, p = state(seed)
+    there = sphere_step()(q, p, h, theta)
+    back = sphere_step()(*there, -h, 1 - theta)
+    assert norm((back[0] - q, back[1] - p)) < 1e-12
+
+
+@with_every_theta
+def test_the_step_does_not_see_the_normal_part_of_a_covector(seed, h, theta):
+    q, p = state(seed)
+    plain, raised = sphere_step()(q, p, h, theta), sphere_step()(q, p + 3.0 * q, h, theta)
+    assert norm(vec.subtract(plain, raised)) < 1e-12
+
+
+def plane_energy(q: jax.Array, p: jax.Array) -> jax.Array:
+    """Not separable, not quadratic."""
+    return jnp.cosh(p[0]) + p @ p / 2 + q[0] ** 4 / 4 + jnp.sin(q[0] * q[1]) + p[1] * q[0]
+
+
+@cache
+def plane_step() -> Callable:
+    stage = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(Euclidean(2))))).stage
+
+    def step(q: jax.Array, p: jax.Array, h: jax.Array) -> tuple:
+        q1, p1 = lifted_step(stage(plane_energy, h), q, p, (q, p, p))[:2]
+        force, velocity = jax.grad(plane_energy, (0, 1))((q + q1) / 2, (p + p1) / 2)
+        return q1 - q - h * velocity, p1 - p + h * force
+
+    return compiled(step)
+
+
+@given(seed=SEEDS, h=STEPS)
+def test_in_euclidean_space_the_midpoint_map_gives_the_implicit_midpoint_rule(seed, h):
+    q, p = np.random.default_rng(seed).uniform(-1, 1, (2, 2))
+    assert norm(plane_step()(q, p, h)) < 1e-14

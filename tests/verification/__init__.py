@@ -1,0 +1,1 @@
+"""Orders, long runs and published optima."""
