@@ -71,17 +71,21 @@ def eliminate(system: BlockSystem) -> BlockSolution:
     return BlockSolution(multipliers, unknowns[:, n:size], eliminated, last_pivot)
 
 
-def negative_eigenvalues(solution: BlockSolution) -> Array:
-    """Number of negative eigenvalues of the whole KKT matrix, by Sylvester's law of inertia.
+def is_strict_minimum(solution: BlockSolution) -> Array:
+    """Whether the Hessian is positive definite on the null space of the constraints, beyond rounding.
 
-    It equals the number of node equations, ``(N + 1) n``, exactly if the Hessian is positive definite on the null space of
-    the constraints: the second-order sufficient condition of a strict local minimum.
+    This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
+    if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
     """
-    return jnp.sum(_negative_pivots(solution.pivots)) + jnp.sum(_negative_pivots(solution.last_pivot[None]))
+    count = solution.multipliers.size
+    negative, smallest = _inertia(solution.pivots)
+    negative_last, smallest_last = _inertia(solution.last_pivot[None])
+    clear = jnp.finfo(solution.steps.dtype).eps ** 0.6
+    return (negative + negative_last == count) & (jnp.minimum(smallest, smallest_last) > clear)
 
 
-def _negative_pivots(blocks: Float[Array, "N s s"]) -> Array:
-    """Negative pivots of ``L D L'`` of symmetric blocks, without interchanges, all blocks at once.
+def _inertia(blocks: Float[Array, "N s s"]) -> tuple[Array, Array]:
+    """Number of negative pivots of ``L D L'`` of symmetric blocks, all at once, and the smallest pivot's size.
 
     A fixed random rotation makes leading minors nonzero, so that no interchange is needed [Baboulin et al. 2014]; rows and
     columns are scaled to one size before. Ten times as fast as the eigenvalues of many small blocks.
@@ -92,11 +96,13 @@ def _negative_pivots(blocks: Float[Array, "N s s"]) -> Array:
     rotation = jnp.asarray(np.linalg.qr(np.random.default_rng(0).normal(size=(size, size)))[0], blocks.dtype)
     rotated = rotation.T @ (blocks / (units[:, :, None] * units[:, None, :])) @ rotation
 
-    def pivot(i: Array, state: tuple[Array, Array]) -> tuple[Array, Array]:
-        remaining, negative = state
+    def pivot(i: Array, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+        remaining, negative, smallest = state
         column = remaining[:, :, i]
         diagonal = column[:, i]
         update = column[:, :, None] * column[:, None, :] / diagonal[:, None, None]
-        return remaining - update, negative + (diagonal < 0)
+        return remaining - update, negative + jnp.sum(diagonal < 0), jnp.minimum(smallest, jnp.min(jnp.abs(diagonal)))
 
-    return jax.lax.fori_loop(0, size, pivot, (rotated, jnp.zeros(len(blocks), int)))[1]
+    start = rotated, jnp.zeros((), int), jnp.asarray(jnp.inf, blocks.dtype)
+    _, negative, smallest = jax.lax.fori_loop(0, size, pivot, start)
+    return negative, smallest

@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from ..results import Result
 from .assembly import Assembled, DiscreteTrajectory, Iterate
-from .elimination import BlockSolution, eliminate, negative_eigenvalues
+from .elimination import BlockSolution, eliminate, is_strict_minimum
 
 ARMIJO = 1e-4
 RECORD = 0.9
@@ -86,8 +86,8 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max
     state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), jnp.array(False))
     state = jax.lax.while_loop(going, body, state)
     result = _outcome(state, tolerance, max_iterations)
-    strict = negative_eigenvalues(state.factors) == state.assembled.blocks.gap.size
-    return NewtonResult(state.iterate, state.assembled, strict & (state.shift == 0), state.trials - 1, result)
+    strict = is_strict_minimum(state.factors) & (state.shift == 0)
+    return NewtonResult(state.iterate, state.assembled, strict, state.trials - 1, result)
 
 
 def _zeros(shapes: Any) -> Any:
