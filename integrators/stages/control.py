@@ -53,3 +53,6 @@ class ControlStage(Stage):
         u = previous[1]
         ahead = vec.scale(self.discretization.theta * self.step, self.problem.velocity(q0, u))
         return self.discretization.retraction(q0, ahead), u
+
+    def small_step_inverse(self) -> None:
+        return None  # the block of the controls depends on the problem

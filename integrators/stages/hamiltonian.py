@@ -5,6 +5,7 @@ from typing import Any, final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds.numerics import ambient as vec
@@ -58,3 +59,9 @@ class HamiltonianStage(Stage):
         velocity = fibre(q0, vec.scale(self.step, jax.grad(self.hamiltonian, argnums=1)(q0, p0)))
         x = self.discretization.retraction(q0, vec.scale(self.discretization.theta, velocity))
         return x, fibre(x, velocity), fibre(x, p0)
+
+    def small_step_inverse(self) -> np.ndarray:
+        # At v = 0 and h = 0 the equations are x - theta v = q0, p1 = p0, (1 - theta) p1 + theta p0 = pi and v = 0.
+        n, theta = self.manifold.dimension, self.discretization.theta
+        blocks = np.array([[1, -theta, 0, 0], [0, 0, 0, 1], [0, 0, -1, 1 - theta], [0, -1, 0, 0]])
+        return np.kron(np.linalg.inv(blocks), np.eye(n))

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Manifold
@@ -53,6 +54,13 @@ class Stage(eqx.Module):
     @abstractmethod
     def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
         """First guess of the unknowns for a step from ``(q0, p0)``, given those of the step before."""
+
+    @abstractmethod
+    def small_step_inverse(self) -> np.ndarray | None:
+        """Inverse Jacobian of the equations of a step as the step tends to zero, where it is known: else None.
+
+        Equations ``(R1 - q0, dS/dy)`` in the unknowns ``(y, p1)``, both in coordinates of one frame.
+        """
 
     def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
         """Both ends ``(R1(x, v), R2(x, v))`` of the step."""

@@ -5,10 +5,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 MAX_JACOBIANS = 15
-MAX_CHORDS = 12
+MAX_CHORDS = 16
 SLOW = 0.2
 
 Vector = Float[Array, " k"]
@@ -24,23 +25,32 @@ def solve_small(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Float
     return right / matrix[0, 0] if matrix.shape[0] == 1 else jnp.linalg.solve(matrix, right)
 
 
-def find_root(residual: Callable[[Vector], Vector], start: Vector, scale: ArrayLike = 1.0) -> tuple[Vector, Bool[Array, ""]]:
+def find_root(
+    residual: Callable[[Vector], Vector],
+    start: Vector,
+    scale: ArrayLike = 1.0,
+    inverse: np.ndarray | None = None,
+) -> tuple[Vector, Bool[Array, ""]]:
     """Root of ``residual`` near ``start`` and whether the iteration converged to it.
 
     Newton's method that keeps its Jacobian while the steps shrink fivefold each (chord iteration) and renews it where
-    they do not. ``scale`` holds the typical sizes of the unknowns, shape ``(k,)`` or one number. Derivatives with respect
-    to anything that ``residual`` closes over come from the implicit function theorem, in every autodiff mode.
+    they do not. ``inverse``, if given, is an approximate inverse Jacobian to begin with. ``scale`` holds the typical sizes
+    of the unknowns, shape ``(k,)`` or one number. Derivatives with respect to anything that ``residual`` closes over come
+    from the implicit function theorem, in every autodiff mode.
     """
     unit = jax.lax.stop_gradient(jnp.broadcast_to(jnp.asarray(scale, start.dtype), start.shape))
 
     def scaled(c: Vector) -> Vector:
         return residual(unit * c)
 
+    def solve(f: Callable[[Vector], Vector], first: Vector) -> tuple[Vector, Array]:
+        return _newton(f, first, None if inverse is None else jnp.asarray(inverse, first.dtype) / unit[:, None])
+
     def tangent_solve(linear: Callable[[Vector], Vector], right: Vector) -> Vector:
         return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(right)), right)
 
     first = jax.lax.stop_gradient(start) / unit
-    root, converged = jax.lax.custom_root(scaled, first, _newton, tangent_solve, has_aux=True)
+    root, converged = jax.lax.custom_root(scaled, first, solve, tangent_solve, has_aux=True)
     return unit * root, converged > 0
 
 
@@ -52,36 +62,45 @@ class _Iteration(NamedTuple):
     chords: Array  # steps taken with the present Jacobian
 
 
-def _newton(residual: Callable[[Vector], Vector], start: Vector) -> tuple[Vector, Array]:
-    """Newton's method with a Jacobian for each of the outer iterations and chord steps inside."""
-    quadratic, rounding = tolerance(start, 0.65), tolerance(start, 1.0) / 4
-    infinity = jnp.asarray(jnp.inf, start.dtype)
-
-    def chords(state: _Iteration) -> _Iteration:
-        factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(state.c))
-
-        def chord(s: _Iteration) -> _Iteration:
-            d = jax.scipy.linalg.lu_solve(factor, residual(s.c))
-            step = jnp.max(jnp.abs(d))
-            ratio = step / s.step
-            # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-            remaining = jnp.where(s.chords == 0, step * step, step * jnp.minimum(ratio, 1.0))
-            done = (remaining <= rounding) | ((step <= quadratic) & (ratio > SLOW) & (s.chords > 0))
-            return _Iteration(s.c - d, step, ratio, done, s.chords + 1)
-
-        def going(s: _Iteration) -> Array:
-            return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
-
-        return jax.lax.while_loop(going, chord, state._replace(step=infinity, ratio=infinity, chords=jnp.zeros((), int)))
+def _newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Array]:
+    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given."""
+    infinity, zero = jnp.asarray(jnp.inf, start.dtype), jnp.zeros((), int)
+    state = _Iteration(start, infinity, infinity, jnp.array(False), zero)
+    if inverse is not None:
+        tried = _chords(residual, lambda r: inverse @ r, state, exact=False)
+        better = tried.converged | (tried.step < 1)
+        state = tried._replace(c=jnp.where(better, tried.c, start))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
-        return chords(pair[0]), pair[1] + 1
+        factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
         return ~state.converged & (jacobians < MAX_JACOBIANS) & jnp.all(jnp.isfinite(state.c))
 
-    zero = jnp.zeros((), int)
-    state = _Iteration(start, infinity, infinity, jnp.array(False), zero)
     state, _ = jax.lax.while_loop(unfinished, outer, (state, zero))
     return state.c, state.converged.astype(start.dtype)
+
+
+def _chords(
+    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, exact: bool
+) -> _Iteration:
+    """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
+    quadratic, rounding = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+
+    def chord(s: _Iteration) -> _Iteration:
+        d = solve(residual(s.c))
+        step = jnp.max(jnp.abs(d))
+        ratio = step / s.step
+        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
+        remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
+        done = (remaining <= rounding) | ((step <= quadratic) & (ratio > SLOW) & (s.chords > 0))
+        return _Iteration(s.c - d, step, ratio, done, s.chords + 1)
+
+    def going(s: _Iteration) -> Array:
+        return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+
+    infinity = jnp.asarray(jnp.inf, state.c.dtype)
+    fresh = state._replace(step=infinity, ratio=infinity, converged=jnp.array(False), chords=jnp.zeros((), int))
+    return jax.lax.while_loop(going, chord, fresh)

@@ -58,8 +58,8 @@ def kernel(name: str) -> Callable:
 
         z0 = bundle.random_point(jax.random.key(seed))
         frame = bundle.basis(z0)
-        z1, push, ((x, v, pi), converged) = jax.linearize(step, z0, has_aux=True)
-        images = jax.vmap(push)(frame)
+        push = jax.vmap(lambda w: jax.jvp(step, (z0,), (w,), has_aux=True), out_axes=(None, 0, None))
+        z1, images, ((x, v, pi), converged) = push(frame)
         tangent = jax.vmap(lambda image: bundle.projection(z1, image))(images)
         field = hamiltonian_field(bundle, energy, (x, pi))
         return {

@@ -9,11 +9,11 @@ import numpy as np
 from retrax.retractions import Retraction
 from retrax.retractions.retraction import newton_preimage
 
-from .cases import RETRACTIONS
+from .cases import RETRACTIONS, reach
 from .numerics import NODES, compiled, draw_near, draw_point, draw_tangent, flat, unflat
 
 # Spacing of the differences: the error of order 6 and the rounding divided by it are both below 1e-10.
-STEP = 4e-3
+STEP = 2e-3
 LENGTHS = 2.0 ** -np.arange(4, 15)
 
 Vector = jax.Array
@@ -25,45 +25,45 @@ def flat_retraction(retraction: Retraction) -> Callable:
     return lambda x, v: flat(retraction(unravel(x), unravel(v)))
 
 
-def _values(retraction: Retraction, x: Vector, v: Vector, y: Vector) -> dict:
-    """Values and inverses: from ``v`` to the point and back, from the point ``y`` to the vector and back."""
-    move, unravel = flat_retraction(retraction), unflat(retraction.manifold)
-    moved = jax.vmap(lambda t: move(x, t * v))(jnp.concatenate([jnp.array([0.0, 1.0]), LENGTHS]))
-    targets = jnp.stack([moved[1], y])
-    back = jax.vmap(lambda y: flat(retraction.inverse(unravel(x), unravel(y))))(targets)
-    return {
-        "at zero": moved[0],
-        "value": moved[1],
-        "short": moved[2:],
-        "inside": retraction.domain(unravel(x), unravel(v)),
-        "back": back[0],
-        "to y": back[1],
-        "there": move(x, back[1]),
-    }
+def _inverses(retraction: Retraction, x: Vector, v: Vector, value: Vector, y: Vector) -> dict:
+    """Inverses: from the value back to ``v``, from the point ``y`` to its tangent vector and back."""
+    unravel = unflat(retraction.manifold)
+    back, to_y = jax.vmap(lambda y: flat(retraction.inverse(unravel(x), unravel(y))))(jnp.stack([value, y]))
+    inside = retraction.domain(unravel(x), unravel(v))
+    return {"inside": inside, "back": back, "to y": to_y, "there": flat_retraction(retraction)(x, to_y)}
+
+
+def _values(move: Callable, z: tuple, d: tuple) -> dict:
+    """Values at ``z = (x, v)``, on short multiples of ``v``, and along the ambient direction ``d``."""
+    multiples = jnp.concatenate([jnp.array([0.0, 1.0]), LENGTHS])
+    x = jnp.concatenate([z[0] + 0 * multiples[:, None], z[0] + STEP * NODES[:, None] * d[0]])
+    v = jnp.concatenate([multiples[:, None] * z[1], z[1] + STEP * NODES[:, None] * d[1]])
+    at_zero, value, *rest = jax.vmap(move)(x, v)
+    short, values = jnp.split(jnp.stack(rest), [LENGTHS.size])
+    return {"at zero": at_zero, "value": value, "short": short, "values": values}
 
 
 def _derivatives(move: Callable, z: tuple, d: tuple, e: tuple, c: Vector, frame: Vector) -> dict:
     """Derivatives at ``z = (x, v)`` along the ambient directions ``d``, ``e``, and those of the height ``<c, R>``."""
 
-    def along(y: tuple) -> Callable:
-        return lambda *z: jax.jvp(move, z, y)[1]
-
-    def height(z: tuple) -> Vector:
-        return c @ move(*z)
+    def along(d: tuple) -> Callable:
+        return lambda *z: jax.jvp(move, z, d)[1]
 
     def shifted(s: Vector) -> tuple:
         return jax.tree.map(lambda a, b: a + s * b, z, d)
 
-    gradient = jax.grad(height)
+    gradient = jax.grad(lambda z: c @ move(*z))
+    reverse, *gradients = zip(*jax.vmap(lambda s: gradient(shifted(s)))(STEP * jnp.append(0.0, NODES)), strict=True)
+    directions = jnp.concatenate([d[0][None], 0 * frame]), jnp.concatenate([d[1][None], frame])
+    forward, *push = jax.vmap(lambda d: along(d)(*z))(directions)
     return {
-        "push": jax.vmap(lambda b: along((jnp.zeros_like(b), b))(*z))(frame),
-        "forward": along(d)(*z),
-        "reverse": gradient(z),
+        "forward": forward,
+        "push": jnp.stack(push),
+        "reverse": reverse,
+        "gradients": [jnp.stack(part) for part in zip(*gradients, strict=True)],
         "forward forward": jax.jvp(along(d), z, e)[1],
         "forward reverse": jax.jvp(gradient, (z,), (d,))[1],
         "reverse reverse": jax.grad(lambda z: sum(g @ b for g, b in zip(gradient(z), d, strict=True)))(z),
-        "values": jax.vmap(lambda s: move(*shifted(s)))(STEP * NODES),
-        "gradients": jax.vmap(lambda s: gradient(shifted(s)))(STEP * NODES),
     }
 
 
@@ -73,7 +73,9 @@ def _kernel(name: str) -> Callable:
     move = flat_retraction(retraction)
 
     def facts(z: tuple, y: Vector, d: tuple, e: tuple, c: Vector, frame: Vector) -> dict:
-        return {**_values(retraction, *z, y), **_derivatives(move, z, d, e, c, frame)}
+        values = _values(move, z, d)
+        inverses = _inverses(retraction, *z, values["value"], y)
+        return {**values, **inverses, **_derivatives(move, z, d, e, c, frame)}
 
     return compiled(facts)
 
@@ -90,7 +92,7 @@ def retraction_facts(name: str, seed: int, length: float, along: str = "ambient 
     c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
     fibre = np.zeros_like(x), w
     d, e = (fibre, fibre) if along == "the fibre" else (tuple(directions[:2]), tuple(directions[2:]))
-    y = draw_near(manifold, x, rng, 0.3)
+    y = draw_near(manifold, x, rng, 0.3 * min(1.0, reach(name)))
     given = {"x": x, "v": v, "w": w, "y": y, "d": d, "e": e, "c": c, "frame": frame}
     return {**given, **_kernel(name)((x, v), y, d, e, c, frame)}
 

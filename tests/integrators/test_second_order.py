@@ -1,0 +1,83 @@
+"""Minima, saddles and indefinite Hessians: geodesics of the sphere, both ways round."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from retrax.integrators import Guess, OptimalControlProblem, Solution, solve
+from retrax.retractions import Exponential, Midpoint
+
+from tests.support.numerics import SEEDS, norm
+
+from .problems import SPHERE, half_square
+
+STEPS = 10
+GEODESIC = OptimalControlProblem(SPHERE, lambda q, u: SPHERE.projection(q, u), half_square, 3)
+
+
+def on_equator(angle: np.ndarray | float) -> np.ndarray:
+    return np.stack([np.cos(angle), np.sin(angle), 0.0 * np.asarray(angle)], axis=-1)
+
+
+def turning(total: float) -> Guess:
+    """The equator at constant speed, by ``total`` in one unit of time."""
+    angles = (np.arange(STEPS) + 0.5) / STEPS * total
+    return Guess(on_equator(angles), total * on_equator(angles + np.pi / 2))
+
+
+def geodesic(angle: float, guess: Guess | None = None, **options) -> Solution:
+    return solve(GEODESIC, Midpoint(Exponential(SPHERE)), on_equator(0.0), on_equator(angle), 1.0, STEPS, guess, **options)
+
+
+@given(angle=st.floats(0.01, 3.1))
+def test_the_short_way_costs_half_the_square_of_the_angle_and_is_a_strict_minimum(angle):
+    solution = geodesic(angle)
+    assert solution.cost == pytest.approx(angle**2 / 2, rel=1e-11)
+    assert solution.checks.strict_minimum
+    (momentum,) = solution.momenta.values()
+    assert norm(momentum - angle * np.array([0.0, 0.0, 1.0])) < 1e-11
+
+
+@given(angle=st.floats(0.1, 3.0))
+def test_the_long_way_is_an_extremal_that_is_no_minimum(angle):
+    """It passes the point opposite to its start, which is conjugate to it."""
+    solution = geodesic(angle, turning(angle - 2 * np.pi))
+    assert solution.cost == pytest.approx((2 * np.pi - angle) ** 2 / 2, rel=1e-11)
+    assert not solution.checks.strict_minimum
+    assert "not a strict local minimum" in str(solution)
+
+
+def test_half_a_turn_is_one_of_many_and_no_strict_minimum():
+    solution = geodesic(np.pi, turning(np.pi))
+    assert solution.cost == pytest.approx(np.pi**2 / 2, rel=1e-11)
+    assert not solution.checks.strict_minimum
+
+
+@given(seed=SEEDS)
+def test_from_far_away_guesses_it_never_claims_a_minimum_that_is_none(seed):
+    """The Hessian is indefinite on the way. What comes out is the short way, the long way as a saddle, or no success."""
+    rng = np.random.default_rng(seed)
+    noisy = turning(2.0 - 2 * np.pi).states + 0.3 * rng.standard_normal((STEPS, 3))
+    states = noisy / np.linalg.norm(noisy, axis=1, keepdims=True)
+    solution = geodesic(2.0, Guess(states, np.zeros((STEPS, 3))), throw=False)
+    if solution.success:
+        turned = np.sqrt(2 * solution.cost)
+        winding = (turned - 2.0) / (2 * np.pi), (turned + 2.0) / (2 * np.pi)
+        assert min(abs(w - round(w)) for w in winding) < 1e-9
+        assert solution.checks.strict_minimum == (turned < np.pi)
+
+
+def test_an_indefinite_hessian_on_the_way_is_overcome():
+    """From a guess at rest along the long way, the short way is found."""
+    solution = geodesic(2.0, Guess(turning(2.0 - 2 * np.pi).states, np.zeros((STEPS, 3))))
+    assert solution.cost == pytest.approx(2.0, rel=1e-11)
+    assert solution.checks.strict_minimum
+
+
+def test_a_slightly_disturbed_saddle_is_left_or_found_and_not_stuck_at():
+    """Near the long way Newton's steps lead to it and descent leads away from it; either is an answer."""
+    start = turning(2.0 - 2 * np.pi)
+    noisy = start.states + 0.05 * np.random.default_rng(0).standard_normal((STEPS, 3))
+    solution = geodesic(2.0, start._replace(states=noisy / np.linalg.norm(noisy, axis=1, keepdims=True)))
+    assert solution.checks.strict_minimum == bool(jnp.isclose(solution.cost, 2.0))

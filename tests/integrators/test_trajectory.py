@@ -1,0 +1,109 @@
+"""Integration over many steps: what is saved, transformations, time reversal, failure."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from retrax.integrators import Result, SymplecticIntegrator, integrate
+from retrax.manifolds import ConvergenceError, CotangentBundle
+from retrax.manifolds.numerics import ambient as vec
+from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection
+
+from tests.support.numerics import NODES as DIFFERENCE_NODES
+from tests.support.numerics import SEEDS, differences, norm
+
+from .problems import RIGID, SPHERE, at, pendulum_energy, towed_body_energy
+
+STEPS = 12
+MIDPOINT = SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
+START = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.6, 0.3])
+
+
+def swing(start=START, h=0.1, **options):
+    return integrate(pendulum_energy, MIDPOINT, start, h, STEPS, **options)
+
+
+def test_nodes_and_times_are_equally_spaced_from_the_start():
+    trajectory = swing()
+    assert np.array_equal(trajectory.q[0], START[0])
+    assert norm(trajectory.times - 0.1 * np.arange(STEPS + 1)) < 1e-15
+    assert norm(trajectory.stage_times - 0.1 * (np.arange(STEPS) + 0.5)) < 1e-15
+    assert trajectory.q.shape == trajectory.p.shape == (STEPS + 1, 3)
+    assert trajectory.result == Result.successful
+    assert trajectory.failed_step == -1
+    assert trajectory.controls is None
+
+
+def test_saving_one_state_in_four_keeps_every_fourth():
+    every, fourth = swing(), swing(save_every=4)
+    assert norm((fourth.q - every.q[::4], fourth.p - every.p[::4])) < 1e-15
+    assert norm(fourth.times - every.times[::4]) < 1e-15
+    assert norm(fourth.stage_times - every.stage_times[3::4]) < 1e-15
+
+
+def test_the_start_may_have_a_covector_with_a_normal_part():
+    raised = swing((START[0], START[1] + 5 * START[0]))
+    assert norm((raised.q - swing().q, raised.p - swing().p)) < 1e-14
+
+
+@given(seed=SEEDS, h=st.floats(0.01, 0.2))
+def test_a_symmetric_map_backward_in_time_returns(seed, h):
+    start = CotangentBundle(SPHERE).random_point(jax.random.key(seed))
+    there = swing(start, h)
+    back = swing(at((there.q, there.p), -1), -h)
+    assert norm(vec.subtract(at((back.q, back.p), -1), start)) < 1e-12
+
+
+def test_a_symmetric_map_backward_in_time_returns_on_a_product():
+    integrator = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(RIGID))))
+    start = CotangentBundle(RIGID).random_point(jax.random.key(5))
+    there = integrate(towed_body_energy, integrator, start, 0.1, STEPS)
+    back = integrate(towed_body_energy, integrator, at((there.q, there.p), -1), -0.1, STEPS)
+    assert norm(vec.subtract(at((back.q, back.p), -1), start)) < 1e-12
+
+
+def test_a_batch_is_the_loop_over_its_members():
+    starts = jax.vmap(CotangentBundle(SPHERE).random_point)(jax.random.split(jax.random.key(2), 5))
+    batch = jax.vmap(lambda *start: swing(start))(*starts)
+    for i in range(5):
+        single = swing(at(starts, i))
+        assert norm((batch.q[i] - single.q, batch.p[i] - single.p)) < 1e-13
+
+
+def test_derivatives_by_start_and_step_size_agree_with_differences():
+    """Along a curve of starts on ``T*S^2``, with a step size that changes too."""
+
+    def height(s):
+        q = jnp.array([jnp.cos(s), jnp.sin(s), 0.0])
+        trajectory = swing((q, jnp.array([0.2, 0.6, 0.3 + s])), 0.1 + s / 50)
+        return trajectory.q[-1] @ jnp.array([1.0, 2.0, 3.0]) + jnp.sin(trajectory.p[-1, 1])
+
+    slope = jax.jit(jax.grad(height))
+    values = jax.jit(jax.vmap(height))(0.4 + 1e-2 * DIFFERENCE_NODES)
+    assert slope(0.4) == pytest.approx(differences(np.asarray(values), 1e-2), rel=1e-9)
+
+
+def test_a_step_that_cannot_be_solved_is_an_error_in_words():
+    with pytest.raises(ConvergenceError, match=r"step 0: .*could not be solved.*smaller step size"):
+        swing(h=1e4)
+
+
+def test_without_throwing_a_failed_trajectory_says_so_and_stays_finite():
+    trajectory = swing(h=1e4, throw=False)
+    assert trajectory.result != Result.successful
+    assert "smaller step size" in Result[trajectory.result]
+    assert trajectory.failed_step == 0
+    assert norm((trajectory.q - START[0], trajectory.p - START[1])) == 0.0
+
+
+def test_a_trajectory_that_fails_midway_is_constant_from_there():
+    """The energy is a number only below z = 1/2."""
+    start = START[0], jnp.array([0.0, 0.0, 1.0])
+    trajectory = integrate(lambda q, p: p @ p / 2 + jnp.sqrt(0.5 - q[2]), MIDPOINT, start, 0.1, STEPS, throw=False)
+    failed = int(trajectory.failed_step)
+    assert 0 < failed < STEPS
+    moving = norm(np.diff(trajectory.q[: failed + 1], axis=0))
+    assert moving > 0.05
+    assert norm(trajectory.q[failed:] - trajectory.q[failed]) == 0.0

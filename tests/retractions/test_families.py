@@ -1,0 +1,121 @@
+"""Retractions by name, batches, and wrong arguments."""
+
+from typing import final
+
+import jax
+import numpy as np
+import pytest
+from hypothesis import given
+from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, LevelSet, Sphere, UnknownRetractionError
+from retrax.retractions import (
+    QR,
+    SOQR,
+    Addition,
+    Cayley,
+    Exponential,
+    LevelSetProjection,
+    Polar,
+    ProductRetraction,
+    Projection,
+    RetractionFamily,
+    SOCayley,
+    SOExponential,
+    SOPolar,
+    SphereExponential,
+    SphereProjection,
+    default_retraction,
+)
+
+from tests.support.cases import MANIFOLDS, NESTED, RETRACTIONS
+from tests.support.numerics import SEEDS, compiled, draw_point
+from tests.support.retractions import flat_retraction
+
+MEMBERS = {
+    "Exponential": (Exponential, {"R2x3": Addition, "S2": SphereExponential, "SO3": SOExponential}),
+    "Projection": (
+        Projection,
+        {"R2x3": Addition, "S2": SphereProjection, "SO3": SOPolar, "ellipsoid": LevelSetProjection},
+    ),
+    "Cayley": (Cayley, {"R2x3": Addition, "SO3": SOCayley}),
+    "Polar": (Polar, {"R2x3": Addition, "SO3": SOPolar}),
+    "QR": (QR, {"R2x3": Addition, "SO3": SOQR}),
+}
+EVERY_PAIR = [(family, space) for family in MEMBERS for space in ("R2x3", "S2", "SO3", "ellipsoid", "T*S2")]
+
+
+@pytest.mark.parametrize(("family", "space"), EVERY_PAIR, ids=["-".join(pair) for pair in EVERY_PAIR])
+def test_a_family_gives_its_member_or_names_the_families_that_have_one(family, space):
+    make, members = MEMBERS[family]
+    manifold = MANIFOLDS[space]
+    assert make.knows(manifold) == (space in members)
+    if space in members:
+        assert type(make(manifold)) is members[space]
+        assert make(manifold).manifold == manifold
+    else:
+        known = [name for name, (_, others) in MEMBERS.items() if space in others]
+        words = rf"{family} is not known on .*known there: {', '.join(known) or 'none'}\. Write a Retraction"
+        with pytest.raises(UnknownRetractionError, match=words):
+            make(manifold)
+
+
+@pytest.mark.parametrize("family", MEMBERS)
+def test_a_family_on_a_product_is_the_product_of_its_members(family):
+    make, _ = MEMBERS[family]
+    product = make(SO(3) * Euclidean(3))
+    assert product.factors == (make(SO(3)), make(Euclidean(3)))
+    assert product.manifold == SO(3) * Euclidean(3)
+
+
+def test_a_product_with_an_unknown_factor_is_unknown():
+    assert not Cayley.knows(NESTED)
+    with pytest.raises(UnknownRetractionError, match="Cayley is not known on Sphere"):
+        Cayley(NESTED)
+
+
+def test_a_family_takes_new_members_for_a_class_and_its_subclasses():
+    @final
+    class Line(LevelSet):
+        def constraint(self, x):
+            return x[:1]
+
+    family = RetractionFamily("Mine", {})
+    assert not family.knows(Line(2))
+    family.register(LevelSet, LevelSetProjection)
+    assert family(Line(2)) == LevelSetProjection(Line(2))
+    assert str(family) == "Mine"
+
+
+@pytest.mark.parametrize(("space", "kind"), [("S2", SphereExponential), ("ellipsoid", LevelSetProjection)])
+def test_the_default_is_the_first_family_that_knows_a_manifold(space, kind):
+    assert type(default_retraction(MANIFOLDS[space])) is kind
+
+
+def test_the_default_of_a_product_is_chosen_factor_by_factor():
+    chosen = default_retraction(MANIFOLDS["ellipsoid"] * SO(3))
+    assert chosen.factors == (LevelSetProjection(MANIFOLDS["ellipsoid"]), SOExponential(SO(3)))
+
+
+def test_a_manifold_without_retractions_has_no_default():
+    with pytest.raises(UnknownRetractionError, match="known there: none"):
+        default_retraction(CotangentBundle(Sphere(2)))
+
+
+@pytest.mark.parametrize("factors", [(), (Sphere(2),), (Exponential,)], ids=["none", "a manifold", "a family"])
+def test_a_product_retraction_of_other_things_is_refused(factors):
+    with pytest.raises(InvalidInputError, match="ProductRetraction takes one or more retractions, got"):
+        ProductRetraction(*factors)
+
+
+BATCHES = {
+    name: (compiled(flat_retraction(RETRACTIONS[name])), compiled(jax.vmap(flat_retraction(RETRACTIONS[name]))))
+    for name in ("exponential-S2", "polar-SO4", "nearest-ellipsoid", "cayley-SO3*R3")
+}
+
+
+@pytest.mark.parametrize("name", BATCHES)
+@given(seed=SEEDS)
+def test_a_batch_is_the_values_one_by_one(name, seed):
+    single, batch = BATCHES[name]
+    draws = [draw_point(RETRACTIONS[name].manifold, seed + i) for i in range(3)]
+    x, v = np.stack([x for x, _, _ in draws]), 0.2 * np.stack([v for _, v, _ in draws])
+    np.testing.assert_allclose(batch(x, v), [single(*pair) for pair in zip(x, v, strict=True)], atol=1e-14)
