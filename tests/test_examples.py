@@ -1,0 +1,43 @@
+"""Every example runs and reaches the numbers that it prints."""
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+
+def example(name):
+    """The module of an example script."""
+    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_attitude_slew(tmp_path, capsys):
+    module = example("attitude_slew")
+    solution, extrapolated = module.main(["--steps", "100", "--output", str(tmp_path)])
+    assert solution.checks.strict_minimum
+    assert solution.checks.constraint <= 1e-13
+    assert abs(extrapolated / module.REFERENCE_COST - 1) <= 1e-7
+    assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".npz"}
+    assert "loads back unchanged: True" in capsys.readouterr().out
+
+
+def test_spherical_pendulum(tmp_path):
+    errors, momentum = example("spherical_pendulum").main(["--steps", "20000", "--output", str(tmp_path)])
+    ours, other = errors.values()
+    half = len(ours) // 2
+    assert momentum <= 1e-12
+    assert np.max(np.abs(ours[half:])) <= 1.05 * np.max(np.abs(ours[:half])), "the energy error does not grow"
+    assert np.max(np.abs(other[half:])) >= 1.5 * np.max(np.abs(other[:half])), "that of the other method does"
+    assert (tmp_path / "spherical_pendulum_energy.png").exists()
+
+
+def test_new_manifold(tmp_path):
+    solution, mismatch = example("new_manifold").main(["--steps", "50", "--output", str(tmp_path)])
+    assert solution.success
+    assert mismatch <= 1e-10
+    assert (tmp_path / "new_manifold.png").exists()
