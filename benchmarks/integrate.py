@@ -14,7 +14,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from ode_peers import BATCH, PENDULUM, RIGID_BODY, TargetMissedError, diffrax_solve, final_error, scipy_dop853, timed
-
 from retrax.integrators import SymplecticIntegrator, integrate
 from retrax.manifolds import SO, Sphere
 from retrax.retractions import Cayley, CotangentLift, Midpoint, Projection

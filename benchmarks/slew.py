@@ -25,7 +25,6 @@ def retrax_slew(steps):
     import jax
     import jax.numpy as jnp
     import numpy as np
-
     from retrax.integrators import OptimalControlProblem, solve
     from retrax.manifolds import SO, Euclidean, hat
     from retrax.retractions import Cayley, Midpoint

@@ -146,11 +146,6 @@ def _normal_part(manifold: Manifold, x: Ambient, v: Ambient) -> Array:
     return vec.size(vec.subtract(v, manifold.projection(x, v))) / (1 + vec.size(v))
 
 
-def max_violation(manifold: Manifold, x: Ambient) -> Array:
-    """Largest violation of the defining equations at ``x``."""
-    return jnp.max(jnp.stack([*map(jnp.asarray, manifold.violations(x).values()), jnp.zeros(())]))
-
-
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     """Real array of a shape, in the precision that JAX is set to."""
     return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(float))

@@ -19,7 +19,11 @@ SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 def folders_with_code() -> set[str]:
     """Import names of all folders of the layers and of the front door that hold modules."""
-    names = {f"retrax.{path.parent.relative_to(ROOT).as_posix().replace('/', '.')}" for layer in LAYERS for path in (ROOT / layer).rglob("*.py")}
+    names = {
+        f"retrax.{path.parent.relative_to(ROOT).as_posix().replace('/', '.')}"
+        for layer in LAYERS
+        for path in (ROOT / layer).rglob("*.py")
+    }
     front = ROOT / "src" / "retrax"
     inner = {path.parent.relative_to(front).as_posix() for path in front.rglob("*.py")}
     return names | {"retrax" if name == "." else f"retrax.{name.replace('/', '.')}" for name in inner}
@@ -47,7 +51,7 @@ def imported_layers(path: Path, layer: str) -> set[str]:
             if node.level == depth + 1:
                 found.add(name.split(".")[0])
             elif node.level == 0 and name.startswith("retrax"):
-                found.add((name.split(".") + [""])[1])
+                found.add([*name.split("."), ""][1])
         elif isinstance(node, ast.Import):
             found |= {alias.name.split(".")[1] for alias in node.names if alias.name.startswith("retrax.")}
     return found & set(LAYERS)

@@ -7,7 +7,6 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...manifolds import SO, Manifold
-from ...manifolds.manifold import max_violation
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.product import homogeneous_factors
@@ -22,7 +21,7 @@ class Diagnostics(NamedTuple):
     momenta: dict[str, Array]
     body: dict[str, Array]
     spatial: dict[str, Array]
-    constraint: Array
+    violations: dict[str, Array]  # of the manifold's equations, largest over the nodes
 
 
 def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambient) -> Diagnostics:
@@ -38,8 +37,8 @@ def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambie
     before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], costates) for s in (slice(None, -1), slice(1, None)))
     stage_costates, hamiltonians = jax.vmap(at_stage)(unknowns, before, after)
     frames = jax.vmap(lambda q, p: _group_frames(stage.manifold, q, p))(nodes, costates)
-    constraint = jnp.max(jax.vmap(lambda q: max_violation(stage.manifold, q))(nodes))
-    return Diagnostics(stage_costates, hamiltonians, *frames, constraint)
+    violations = jax.tree.map(jnp.max, jax.vmap(stage.manifold.violations)(nodes))
+    return Diagnostics(stage_costates, hamiltonians, *frames, violations)
 
 
 def _group_frames(manifold: Manifold, q: Ambient, p: Ambient) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:

@@ -1,33 +1,44 @@
 """The printed report of a solution."""
 
+from collections.abc import Iterator
+
+import numpy as np
+
 from .solution import Solution
+
+LONGEST_MOMENTUM = 6
 
 
 def report_text(solution: Solution) -> str:
     """What a user checks, a line each."""
-    checks, statistics = solution.checks, solution.statistics
-    kind = "strict local minimum" if checks.strict_minimum else "not a strict local minimum"
-    size = abs(checks.hamiltonian)
-    lines = [
-        ("result", solution.result),
-        ("cost", f"{solution.cost:.12g}"),
-        ("second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"),
-        ("KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"),
-        ("constraint error", f"{checks.constraint:.1e} at the nodes"),
-        (
-            "Hamiltonian",
-            f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e} of size {size:.1e}",
-        ),
-    ]
-    for name, (largest, spread) in checks.momenta.items():
-        lines.append((f"momentum, {name}", f"size {largest:.8g}, spread over the nodes {spread:.1e}"))
-    compiled = f"{statistics.compile_seconds:.2f} s" if statistics.compile_seconds else "none"
-    lines.append(
-        (
-            "iterations",
-            f"{statistics.iterations} Newton steps, {solution.steps} steps of {solution.times[1] - solution.times[0]:.6g}",
-        )
-    )
-    lines.append(("time", f"{1e3 * statistics.run_seconds:.1f} ms to run; compilation: {compiled}"))
+    lines = [*_optimality(solution), *_geometry(solution), *_effort(solution)]
     width = max(len(name) for name, _ in lines)
     return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+
+
+def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
+    checks = solution.checks
+    yield "result", solution.result
+    yield "cost", f"{solution.cost:.12g}"
+    kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
+    yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
+    yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
+
+
+def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
+    checks = solution.checks
+    for equation, violation in checks.violations.items():
+        yield "constraint error", f"{equation}: {violation:.1e}"
+    yield "Hamiltonian", f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e}"
+    for name, momentum in solution.momenta.items():
+        title = "spatial covector" if name in solution.spatial_costates else "momentum"
+        first = np.array2string(momentum[0], precision=8) if momentum.shape[1] <= LONGEST_MOMENTUM else "at the start"
+        size = np.max(np.abs(momentum))
+        yield title, f"{name}: {first}, size {size:.3g}, spread over the nodes {checks.momentum_spreads[name]:.1e}"
+
+
+def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
+    statistics, step = solution.statistics, solution.times[1] - solution.times[0]
+    yield "iterations", f"{statistics.iterations} Newton steps on {solution.steps} steps of {step:.6g}"
+    compiled = f"{statistics.compile_seconds:.2f} s" if statistics.compile_seconds else "none, compiled before"
+    yield "time", f"{1e3 * statistics.run_seconds:.1f} ms to run; compilation: {compiled}"

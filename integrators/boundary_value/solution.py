@@ -25,19 +25,25 @@ class Checks:
     """What a user checks on a solution. Spreads are maximum minus minimum.
 
     ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, relative to
-    1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``constraint``: largest violation
-    of the manifold's equations at the nodes. ``hamiltonian``: value at the first stage and spread over the stages.
-    ``momenta``: for each factor on which a group acts, largest component and largest spread of a component over the nodes.
-    ``strict_minimum``: whether the Hessian is positive definite on the null space of the constraints.
+    1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``violations``: of each equation
+    of the manifold, the largest at the nodes (for a rotation, the orthogonality error). ``hamiltonian``: value at the first
+    stage, and spread over the stages. ``momentum_spreads``: for each factor on which a group acts, largest spread of a
+    component of its momentum over the nodes. ``strict_minimum``: whether the Hessian is positive definite on the null space
+    of the constraints.
     """
 
     gap: float
     stationarity: float
-    constraint: float
+    violations: dict[str, float]
     hamiltonian: float
     hamiltonian_spread: float
-    momenta: dict[str, tuple[float, float]]
+    momentum_spreads: dict[str, float]
     strict_minimum: bool
+
+    @property
+    def constraint(self) -> float:
+        """Largest violation of the manifold's equations at the nodes."""
+        return max(self.violations.values(), default=0.0)
 
 
 @dataclass(frozen=True)

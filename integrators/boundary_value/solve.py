@@ -147,14 +147,14 @@ def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, stati
     """The solution from the kernel's output."""
     newton, diagnostics = output.newton, to_numpy(output.diagnostics)
     steps = len(diagnostics.hamiltonians)
-    momenta = {name: (float(np.max(np.abs(j))), float(np.max(np.ptp(j, axis=0)))) for name, j in diagnostics.momenta.items()}
+    momenta = {name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()}
     checks = Checks(
         gap=float(newton.assembled.gap),
         stationarity=float(newton.assembled.stationarity),
-        constraint=float(diagnostics.constraint),
+        violations={name: float(value) for name, value in diagnostics.violations.items()},
         hamiltonian=float(diagnostics.hamiltonians[0]),
         hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
-        momenta=momenta,
+        momentum_spreads=momenta,
         strict_minimum=bool(newton.strict_minimum),
     )
     stage_states, controls = to_numpy(newton.iterate.unknowns)

@@ -78,7 +78,7 @@ def test_momenta_of_every_factor_are_found_by_their_path(solution):
     (body,), (spatial,) = solution.body_costates.values(), solution.spatial_costates.values()
     turned = np.einsum("kij,kj->ki", solution.states[0][0], body)
     assert np.max(np.abs(turned - spatial)) < 1e-14
-    assert np.max(np.ptp(spatial, axis=0)) < 1e-12  # the problem does not see how the body is turned
+    assert np.max(np.ptp(spatial, axis=0)) < 1e-10  # the problem does not see how the body is turned
 
 
 def test_saving_and_loading_returns_the_same_record(solution, tmp_path):

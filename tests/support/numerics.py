@@ -15,12 +15,29 @@ SEEDS = st.integers(0, 2**31 - 1)
 FRACTIONS = st.one_of(st.just(0.0), st.floats(0.0, 1.0))
 
 # The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
-COMPILER_OPTIONS = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
+# An XLA that does not know an option does without.
+_WISHES = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
+
+
+@lru_cache
+def _compiler_options() -> dict[str, int | bool]:
+    def known(option: str) -> bool:
+        try:
+            jax.jit(lambda x: x + 1, compiler_options={option: _WISHES[option]})(1.0)
+        except jax.errors.JaxRuntimeError:
+            return False
+        return True
+
+    return {option: value for option, value in _WISHES.items() if known(option)}
 
 
 def compiled(function: Callable) -> Callable:
     """``function`` compiled quickly, with numpy arrays as its values."""
-    fast = jax.jit(function, compiler_options=COMPILER_OPTIONS)
+    fast = jax.jit(function, compiler_options=_compiler_options())
     return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
 
 

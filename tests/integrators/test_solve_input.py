@@ -1,0 +1,238 @@
+"""What ``solve`` and ``OptimalControlProblem`` refuse, and the words they use; no success for a wrong point."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Guess, OptimalControlProblem, Result, solve
+from retrax.manifolds import ConvergenceError, DomainError, Euclidean, InvalidInputError, NotOnManifoldError, hat
+from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Projection
+
+from tests.support.numerics import norm
+
+from .problems import ELLIPSOID, IDENTITY, KINEMATIC, REST, RIGID, SLEW, SO3, SPHERE, half_square, rotation
+
+STEPS = 3
+MAP = Midpoint(Exponential(SO3))
+END = rotation([0.5, 1.0, -0.3])
+HALF_TURN = rotation([np.pi, 0.0, 0.0])
+RESTING = Guess(np.broadcast_to(IDENTITY, (STEPS, 3, 3)), np.zeros((STEPS, 3)))
+
+
+def slew(problem=KINEMATIC, discretization=MAP, start=IDENTITY, end=END, horizon=1.0, steps=STEPS, **options):
+    return solve(problem, discretization, start, end, horizon, steps, **options)
+
+
+def turning(q, u):
+    return q @ hat(u)
+
+
+def problem(dynamics=turning, cost=half_square, controls=3, manifold=SO3, **options):
+    return OptimalControlProblem(manifold, dynamics, cost, controls, **options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"manifold": "SO3"}, r"manifold must be a Manifold, got 'SO3'"),
+        ({"dynamics": None}, r"dynamics must be a function of \(q, u\), got None"),
+        ({"cost": 1.0}, r"running_cost must be a function of \(q, u\), got 1.0"),
+        ({"controls": "three"}, r"controls must be a Manifold, got 'three'"),
+        ({"controls": (3,)}, r"controls must be a Manifold, got \(3,\)"),
+        ({"terminal_cost": 1.0}, r"terminal_cost must be a function.*got 1.0"),
+    ],
+)
+def test_a_problem_is_made_of_manifolds_and_functions(options, words):
+    with pytest.raises(InvalidInputError, match=words):
+        problem(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"problem": turning}, r"OptimalControlProblem, got <function"),
+        ({"discretization": Exponential(SO3)}, r"discretization map, got SOExponential.*Midpoint"),
+        ({"discretization": CotangentLift(MAP)}, r"discretization acts on .*the problem on"),
+        ({"discretization": Midpoint(Cayley(RIGID))}, r"discretization acts on .*the problem on"),
+        ({"discretization": Midpoint(Exponential(Euclidean(3)))}, r"discretization acts on .*the problem on"),
+        ({"horizon": 0}, "horizon must be a positive finite time, got 0"),
+        ({"horizon": -1.0}, "horizon must be a positive finite time, got -1.0"),
+        ({"horizon": float("nan")}, "horizon must be a positive finite time, got nan"),
+        ({"horizon": float("inf")}, "horizon must be a positive finite time, got inf"),
+        ({"horizon": [1.0]}, r"horizon must be a positive finite time, got \[1.0\]"),
+        ({"horizon": None}, "horizon must be a positive finite time, got None"),
+        ({"horizon": "60"}, "horizon must be a positive finite time, got '60'"),
+        ({"steps": 0}, "steps must be a whole number of at least 1, got 0"),
+        ({"steps": -2}, "steps must be a whole number of at least 1, got -2"),
+        ({"steps": 2.5}, "steps must be a whole number of at least 1, got 2.5"),
+        ({"steps": "3"}, "steps must be a whole number of at least 1, got '3'"),
+        ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
+        ({"tolerance": float("nan")}, "tolerance must be .*positive.* got nan"),
+        ({"tolerance": -1.0}, "tolerance must be .*positive.* got -1.0"),
+    ],
+)
+def test_arguments_of_the_wrong_kind_are_named(options, words):
+    with pytest.raises(InvalidInputError, match=rf"(?s){words}"):
+        slew(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"end": 2 * END}, r"end: not on SO.*x'x - I.* is 3, expected at most"),
+        ({"end": -END}, r"end: not on SO.*det x - 1.* is 2, expected at most"),
+        ({"end": np.eye(2)}, r"end: .*shape \(3, 3\) where \(2, 2\) came"),
+        ({"start": np.nan * END}, r"start: .*NaN"),
+        ({"end": END.tolist()}, r"end: .*structure PyTreeDef\(\*\), got"),
+        ({"end": (END,)}, r"end: .*structure PyTreeDef\(\*\), got"),
+    ],
+)
+def test_ends_that_are_no_points_are_described(options, words):
+    with pytest.raises(NotOnManifoldError, match=words):
+        slew(**options)
+
+
+@pytest.mark.parametrize(
+    ("start", "words"),
+    [
+        ((IDENTITY,), r"start: .*structure PyTreeDef\(\(\*, \*\)\), got PyTreeDef\(\(\*,\)\)"),
+        (IDENTITY, r"start: .*structure PyTreeDef\(\(\*, \*\)\), got PyTreeDef\(\*\)"),
+        ((REST, IDENTITY), r"start, factor 0: .*shape \(3, 3\) where \(3,\) came"),
+        ((2 * IDENTITY, REST), r"start, factor 0: not on SO"),
+        ((IDENTITY, np.array([0.0, np.nan, 0.0])), r"start, factor 1: .*NaN"),
+    ],
+)
+def test_points_of_a_product_are_checked_factor_by_factor(start, words):
+    with pytest.raises(NotOnManifoldError, match=words):
+        solve(SLEW, Midpoint(Cayley(RIGID)), start, (END, REST), 60.0, STEPS)
+
+
+def test_ends_that_are_both_free_need_a_guess():
+    with pytest.raises(InvalidInputError, match="free at the other end too; pass a guess"):
+        slew(start=None, end=None)
+
+
+def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
+    on_sphere = problem(lambda q, u: SPHERE.projection(q, u), manifold=SPHERE)
+    with pytest.raises(InvalidInputError, match="discretization acts on .*the problem on"):
+        solve(on_sphere, Midpoint(Projection(ELLIPSOID)), np.eye(3)[0], np.eye(3)[1], 1.0, STEPS)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "words"),
+    [
+        ({"dynamics": lambda q, u: q + q @ hat(u)}, NotOnManifoldError, "leaves the tangent space .*normal part is 1"),
+        ({"dynamics": lambda q, u: hat(u)}, NotOnManifoldError, "leaves the tangent space"),
+        ({"dynamics": lambda q, u: u}, InvalidInputError, r"dynamics.*shape \(3, 3\) where \(3,\) came"),
+        ({"dynamics": lambda q, u: (q @ hat(u),)}, InvalidInputError, "dynamics.*structure"),
+        ({"cost": lambda q, u: u * u}, InvalidInputError, r"running_cost must return a scalar, got .*\(3,\)"),
+        ({"terminal_cost": lambda q: q}, InvalidInputError, r"terminal_cost must return a scalar, got .*\(3, 3\)"),
+        ({"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)}, InvalidInputError, "finite"),
+    ],
+)
+def test_functions_that_return_the_wrong_thing_are_named(options, error, words):
+    """Also dynamics that are tangent at rest only: ``hat(u)`` is not tangent at a rotation other than the identity."""
+    with pytest.raises(error, match=rf"(?s){words}"):
+        slew(problem(**options), start=rotation([0.2, 0.0, 0.0]) if "dynamics" in options else IDENTITY)
+
+
+@pytest.mark.parametrize(
+    ("guess", "words"),
+    [
+        (RESTING._replace(states=RESTING.states[:2]), r"guess: states must have shapes \(3, 3, 3\), got \(2, 3, 3\)"),
+        (RESTING._replace(controls=np.zeros((STEPS, 2))), r"guess: controls must have shapes \(3, 3\), got \(3, 2\)"),
+        (RESTING._replace(costates=RESTING.states), r"guess: costates must have shapes \(4, 3, 3\), got \(3, 3, 3\)"),
+        (RESTING._replace(controls=np.full((STEPS, 3), np.nan)), "guess: controls has entries that are NaN"),
+        (RESTING._replace(states=1.5 * RESTING.states), "guess: .*not on SO"),
+        (tuple(RESTING[:2]), r"guess must be a Guess"),
+        ("default", r"guess must be a Guess"),
+    ],
+)
+def test_a_guess_has_the_shapes_of_the_stages(guess, words):
+    with pytest.raises(InvalidInputError, match=words):
+        slew(guess=guess)
+
+
+def test_a_solution_in_another_number_of_steps_is_no_guess():
+    with pytest.raises(InvalidInputError, match=r"guess: states must have shapes \(4, 3, 3\), got \(3, 3, 3\)"):
+        slew(guess=slew(), steps=4)
+
+
+def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
+    """NumPy's integers count steps, an integer matrix is the identity, a list holds the factors of a product."""
+    expected = slew()
+    assert slew(steps=np.int64(STEPS), start=np.eye(3, dtype=int), horizon=1).cost == pytest.approx(expected.cost, rel=1e-12)
+    body = Midpoint(Cayley(RIGID))
+    as_tuple = solve(SLEW, body, (IDENTITY, REST), (END, REST), 60.0, STEPS)
+    as_list = solve(SLEW, body, [IDENTITY, REST], [END, REST], 60.0, STEPS)
+    assert as_list.cost == as_tuple.cost
+
+
+def test_half_a_turn_has_no_default_guess():
+    with pytest.raises(DomainError, match="half a turn away.*pass a guess"):
+        slew(end=HALF_TURN)
+
+
+def test_a_solution_of_the_equations_at_a_wrong_attitude_is_no_success():
+    """The skew part of ``R1' R2`` vanishes at half a turn too: from rest the residual there looks solved."""
+    solution = slew(end=HALF_TURN, guess=RESTING, throw=False)
+    assert not solution.success
+    assert solution.result == Result[Result.wrong_point]
+    with pytest.raises(ConvergenceError, match="does not end at the requested boundary point"):
+        slew(end=HALF_TURN, guess=RESTING)
+    turned = np.stack([rotation([a, 0.0, 0.0]) for a in (0.5, 1.5, 2.5)])
+    assert slew(end=HALF_TURN, guess=RESTING._replace(states=turned)).cost == pytest.approx(np.pi**2 / 2, rel=1e-11)
+
+
+def test_a_wrong_attitude_is_no_success_next_to_a_large_position():
+    """A gap is measured by the size of its own array, not by that of the largest one."""
+    position = np.array([1e12, 0.0, 0.0])
+    flying = problem(lambda q, u: (q[0] @ hat(u[:3]), u[3:]), controls=6, manifold=RIGID)
+    guess = Guess((RESTING.states, np.broadcast_to(position, (STEPS, 3))), np.zeros((STEPS, 6)))
+    start, end = (IDENTITY, position), (HALF_TURN, position)
+    solution = solve(flying, Midpoint(Cayley(RIGID)), start, end, 1.0, STEPS, guess=guess, throw=False)
+    assert not solution.success
+
+
+def test_a_guess_off_the_manifold_leads_to_no_trajectory_off_it():
+    """With a free end nothing else holds the states: every stage may keep its wrong length."""
+    cost = lambda q, u: u @ u / 2 + q[0] ** 2 + 2 * q[1] ** 2 + q[2]
+    hill = problem(lambda q, u: SPHERE.projection(q, u), cost, manifold=SPHERE)
+    states = np.broadcast_to(1.5 * np.array([0.6, 0.8, 0.0]), (4, 3))
+    try:
+        solution = solve(hill, Midpoint(Exponential(SPHERE)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False)
+    except InvalidInputError:
+        return
+    assert not solution.success or norm(np.linalg.norm(solution.states, axis=1) - 1) < 1e-8
+
+
+def test_an_end_that_cannot_be_reached_is_no_success():
+    about_one_axis = problem(lambda q, u: q @ hat(u * jnp.array([0.0, 0.0, 1.0])), controls=1)
+    solution = slew(about_one_axis, throw=False)
+    assert not solution.success
+    assert solution.checks.gap > 1e-3
+    assert solution.result in str(solution)
+    with pytest.raises(ConvergenceError):
+        slew(about_one_axis)
+
+
+def test_an_end_that_no_control_moves_towards_is_said_to_be_out_of_reach():
+    plane = Euclidean(2)
+    one_way = problem(lambda q, u: jnp.stack([u[0], 0.0 * u[0]]), controls=1, manifold=plane)
+    with pytest.raises(ConvergenceError, match="cannot be reached"):
+        solve(one_way, Midpoint(Exponential(plane)), np.zeros(2), np.ones(2), 1.0, STEPS)
+
+
+def test_dynamics_that_leave_the_tangent_space_with_the_control_are_refused():
+    """``q' = u`` with any ``u`` of space: tangent at rest, and nowhere else."""
+    sloppy = problem(lambda q, u: u, manifold=SPHERE)
+    with pytest.raises(NotOnManifoldError, match="leaves the tangent space"):
+        solve(sloppy, Midpoint(Projection(SPHERE)), np.eye(3)[0], np.eye(3)[1], 1.0, STEPS)
+
+
+def test_free_ends_on_a_level_set_start_from_the_guess():
+    """No point is prescribed, so that none but the guess's is there to look at."""
+    cost = lambda q, u: u @ u / 2 + 2 * q[0] + q[1] ** 2
+    sliding = problem(lambda q, u: ELLIPSOID.projection(q, u), cost, manifold=ELLIPSOID, terminal_cost=lambda q: q[2] / 3)
+    states = np.broadcast_to(np.array([0.0, 0.5, np.sqrt(1 / 6)]), (4, 3))
+    solution = solve(sliding, Midpoint(Projection(ELLIPSOID)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False)
+    assert solution.checks.constraint < 1e-9
