@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from ..results import Result
 from .assembly import Assembled, DiscreteTrajectory, Iterate
@@ -59,7 +59,7 @@ class NewtonResult(eqx.Module):
     result: Result
 
 
-def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: float, max_iterations: int) -> NewtonResult:
+def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike, max_iterations: ArrayLike) -> NewtonResult:
     """Solve the KKT system of a discrete trajectory from a guess.
 
     Converged where both the ambient gap and the relative stationarity are at most ``tolerance``.
@@ -181,7 +181,7 @@ def _promise(assembled: Assembled, factors: BlockSolution, shift: Array, penalty
     return _Model(_merit(assembled, penalty), ahead - penalty * gap, penalty)
 
 
-def _outcome(state: _State, tolerance: float, max_iterations: int) -> Result:
+def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> Result:
     """The result code of a finished iteration."""
     finite = jnp.isfinite(_residual(state.assembled)) & jnp.isfinite(state.assembled.cost)
     meets = jnp.max(jnp.abs(state.assembled.blocks.gap)) <= tolerance

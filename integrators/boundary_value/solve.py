@@ -7,9 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
-from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.ambient import Ambient, is_traced
 from ...retractions import DiscretizationMap
 from ..compilation import compiler_options
 from ..initial_value.integrator import resting_control
@@ -49,6 +50,8 @@ def solve(
     double precision). Raises ``InvalidInputError``, ``NotOnManifoldError`` or ``DomainError`` for input that cannot be
     solved as given, and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
     """
+    if is_traced(start, end, horizon, problem, guess):
+        raise InvalidInputError("solve runs outside jit, vmap and grad: it checks its input and compiles its own kernel")
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
     guess = guess.guess() if isinstance(guess, Solution) else guess
@@ -61,7 +64,7 @@ def solve(
     limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
     stage = ControlStage(problem=problem, discretization=discretization, step=jnp.asarray(horizon / steps, float))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
-    output, compile_seconds, run_seconds = _timed(discrete, guess, limit, max_iterations)
+    output, compile_seconds, run_seconds = _timed(discrete, guess, np.asarray(limit), np.asarray(max_iterations))
     solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
     return solution.require_success() if throw else solution
 
@@ -113,7 +116,7 @@ class _Output(NamedTuple):
     costates: Ambient
 
 
-def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: float, max_iterations: int) -> _Output:
+def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: Array, max_iterations: Array) -> _Output:
     """Everything that runs on arrays, in one compiled function."""
     stage = cast(ControlStage, discrete.stage)
     newton = solve_kkt(discrete, Iterate((guess.states, guess.controls), guess.costates), tolerance, max_iterations)
@@ -123,12 +126,17 @@ def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: float, max_it
     return _Output(newton, diagnostics, states, costates)
 
 
-_compiled: dict[Any, Any] = {}
+_compiled: dict[Any, Any] = {}  # executables by the structure of their arguments, oldest first
+MOST_COMPILED = 64
+
+
+def _is_data(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
 
 def _timed(*arguments: Any) -> tuple[_Output, float, float]:
     """Run the kernel; seconds to trace and compile (0 if it was compiled before), and to run."""
-    dynamic, static = eqx.partition(arguments, eqx.is_array)
+    dynamic, static = eqx.partition(arguments, _is_data)
     leaves, structure = jax.tree.flatten(static)
     shapes = jax.tree.map(lambda a: (a.shape, a.dtype), jax.tree.leaves(dynamic))
     key = (tuple(leaves), structure, tuple(shapes), jnp.zeros(()).dtype)
@@ -137,6 +145,8 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
     if key not in _compiled:
         lowered = jax.jit(lambda arrays: _kernel(*eqx.combine(arrays, static))).lower(dynamic)
         _compiled[key] = lowered.compile(compiler_options())
+        if len(_compiled) > MOST_COMPILED:
+            del _compiled[next(iter(_compiled))]
         seconds = time.perf_counter() - began
     began = time.perf_counter()
     output = jax.block_until_ready(_compiled[key](dynamic))
