@@ -1,6 +1,5 @@
 """Systems that several tests integrate or solve, and the numerics that their facts are stated with."""
 
-from collections.abc import Callable
 from typing import Any, final
 
 import jax
@@ -8,14 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.compilation import compiler_options
 from retrax.manifolds import SO, CotangentBundle, Euclidean, Manifold, Sphere, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import DiscretizationMap, Retraction
 from scipy.spatial.transform import Rotation
 
 from tests.support.cases import Ellipsoid
-from tests.support.numerics import COMPILER_OPTIONS
 
 SPHERE, SO3, ELLIPSOID = Sphere(2), SO(3), Ellipsoid()
 RIGID = SO3 * Euclidean(3)
@@ -24,12 +21,6 @@ MANIFOLDS: dict[str, Manifold] = {"S2": SPHERE, "SO3": SO3, "ellipsoid": ELLIPSO
 INERTIA = np.array([1.0, 1.7, 2.3])
 SPACECRAFT = np.array([5621.0, 4547.0, 2364.0])  # kg m^2
 IDENTITY, REST = np.eye(3), np.zeros(3)
-
-
-def compiled(function: Callable) -> Callable:
-    """``function`` compiled quickly, with numpy arrays as its values."""
-    fast = jax.jit(function, compiler_options={**COMPILER_OPTIONS, **compiler_options()})
-    return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
 
 
 def rotation(vector: ArrayLike) -> np.ndarray:

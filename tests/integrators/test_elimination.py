@@ -11,9 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from retrax.integrators.boundary_value.elimination import BlockSystem, eliminate, is_strict_minimum
 
-from tests.support.numerics import SEEDS, norm
-
-from .problems import compiled
+from tests.support.numerics import SEEDS, compiled, norm
 
 N, NODE, STAGE = 4, 3, 5
 FREE_COORDINATES = st.integers(0, NODE)
@@ -104,10 +102,11 @@ def work(jaxpr: Any) -> int:
 
 
 def test_the_work_grows_linearly_with_the_number_of_steps():
+    small = random_system(0, 0, 0, convex=True)
+
     def size(steps: int) -> int:
-        repeat = lambda leaf, count: jnp.zeros((count, *leaf.shape[1:]))
-        small = random_system(0, 0, 0, convex=True)
-        arrays = [repeat(leaf, steps) for leaf in small[:4]] + [repeat(small.gap, steps + 1), *small[5:]]
-        return work(jax.make_jaxpr(eliminate)(BlockSystem(*arrays)).jaxpr)
+        counts = [steps] * 4 + [steps + 1]
+        arrays = [jnp.zeros((count, *leaf.shape[1:])) for count, leaf in zip(counts, small, strict=False)]
+        return work(jax.make_jaxpr(eliminate)(BlockSystem(*arrays, *small[5:])).jaxpr)
 
     assert size(80) - size(40) == 2 * (size(40) - size(20))

@@ -89,5 +89,5 @@ def test_a_slew_about_a_principal_axis_is_the_double_integrator(angle, axis):
     end = rotation(angle * IDENTITY[axis])
     solution = solve(SLEW, EXACT, (IDENTITY, REST), (end, REST), 60.0, STEPS)
     limit = 6 * (SPACECRAFT[axis] * angle) ** 2 / 60.0**3
-    assert solution.cost == pytest.approx(limit * STEPS**2 / (STEPS**2 - 1), rel=1e-11)
-    assert norm(np.delete(solution.controls, axis, axis=1)) < 1e-10 * norm(solution.controls)
+    assert solution.cost == pytest.approx(limit * STEPS**2 / (STEPS**2 - 1), rel=1e-10)
+    assert norm(np.delete(solution.controls, axis, axis=1)) < 1e-9 * norm(solution.controls)

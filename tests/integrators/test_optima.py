@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.integrators import Guess, OptimalControlProblem, Solution, solve
-from retrax.manifolds import Euclidean, hat
-from retrax.retractions import Cayley, Exponential, Midpoint
-from scipy.optimize import minimize_scalar
+from retrax.manifolds import Euclidean, Sphere, hat
+from retrax.retractions import Cayley, Exponential, Midpoint, Theta
+from scipy.optimize import brentq, minimize_scalar
 
 from tests.support.numerics import SEEDS, norm, slope
 
@@ -44,7 +44,7 @@ def test_a_kinematic_slew_anywhere_costs_half_the_square_of_its_angle(seed):
     start, axis, angle = rotation(rng.standard_normal(3)), rng.standard_normal(3), rng.uniform(0.1, 3.0)
     end = start @ rotation(angle * axis / np.linalg.norm(axis))
     solution = solve(KINEMATIC, Midpoint(Exponential(SO3)), start, end, 2.0, 3)
-    assert solution.cost == pytest.approx(angle**2 / 4, rel=1e-11)
+    assert solution.cost == pytest.approx(angle**2 / 4, rel=1e-10)
 
 
 PULLED = OptimalControlProblem(
@@ -83,6 +83,18 @@ def test_the_regulator_costs_half_the_hyperbolic_tangent_of_one_to_order_two():
     assert all(norm(s.costates[-1]) < 1e-14 for s in solutions)
 
 
+@pytest.mark.parametrize("theta", [0.0, 0.3, 1.0])
+def test_the_regulator_solves_the_discrete_riccati_equation(theta):
+    """The stage is at ``q + theta h u``: minimize ``h ((q + theta h u)^2 + u^2) / 2 + P (q + h u)^2 / 2`` backward in time."""
+    steps, h, value = 8, 1 / 8, 0.0
+    for _ in range(steps):
+        uu, qu, qq = h * (theta * h) ** 2 + h + value * h**2, theta * h**2 + value * h, h + value
+        value = qq - qu**2 / uu
+    solution = solve(REGULATOR, Theta(Exponential(LINE), theta), np.ones(1), None, 1.0, steps)
+    assert solution.cost == pytest.approx(value / 2, abs=1e-14)
+    assert solution.costates[0] == pytest.approx(-value, abs=1e-13)
+
+
 @pytest.mark.parametrize("steps", [1, 8])
 def test_a_terminal_cost_on_the_line_is_exact_for_any_number_of_steps(steps):
     solution = solve(PARABOLA, MIDPOINT_LINE, np.ones(1), None, 1.0, steps)
@@ -113,3 +125,25 @@ def test_rest_at_the_best_place_is_optimal_where_both_ends_are_free():
     solution = solve(problem, MIDPOINT_LINE, None, None, 1.0, 8, guess=guess)
     assert solution.cost == pytest.approx(1.0, abs=1e-14)
     assert norm(solution.states - 0.3) < 1e-7
+
+
+def test_a_hanging_chain_is_found_with_headings_on_the_sphere():
+    """``q' = u`` with ``|u| = 1``, least mean height: rods whose tension ``p = (a, 0, z)`` grows by the weight of a rod."""
+    steps, distance, space = 10, 0.8, Euclidean(3)
+    heights = (np.arange(steps) + 0.5) / steps - 0.5
+
+    def rods(a):
+        return np.stack([np.full(steps, a), np.zeros(steps), heights], axis=1) / np.hypot(a, heights)[:, None]
+
+    tension = brentq(lambda a: np.mean(rods(a)[:, 0]) - distance, 1e-3, 10.0, xtol=1e-15)
+    hanging = rods(tension)
+    nodes = np.concatenate([np.zeros((1, 3)), np.cumsum(hanging, axis=0) / steps])
+    chain = OptimalControlProblem(space, lambda q, u: u, lambda q, u: q[2], Sphere(2))
+    wedge = np.repeat([[0.8, 0.0, -0.6], [0.8, 0.0, 0.6]], steps // 2, axis=0)
+    pull = np.stack([np.full(steps + 1, 0.5), np.zeros(steps + 1), np.linspace(-0.5, 0.5, steps + 1)], axis=1)
+    guess = Guess((np.cumsum(wedge, axis=0) - wedge / 2) / steps, wedge, pull)
+    solution = solve(chain, Midpoint(Exponential(space)), np.zeros(3), nodes[-1], 1.0, steps, guess=guess)
+    assert norm(solution.controls - hanging) < 1e-10
+    assert norm(solution.states - nodes) < 1e-10
+    assert norm(solution.stage_costates[:, 0] - tension) < 1e-10
+    assert solution.checks.strict_minimum

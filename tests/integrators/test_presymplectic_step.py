@@ -19,9 +19,9 @@ from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphe
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Projection, Theta, default_retraction
 
-from tests.support.numerics import SEEDS, norm
+from tests.support.numerics import SEEDS, compiled, norm
 
-from .problems import INERTIA, RIGID, SO3, SPHERE, compiled, form_matrix
+from .problems import INERTIA, RIGID, SO3, SPHERE, form_matrix
 
 
 def steer(q: jax.Array, u: jax.Array) -> jax.Array:

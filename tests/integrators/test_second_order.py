@@ -1,5 +1,7 @@
 """Minima, saddles and indefinite Hessians: geodesics of the sphere, both ways round."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -36,24 +38,24 @@ def geodesic(angle: float, guess: Guess | None = None, **options) -> Solution:
 @given(angle=st.floats(0.01, 3.1))
 def test_the_short_way_costs_half_the_square_of_the_angle_and_is_a_strict_minimum(angle):
     solution = geodesic(angle)
-    assert solution.cost == pytest.approx(angle**2 / 2, rel=1e-11)
+    assert solution.cost == pytest.approx(angle**2 / 2, rel=1e-10)
     assert solution.checks.strict_minimum
     (momentum,) = solution.momenta.values()
-    assert norm(momentum - angle * np.array([0.0, 0.0, 1.0])) < 1e-11
+    assert norm(momentum - angle * np.array([0.0, 0.0, 1.0])) < 1e-10
 
 
 @given(angle=st.floats(0.1, 3.0))
 def test_the_long_way_is_an_extremal_that_is_no_minimum(angle):
     """It passes the point opposite to its start, which is conjugate to it."""
     solution = geodesic(angle, turning(angle - 2 * np.pi))
-    assert solution.cost == pytest.approx((2 * np.pi - angle) ** 2 / 2, rel=1e-11)
+    assert solution.cost == pytest.approx((2 * np.pi - angle) ** 2 / 2, rel=1e-10)
     assert not solution.checks.strict_minimum
-    assert "not a strict local minimum" in str(solution)
+    assert re.search("not .*strict local minimum", str(solution))
 
 
 def test_half_a_turn_is_one_of_many_and_no_strict_minimum():
     solution = geodesic(np.pi, turning(np.pi))
-    assert solution.cost == pytest.approx(np.pi**2 / 2, rel=1e-11)
+    assert solution.cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
     assert not solution.checks.strict_minimum
 
 
@@ -68,9 +70,9 @@ def test_indefinite_hessians_on_the_way_are_overcome():
     solutions = [from_a_noisy_guess(seed, 0.3) for seed in range(8)]
     short = [s for s in solutions if s.checks.strict_minimum]
     assert len(short) > 4
-    assert all(s.cost == pytest.approx(2.0, rel=1e-11) for s in short)
+    assert all(s.cost == pytest.approx(2.0, rel=1e-10) for s in short)
     long = [s for s in solutions if not s.checks.strict_minimum]
-    assert all(s.cost == pytest.approx((2 * np.pi - 2.0) ** 2 / 2, rel=1e-11) for s in long)
+    assert all(s.cost == pytest.approx((2 * np.pi - 2.0) ** 2 / 2, rel=1e-10) for s in long)
 
 
 @given(seed=SEEDS)

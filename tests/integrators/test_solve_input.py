@@ -113,7 +113,7 @@ def test_ends_that_are_both_free_need_a_guess():
 
 def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
     on_sphere = problem(lambda q, u: SPHERE.projection(q, u), manifold=SPHERE)
-    with pytest.raises(InvalidInputError, match="discretization acts on .*the problem on"):
+    with pytest.raises(InvalidInputError, match=r"discretization acts on .*the problem on"):
         solve(on_sphere, Midpoint(Projection(ELLIPSOID)), np.eye(3)[0], np.eye(3)[1], 1.0, STEPS)
 
 
@@ -142,7 +142,7 @@ def test_functions_that_return_the_wrong_thing_are_named(options, error, words):
         (RESTING._replace(controls=np.zeros((STEPS, 2))), r"guess: controls must have shapes \(3, 3\), got \(3, 2\)"),
         (RESTING._replace(costates=RESTING.states), r"guess: costates must have shapes \(4, 3, 3\), got \(3, 3, 3\)"),
         (RESTING._replace(controls=np.full((STEPS, 3), np.nan)), "guess: controls has entries that are NaN"),
-        (RESTING._replace(states=1.5 * RESTING.states), "guess: .*not on SO"),
+        (RESTING._replace(states=1.5 * RESTING.states), "guess: states"),
         (tuple(RESTING[:2]), r"guess must be a Guess"),
         ("default", r"guess must be a Guess"),
     ],
@@ -168,7 +168,7 @@ def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
 
 
 def test_half_a_turn_has_no_default_guess():
-    with pytest.raises(DomainError, match="half a turn away.*pass a guess"):
+    with pytest.raises(DomainError, match=r"half a turn away.*pass a guess"):
         slew(end=HALF_TURN)
 
 
@@ -180,7 +180,7 @@ def test_a_solution_of_the_equations_at_a_wrong_attitude_is_no_success():
     with pytest.raises(ConvergenceError, match="does not end at the requested boundary point"):
         slew(end=HALF_TURN, guess=RESTING)
     turned = np.stack([rotation([a, 0.0, 0.0]) for a in (0.5, 1.5, 2.5)])
-    assert slew(end=HALF_TURN, guess=RESTING._replace(states=turned)).cost == pytest.approx(np.pi**2 / 2, rel=1e-11)
+    assert slew(end=HALF_TURN, guess=RESTING._replace(states=turned)).cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
 
 
 def test_a_wrong_attitude_is_no_success_next_to_a_large_position():
@@ -195,8 +195,11 @@ def test_a_wrong_attitude_is_no_success_next_to_a_large_position():
 
 def test_a_guess_off_the_manifold_leads_to_no_trajectory_off_it():
     """With a free end nothing else holds the states: every stage may keep its wrong length."""
-    cost = lambda q, u: u @ u / 2 + q[0] ** 2 + 2 * q[1] ** 2 + q[2]
-    hill = problem(lambda q, u: SPHERE.projection(q, u), cost, manifold=SPHERE)
+
+    def height(q, u):
+        return u @ u / 2 + q[0] ** 2 + 2 * q[1] ** 2 + q[2]
+
+    hill = problem(lambda q, u: SPHERE.projection(q, u), height, manifold=SPHERE)
     states = np.broadcast_to(1.5 * np.array([0.6, 0.8, 0.0]), (4, 3))
     try:
         solution = solve(hill, Midpoint(Exponential(SPHERE)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False)
@@ -231,8 +234,16 @@ def test_dynamics_that_leave_the_tangent_space_with_the_control_are_refused():
 
 def test_free_ends_on_a_level_set_start_from_the_guess():
     """No point is prescribed, so that none but the guess's is there to look at."""
-    cost = lambda q, u: u @ u / 2 + 2 * q[0] + q[1] ** 2
-    sliding = problem(lambda q, u: ELLIPSOID.projection(q, u), cost, manifold=ELLIPSOID, terminal_cost=lambda q: q[2] / 3)
-    states = np.broadcast_to(np.array([0.0, 0.5, np.sqrt(1 / 6)]), (4, 3))
-    solution = solve(sliding, Midpoint(Projection(ELLIPSOID)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False)
+
+    def height(q, u):
+        return u @ u / 2 + 2 * q[0] + q[1] ** 2
+
+    final = {"terminal_cost": lambda q: q[2] / 3}
+    sliding = problem(lambda q, u: ELLIPSOID.projection(q, u), height, manifold=ELLIPSOID, **final)
+    guess = Guess(np.broadcast_to(np.array([0.0, 0.5, np.sqrt(1 / 6)]), (4, 3)), np.zeros((4, 3)))
+    solution = solve(sliding, Midpoint(Projection(ELLIPSOID)), None, None, 1.0, 4, guess)
+    assert solution.cost < -1.5
     assert solution.checks.constraint < 1e-9
+    assert (
+        norm((solution.costates[0], solution.costates[-1] + ELLIPSOID.projection(solution.states[-1], np.eye(3)[2] / 3))) < 1e-9
+    )

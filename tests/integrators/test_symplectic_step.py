@@ -16,14 +16,13 @@ from retrax.manifolds.manifold import max_violation
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
-from tests.support.numerics import SEEDS, norm
+from tests.support.numerics import SEEDS, compiled, norm
 
 from .problems import (
     ENERGIES,
     MANIFOLDS,
     SPHERE,
     FreeTheta,
-    compiled,
     form_matrix,
     hamiltonian_field,
     pendulum_energy,

@@ -5,25 +5,11 @@ import pytest
 from hypothesis import example, given
 from retrax.retractions import SOQR, Addition
 
-from tests.support.cases import RETRACTIONS, reach
+from tests.support.cases import INVERTED, RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, slope, unflat
 from tests.support.retractions import LENGTHS, newton_inverse, retraction_facts
 
 every_retraction = pytest.mark.parametrize("name", RETRACTIONS)
-
-# One retraction for each closed form of an inverse.
-ONE_OF_EACH = [
-    "addition-R2x3",
-    "exponential-S2",
-    "projection-S4",
-    "cayley-SO2",
-    "exponential-SO3",
-    "cayley-SO4",
-    "polar-SO3",
-    "qr-SO4",
-    "nearest-ellipsoid",
-    "exponential-(SO3*R3)*S2",
-]
 
 # Retractions of second order: their curves have no tangential acceleration at the start.
 SECOND_ORDER = [name for name in RETRACTIONS if name.split("-")[0] not in ("qr", "bundle")]
@@ -92,7 +78,7 @@ def test_the_retraction_inverts_its_inverse(name, seed):
     assert np.linalg.norm(facts["to y"]) > 1e-3
 
 
-@pytest.mark.parametrize("name", ONE_OF_EACH)
+@pytest.mark.parametrize("name", INVERTED)
 @given(seed=SEEDS, fraction=FRACTIONS)
 def test_newtons_method_finds_the_inverse_too(name, seed, fraction):
     v, found = newton_inverse(name, seed, fraction * min(1.0, reach(name)))

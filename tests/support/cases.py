@@ -95,6 +95,20 @@ PARTNERS: dict[str, Retraction] = {
     "polar-SO4": Cayley(SO(4)),
 }
 
+# One retraction for each closed form of an inverse, and the maps whose inverses are tested, where these are not all.
+INVERTED: dict[str, tuple[str, ...]] = {
+    "addition-R2x3": (),
+    "exponential-S2": (),
+    "projection-S4": (),
+    "cayley-SO2": (),
+    "exponential-SO3": (),
+    "cayley-SO4": (),
+    "polar-SO3": (),
+    "qr-SO4": (),
+    "nearest-ellipsoid": ("theta=0.0", "theta=0.3"),
+    "exponential-(SO3*R3)*S2": ("theta=0.3", "theta=0.5"),
+}
+
 
 def reach(name: str) -> float:
     """Longest tangent vector for the facts about a retraction's inverse."""
@@ -104,8 +118,14 @@ def reach(name: str) -> float:
 def discretization_maps(name: str) -> dict[str, DiscretizationMap]:
     """The discretization maps that are made of one retraction, and of it and its partner."""
     retraction = RETRACTIONS[name]
-    maps = {f"theta={theta}": Theta(retraction, theta) for theta in (0.0, 0.3, 0.5, 1.0)}
-    maps["adjoint(0.3)"] = Adjoint(Theta(retraction, 0.3))
+    maps: dict[str, DiscretizationMap] = {f"theta={theta}": Theta(retraction, theta) for theta in (0.0, 0.3, 0.5, 1.0)}
     if name in PARTNERS:
+        maps["adjoint(0.3)"] = Adjoint(Theta(retraction, 0.3))
         maps["two retractions"] = Theta(retraction, 0.4, PARTNERS[name])
     return maps
+
+
+def inverted_maps(name: str) -> dict[str, DiscretizationMap]:
+    """Those of the maps whose inverses are tested."""
+    maps = discretization_maps(name)
+    return {key: maps[key] for key in INVERTED[name] or maps}

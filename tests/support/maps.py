@@ -9,7 +9,7 @@ import numpy as np
 from retrax.manifolds import CotangentBundle
 from retrax.retractions import Adjoint, CotangentLift, DiscretizationMap, Midpoint
 
-from .cases import RETRACTIONS, discretization_maps, reach
+from .cases import RETRACTIONS, discretization_maps, inverted_maps, reach
 from .numerics import compiled, draw_bundle_tangent, draw_near, draw_point, draw_tangent, flat, unflat
 
 LIFTED = [name for name in RETRACTIONS if name != "bundle-T*S2"]
@@ -80,7 +80,7 @@ def lift_facts(name: str, seed: int, length: float) -> dict:
 
 @lru_cache
 def _map_inverses(name: str) -> Callable:
-    maps, unravel = discretization_maps(name), unflat(RETRACTIONS[name].manifold)
+    maps, unravel = inverted_maps(name), unflat(RETRACTIONS[name].manifold)
 
     def facts(w: jax.Array, ends: jax.Array) -> dict:
         def one(d: DiscretizationMap) -> dict:
@@ -104,7 +104,7 @@ def map_inverses(name: str, seed: int, length: float) -> dict:
 
 @lru_cache
 def _lift_inverses(name: str) -> Callable:
-    maps, manifold = discretization_maps(name), RETRACTIONS[name].manifold
+    maps, manifold = inverted_maps(name), RETRACTIONS[name].manifold
     unravel, of_base = unflat(CotangentBundle(manifold)), unflat(manifold)
 
     def tangent(x: jax.Array, a: jax.Array) -> jax.Array:
