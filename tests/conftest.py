@@ -6,6 +6,8 @@ import jax
 from hypothesis import HealthCheck, settings
 
 jax.config.update("jax_enable_x64", True)
+# Most of the time of these tests is compilation.
+jax.config.update("jax_disable_most_optimizations", True)
 
 # A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no fault.
 settings.register_profile(

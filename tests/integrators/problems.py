@@ -2,6 +2,7 @@
 
 from typing import Any, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -57,17 +58,21 @@ ENERGIES = {"S2": pendulum_energy, "SO3": top_energy, "ellipsoid": pendulum_ener
 
 @final
 class FreeTheta(DiscretizationMap):
-    """A discretization map of one's own: ``(R(x, -theta v), R(x, (1 - theta) v))`` with ``theta`` an array."""
+    """A discretization map of one's own: ``(R(x, -split v), R(x, (1 - split) v))`` with ``split`` an array.
+
+    ``theta`` only helps solvers to begin; here it is right for ``split = 1/2`` alone.
+    """
 
     inner: Retraction
-    theta: Array
+    split: Array
+    theta: float = eqx.field(static=True, default=0.5)
 
     @property
     def retraction(self) -> Retraction:
         return self.inner
 
     def __call__(self, x: Any, v: Any) -> tuple:
-        return self.inner(x, vec.scale(-self.theta, v)), self.inner(x, vec.scale(1 - self.theta, v))
+        return self.inner(x, vec.scale(-self.split, v)), self.inner(x, vec.scale(1 - self.split, v))
 
 
 def form_matrix(bundle: CotangentBundle, z: tuple, frame: tuple) -> Array:

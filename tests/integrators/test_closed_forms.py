@@ -51,9 +51,11 @@ def free_top(seed: int) -> tuple[Trajectory, float]:
     """The free rigid body by Cayley's midpoint map, from random data."""
     rng = np.random.default_rng(seed)
     h, attitude, mu = rng.uniform(0.05, 0.4), rotation(rng.standard_normal(3)), rng.standard_normal(3)
-    lift = CotangentLift(Midpoint(Cayley(SO3)))
-    start = jnp.asarray(attitude), SO3.covector(jnp.asarray(attitude), jnp.asarray(mu))
-    return integrate(rigid_body_energy, SymplecticIntegrator(lift), start, h, NODES), h
+    return spin((jnp.asarray(attitude), SO3.covector(jnp.asarray(attitude), jnp.asarray(mu))), h), h
+
+
+def spin(start: tuple, h: float) -> Trajectory:
+    return integrate(rigid_body_energy, SymplecticIntegrator(CotangentLift(Midpoint(Cayley(SO3)))), start, h, NODES)
 
 
 def body_momenta(trajectory: Trajectory) -> np.ndarray:
@@ -98,6 +100,13 @@ def test_the_free_rigid_body_conserves_spatial_momentum_and_its_size(seed):
     spatial = np.einsum("kij,kj->ki", trajectory.q, mu)
     assert norm(np.ptp(spatial, axis=0)) < 1e-13
     assert np.ptp(np.linalg.norm(mu, axis=1)) < 1e-13
+
+
+@given(seed=SEEDS)
+def test_the_free_rigid_body_turns_back_when_time_does(seed):
+    there, h = free_top(seed)
+    back = spin((there.q[-1], there.p[-1]), -h)
+    assert norm((back.q[::-1] - there.q, back.p[::-1] - there.p)) < 1e-12
 
 
 TURNING = OptimalControlProblem(SO3, lambda q, u: q @ hat(u), lambda q, u: u @ (INERTIA * u) / 2, 3)

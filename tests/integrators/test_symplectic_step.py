@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
 from retrax.manifolds import CotangentBundle, Euclidean
-from retrax.manifolds.manifold import max_violation
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
@@ -35,9 +34,10 @@ on_every_manifold = pytest.mark.parametrize("name", MANIFOLDS)
 
 
 def with_every_theta(test: Callable) -> Callable:
-    """Random points, steps and thetas, and the four thetas that have names."""
+    """Random points, steps and thetas, the four thetas that have names, and two points that a lax stopping rule misses."""
     for theta in THETAS:
         test = example(seed=1, h=0.2, theta=theta)(test)
+    test = example(seed=121, h=0.1, theta=0.3)(example(seed=57, h=0.02, theta=1.0)(test))
     return given(seed=SEEDS, h=STEPS, theta=st.floats(0.0, 1.0))(test)
 
 
@@ -65,7 +65,7 @@ def kernel(name: str) -> Callable:
             "converged": converged,
             "symplectic": form_matrix(bundle, z1, images) - form_matrix(bundle, z0, frame),
             "tangent": vec.subtract(images, tangent),
-            "on the bundle": max_violation(bundle, z1),
+            "on the bundle": bundle.violations(z1),
             "definition": vec.subtract(lift((x, pi), vec.scale(h, field)), (z0, z1)),
             "velocity": vec.subtract(vec.scale(h, field[0]), v),
         }
@@ -85,7 +85,7 @@ def test_the_step_is_symplectic(name, seed, h, theta):
 @with_every_theta
 def test_the_step_and_its_derivative_stay_on_the_cotangent_bundle(name, seed, h, theta):
     facts = kernel(name)(seed, h, theta)
-    assert facts["on the bundle"] < 1e-12
+    assert norm(facts["on the bundle"]) < 1e-12
     assert norm(facts["tangent"]) < 1e-11
 
 

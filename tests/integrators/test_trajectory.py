@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from retrax.integrators import Result, SymplecticIntegrator, integrate
 from retrax.manifolds import ConvergenceError, CotangentBundle
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection
+from retrax.retractions import CotangentLift, Midpoint, Projection
 
 from tests.support.numerics import NODES as DIFFERENCE_NODES
 from tests.support.numerics import SEEDS, differences, norm
 
-from .problems import RIGID, SPHERE, at, pendulum_energy, towed_body_energy
+from .problems import SPHERE, at, pendulum_energy
 
 STEPS = 12
 MIDPOINT = SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
@@ -56,14 +56,6 @@ def test_a_symmetric_map_backward_in_time_returns(seed, h):
     assert norm(vec.subtract(at((back.q, back.p), -1), start)) < 1e-12
 
 
-def test_a_symmetric_map_backward_in_time_returns_on_a_product():
-    integrator = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(RIGID))))
-    start = CotangentBundle(RIGID).random_point(jax.random.key(5))
-    there = integrate(towed_body_energy, integrator, start, 0.1, STEPS)
-    back = integrate(towed_body_energy, integrator, at((there.q, there.p), -1), -0.1, STEPS)
-    assert norm(vec.subtract(at((back.q, back.p), -1), start)) < 1e-12
-
-
 def test_a_batch_is_the_loop_over_its_members():
     starts = jax.vmap(CotangentBundle(SPHERE).random_point)(jax.random.split(jax.random.key(2), 5))
     batch = jax.vmap(lambda *start: swing(start))(*starts)
@@ -80,9 +72,9 @@ def test_derivatives_by_start_and_step_size_agree_with_differences():
         trajectory = swing((q, jnp.array([0.2, 0.6, 0.3 + s])), 0.1 + s / 50)
         return trajectory.q[-1] @ jnp.array([1.0, 2.0, 3.0]) + jnp.sin(trajectory.p[-1, 1])
 
-    slope = jax.jit(jax.grad(height))
-    values = jax.jit(jax.vmap(height))(0.4 + 1e-2 * DIFFERENCE_NODES)
-    assert slope(0.4) == pytest.approx(differences(np.asarray(values), 1e-2), rel=1e-9)
+    points = 0.4 + 1e-2 * np.append(DIFFERENCE_NODES, 0.0)
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(height)))(points)
+    assert slopes[-1] == pytest.approx(differences(np.asarray(values[:-1]), 1e-2), rel=1e-9)
 
 
 def test_a_step_that_cannot_be_solved_is_an_error_in_words():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.manifolds import SO, Sphere
-from retrax.retractions import Exponential, alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
+from retrax.retractions import alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
 
 from tests.support.numerics import SEEDS, compiled, draw_point
 
@@ -84,19 +84,6 @@ def test_a_rotation_of_the_sphere_rotates_covectors(seed):
     x, p, _ = draw_point(SPHERE, seed)
     rotation = draw_point(SO(3), seed)[0].reshape(3, 3)
     np.testing.assert_allclose(np.stack(_rotated(x, p, rotation)), np.stack([rotation @ x, rotation @ p]), atol=1e-14)
-
-
-@compiled
-def _exponential(v, p):
-    """The chart ``v -> exp(hat v)`` around the identity as a diffeomorphism between two manifolds."""
-    chart = cotangent_lift(lambda omega: Exponential(SO(3))(jnp.eye(3), omega), SO(3), SO(3))
-    return chart(jnp.eye(3), p), v
-
-
-def test_at_the_identity_the_lift_of_a_retraction_is_the_identity():
-    p = np.array([[0.0, -0.3, 0.2], [0.3, 0.0, -0.1], [-0.2, 0.1, 0.0]])
-    shifted = cotangent_lift(lambda x: x @ jnp.eye(3), SO(3), SO(3))
-    np.testing.assert_allclose(np.stack(shifted(jnp.eye(3), p)), np.stack([np.eye(3), p]), atol=1e-15)
 
 
 @given(seed=SEEDS)
