@@ -10,9 +10,10 @@ import numpy as np
 from jaxtyping import Array
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
-from ..manifolds.manifold import default_tolerance
+from ..manifolds.manifold import default_tolerance, same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..retractions import DiscretizationMap
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -50,9 +51,11 @@ class OptimalControlProblem(eqx.Module):
         for name, value in (("manifold", self.manifold), ("controls", self.controls)):
             if not isinstance(value, Manifold):
                 raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
-        for name, value in (("dynamics", dynamics), ("running_cost", running_cost)):
+        functions = {"dynamics": dynamics, "running_cost": running_cost, "terminal_cost": terminal_cost or (lambda q: 0.0)}
+        for name, value in functions.items():
             if not callable(value):
-                raise InvalidInputError(f"{name} must be a function of (q, u), got {value!r}")
+                of = "q" if name == "terminal_cost" else "(q, u)"
+                raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
@@ -74,6 +77,13 @@ class OptimalControlProblem(eqx.Module):
         """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
         return vec.pairing(p, self.velocity(q, u)) - self.cost_rate(q, u)
 
+    def check_discretization(self, discretization: DiscretizationMap) -> None:
+        """Raise if a discretization map acts on another manifold than this problem."""
+        if not same_manifold(discretization.manifold, self.manifold):
+            raise InvalidInputError(
+                f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one manifold"
+            )
+
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
         normal, size, costs = jax.device_get(_probe(self, q, u))
@@ -91,10 +101,15 @@ class OptimalControlProblem(eqx.Module):
 
 @eqx.filter_jit
 def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Normal part and size of the velocity, and both costs."""
-    v = problem.velocity(q, u)
-    normal = vec.size(vec.subtract(v, problem.manifold.projection(q, v)))
-    return normal, vec.size(v), (problem.cost_rate(q, u), problem.final_cost(q))
+    """Largest normal part and size of the velocity, for ``u`` and for a random control, and both costs."""
+
+    def probe(control: Ambient) -> tuple[Array, Array]:
+        v = problem.velocity(q, control)
+        return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
+
+    parts = zip(probe(u), probe(problem.controls.random_point(jax.random.key(0))), strict=True)
+    normal, size = (jnp.maximum(a, b) for a, b in parts)
+    return normal, size, (problem.cost_rate(q, u), problem.final_cost(q))
 
 
 def _scalar(name: str, value: Any) -> Array:

@@ -146,6 +146,11 @@ def _normal_part(manifold: Manifold, x: Ambient, v: Ambient) -> Array:
     return vec.size(vec.subtract(v, manifold.projection(x, v))) / (1 + vec.size(v))
 
 
+def same_manifold(a: Manifold, b: Manifold) -> bool:
+    """Whether two manifolds are of one class with the same data."""
+    return bool(eqx.tree_equal(a, b))
+
+
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     """Real array of a shape, in the precision that JAX is set to."""
     return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(float))

@@ -77,7 +77,7 @@ class DiscreteTrajectory(eqx.Module):
         left = rows.start.at[0].multiply(self.start.mask()[:, None])
         right = rows.end.at[-1].multiply(self.end.mask()[:, None])
         blocks = BlockSystem(hessian, left, right, gradient, gap, self.start.mask(), self.end.mask())
-        distance = vec.size(gaps) / (1 + vec.size(nodes))
+        distance = vec.size(jax.tree.map(lambda a, b: vec.size(a) / (1 + vec.size(b)), gaps, nodes))
         cost = jnp.sum(parts.cost) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], nodes))
         return Assembled(
             blocks,
@@ -142,9 +142,13 @@ class DiscreteTrajectory(eqx.Module):
 
 
 def _stationarity(blocks: BlockSystem, coordinates: Array, slope: Array) -> Array:
-    """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate."""
+    """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
+
+    Where all parts vanish, at an optimum of the cost itself, the curvature sets the scale.
+    """
     starts = jnp.einsum("kns,kn->ks", blocks.left, coordinates[:-1])
     ends = jnp.einsum("kns,kn->ks", blocks.right, coordinates[1:])
     parts = jnp.max(jnp.abs(blocks.gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
-    scale = jnp.maximum(parts, 1e-3 * jnp.max(parts))
+    curvature = jnp.max(jnp.abs(jnp.diagonal(blocks.hessian, axis1=1, axis2=2)), axis=0)
+    scale = jnp.maximum(jnp.maximum(parts, 1e-3 * curvature), 1e-3 * jnp.max(parts))
     return jnp.max(jnp.abs(slope) / jnp.where(scale > 0, scale, 1.0))

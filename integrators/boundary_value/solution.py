@@ -103,7 +103,8 @@ class Solution:
         for field in fields(self):
             value = getattr(self, field.name)
             _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
-        np.savez(Path(path), allow_pickle=False, **flat)
+        with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
+            np.savez(file, allow_pickle=False, **flat)
 
 
 _RECORDS = {"checks": Checks, "statistics": Statistics}
@@ -134,7 +135,7 @@ def _unflatten(name: str, flat: Any) -> Any:
 
 def load_solution(path: str | Path) -> Solution:
     """Read a solution that ``Solution.save`` wrote. Raises ``InvalidInputError`` if the file is something else."""
-    with np.load(Path(path)) as flat:
+    with _archive(path) as flat:
         missing = [f.name for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
         if missing:
             raise InvalidInputError(
@@ -143,6 +144,16 @@ def load_solution(path: str | Path) -> Solution:
         values = {f.name: _unflatten(f.name, flat) for f in fields(Solution)}
     records = {name: record(**values[name]) for name, record in _RECORDS.items()}
     return Solution(**{**values, **records})
+
+
+def _archive(path: str | Path) -> Any:
+    try:
+        archive = np.load(Path(path), allow_pickle=False)
+    except ValueError as error:
+        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise InvalidInputError(f"{path} is not a saved solution but a single array; expected a file from Solution.save")
+    return archive
 
 
 def to_numpy(tree: Any) -> Any:

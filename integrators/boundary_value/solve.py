@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...manifolds import InvalidInputError
-from ...manifolds.numerics.ambient import Ambient, is_traced
+from ...manifolds import InvalidInputError, Manifold
+from ...manifolds.manifold import default_tolerance
+from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ...retractions import DiscretizationMap
 from ..compilation import compiler_options
 from ..initial_value.integrator import resting_control
@@ -54,14 +55,18 @@ def solve(
         raise InvalidInputError("solve runs outside jit, vmap and grad: it checks its input and compiles its own kernel")
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
-    guess = guess.guess() if isinstance(guess, Solution) else guess
+    steps = int(steps)
     first, last = boundary_conditions(problem.manifold, start, end, guess is not None)
-    problem.check(first.point, resting_control(problem.controls))
+    rest = resting_control(problem.controls)
     if guess is None:
+        problem.check(first.point, rest)
         guess = default_guess(problem, discretization, first.point, last.point, steps)
     else:
-        guess = _checked_guess(problem, guess, steps)
-    limit = float(jnp.finfo(float).eps ** DEFAULT_TOLERANCE_POWER) if tolerance is None else float(tolerance)
+        guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
+        problem.check(jax.tree.map(lambda leaf: leaf[0], guess.states), rest)
+    limit = jnp.finfo(jnp.zeros(()).dtype).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+    if not (is_finite_number(limit) and limit > 0):
+        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
     stage = ControlStage(problem=problem, discretization=discretization, step=jnp.asarray(horizon / steps, float))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
     output, compile_seconds, run_seconds = _timed(discrete, guess, np.asarray(limit), np.asarray(max_iterations))
@@ -74,13 +79,8 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
     if not isinstance(discretization, DiscretizationMap):
         raise InvalidInputError(f"solve takes a discretization map, got {discretization!r}; try Midpoint(Cayley(manifold))")
-    if jax.tree.structure(discretization.manifold.ambient) != jax.tree.structure(problem.manifold.ambient) or (
-        discretization.manifold.dimension != problem.manifold.dimension
-    ):
-        raise InvalidInputError(
-            f"the discretization acts on {discretization.manifold}, the problem on {problem.manifold}; use one manifold"
-        )
-    if not (np.ndim(horizon) == 0 and np.isfinite(horizon) and horizon > 0):
+    problem.check_discretization(discretization)
+    if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
         if not isinstance(count, int | np.integer) or count < 1:
@@ -89,6 +89,8 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
 
 def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> Guess:
     """The guess as arrays with its costates filled in; raises where a shape is wrong."""
+    if not isinstance(guess, Guess):
+        raise InvalidInputError(f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)")
     costates = guess.costates
     if costates is None:
         costates = jax.tree.map(lambda s: np.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
@@ -106,7 +108,16 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
             raise InvalidInputError(f"guess: {name} must have shapes {shapes}, got {got}")
         if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(given)):
             raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, float), filled)
+    filled = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), filled)
+    for name, value in jax.device_get(_worst_violations(problem.manifold, filled.states)).items():
+        if not value <= default_tolerance():
+            raise InvalidInputError(f"guess: states are not on {problem.manifold}: {name} reaches {value:.3g}, expected 0")
+    return filled
+
+
+@eqx.filter_jit
+def _worst_violations(manifold: Manifold, points: Ambient) -> dict[str, Array]:
+    return jax.tree.map(jnp.max, jax.vmap(manifold.violations)(points))
 
 
 class _Output(NamedTuple):

@@ -100,6 +100,7 @@ class PresymplecticIntegrator(Integrator):
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not isinstance(system, OptimalControlProblem):
             raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
+        system.check_discretization(self.lift.discretization)
         u = extremal_control(system, q, p)
         system.check(q, u)
         singular = _control_curvature(system, q, p, u)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, NotOnManifoldError
-from ...manifolds.numerics.ambient import Ambient, is_traced
+from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
 from .step import lifted_step
@@ -63,16 +63,20 @@ def integrate(
         )
     _check_counts(step_size, steps, save_every)
     warn_about_precision()
-    q0, p0 = jax.tree.map(jnp.asarray, start)
-    manifold = integrator.lift.discretization.manifold
+    if not (isinstance(start, tuple | list) and len(start) == 2):
+        raise InvalidInputError(f"start must be a pair (q0, p0) of a point and a covector, got {start!r}")
+    manifold, (q0, p0) = integrator.lift.discretization.manifold, start
+    wrong = manifold.describe_mismatch(q0, "a point") or manifold.describe_mismatch(p0, "a covector")
+    if wrong:
+        raise NotOnManifoldError(f"start: {wrong}")
+    q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in (q0, p0))
     if not is_traced(q0, p0):
-        on = manifold.contains(q0)
-        wrong = "" if on else on.reason
-        wrong = wrong or manifold.describe_mismatch(p0, "a covector")
-        if wrong:
-            raise NotOnManifoldError(f"start: {wrong}")
+        verdict = manifold.contains(q0)
+        if not verdict:
+            raise NotOnManifoldError(f"start: {verdict.reason}")
         integrator.check(system, q0, p0)
-    trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), steps // save_every, save_every)
+    count, every = int(steps) // int(save_every), int(save_every)
+    trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         raise ConvergenceError(f"step {int(trajectory.failed_step)}: {Result[trajectory.result]}")
     return trajectory
@@ -84,7 +88,7 @@ def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
     if steps % save_every:
         raise InvalidInputError(f"steps must be a multiple of save_every, got {steps} and {save_every}")
-    if not is_traced(step_size) and not (np.ndim(step_size) == 0 and np.isfinite(step_size) and step_size != 0):
+    if not is_traced(step_size) and not (is_finite_number(step_size) and step_size != 0):
         raise InvalidInputError(f"step_size must be a finite number other than 0, got {step_size!r}")
 
 

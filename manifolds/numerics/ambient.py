@@ -5,6 +5,7 @@ A *frame* is a pytree of the same structure whose leaves carry one extra leading
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
@@ -16,6 +17,12 @@ Coordinates = Float[Array, " k"]
 def is_traced(*trees: object) -> bool:
     """Whether any array in the arguments is a JAX tracer, on whose values nothing can be checked."""
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
+
+
+def is_finite_number(x: object) -> bool:
+    """Whether ``x`` is one finite real number."""
+    known = isinstance(x, int | float | np.number | np.ndarray | jax.Array)
+    return known and np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
 
 
 def pairing(a: Ambient, b: Ambient) -> Array:

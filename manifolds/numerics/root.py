@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
-SLOW = 0.2
+SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, rounding above the other
 
 Vector = Float[Array, " k"]
 
@@ -95,7 +95,7 @@ def _chords(
         ratio = step / s.step
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
-        done = (remaining <= rounding) | ((step <= quadratic) & (ratio > SLOW) & (s.chords > 0))
+        done = (remaining <= rounding) | ((step <= quadratic) & (ratio > STALLED) & (s.chords > 0))
         return _Iteration(s.c - d, step, ratio, done, s.chords + 1)
 
     def going(s: _Iteration) -> Array:
