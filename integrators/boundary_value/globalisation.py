@@ -69,9 +69,12 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
 
     def body(state: _State) -> _State:
         state = _judge(assemble(state.trial), state)
-        done = _residual(state.assembled) <= tolerance
-        # The last elimination is of the unchanged system: its inertia tells a minimum from a saddle.
-        shift, factors = _regularised(state.assembled, state.factors, jnp.where(done, 0.0, state.shift), done)
+        residual = _residual(state.assembled)
+        done = residual <= tolerance
+        # This near to a solution Newton's own step leads to it, be it a minimum or a saddle. The last elimination is of the
+        # unchanged system in any case: its inertia tells which.
+        near = residual <= jnp.sqrt(tolerance)
+        shift, factors = _regularised(state.assembled, state.factors, jnp.where(near, 0.0, state.shift), near)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
         return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
@@ -142,10 +145,10 @@ def _scales(assembled: Assembled) -> Array:
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, done: Array) -> tuple[Array, BlockSolution]:
+def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, near: Array) -> tuple[Array, BlockSolution]:
     """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature.
 
-    If ``done`` the shift that came is used as it is.
+    If ``near`` the shift that came is used as it is.
     """
     blocks, scales = assembled.blocks, _scales(assembled)
 
@@ -154,7 +157,7 @@ def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, don
         factors = eliminate(blocks._replace(hessian=hessian))
         curvature = jnp.einsum("ks,kst,kt->", factors.steps, hessian, factors.steps)
         size = jnp.einsum("ks,s,ks->", factors.steps, scales, factors.steps)
-        return factors, done | (curvature >= CURVATURE * size)
+        return factors, near | (curvature >= CURVATURE * size)
 
     def body(state: tuple[Array, BlockSolution, Array, Array]) -> tuple[Array, BlockSolution, Array, Array]:
         shift, _, _, tried = state

@@ -96,7 +96,8 @@ def _chords(
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
         done = (remaining <= rounding) | ((step <= quadratic) & (ratio > STALLED) & (s.chords > 0))
-        return _Iteration(s.c - d, step, ratio, done, s.chords + 1)
+        taken = ratio <= 1  # a step that grows is the fault of an old Jacobian
+        return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
 
     def going(s: _Iteration) -> Array:
         return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))

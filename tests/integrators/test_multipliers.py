@@ -67,6 +67,13 @@ def test_the_hamiltonian_is_pontryagins_at_the_stages(solved):
     assert norm(solution.hamiltonians - values) < 1e-12 * norm(values)
 
 
+def test_the_controls_make_the_hamiltonian_stationary_at_the_stage_costates(solved):
+    problem, _, solution = solved
+    slope = jax.vmap(jax.grad(problem.hamiltonian, argnums=2))
+    values = slope(solution.stage_states, solution.stage_costates, jnp.asarray(solution.controls))
+    assert norm(values) < 1e-10 * norm(solution.controls)
+
+
 def test_the_boundary_points_are_met(solved):
     _, _, solution = solved
     assert solution.success

@@ -1,5 +1,6 @@
 """What ``solve`` and ``OptimalControlProblem`` refuse, and the words they use; no success for a wrong point."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -165,6 +166,11 @@ def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
     as_tuple = solve(SLEW, body, (IDENTITY, REST), (END, REST), 60.0, STEPS)
     as_list = solve(SLEW, body, [IDENTITY, REST], [END, REST], 60.0, STEPS)
     assert as_list.cost == as_tuple.cost
+
+
+def test_under_a_transformation_it_says_that_it_runs_outside():
+    with pytest.raises(InvalidInputError, match=r"outside jit"):
+        jax.grad(lambda horizon: slew(horizon=horizon).cost)(1.0)
 
 
 def test_half_a_turn_has_no_default_guess():
