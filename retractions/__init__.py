@@ -6,7 +6,7 @@ if __package__ != "retrax.retractions":
         "a second copy of its classes would not match the first"
     )
 
-from .cotangent_lift import BundleRetraction, CotangentLift, alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
+from .cotangent_lift import BundleRetraction, CotangentLift, Phi, Phi_inverse, alpha, alpha_inverse, cotangent_lift
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .euclidean import Addition
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
@@ -30,6 +30,8 @@ __all__ = [
     "LevelSetProjection",
     "Midpoint",
     "MidpointRetraction",
+    "Phi",
+    "Phi_inverse",
     "Polar",
     "ProductRetraction",
     "Projection",
@@ -45,6 +47,4 @@ __all__ = [
     "alpha_inverse",
     "cotangent_lift",
     "default_retraction",
-    "phi",
-    "phi_inverse",
 ]

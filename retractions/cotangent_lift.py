@@ -34,13 +34,13 @@ def alpha_inverse(q: Ambient, p: Ambient, qdot: Ambient, pdot: Ambient) -> Quadr
     return q, qdot, pdot, p
 
 
-def phi(z0: Pair, z1: Pair) -> tuple[Pair, Pair]:
+def Phi(z0: Pair, z1: Pair) -> tuple[Pair, Pair]:
     """``Phi: T*Q x T*Q -> T*(Q x Q)``, ``(q0, p0; q1, p1) -> ((q0, q1), (-p0, p1))``: a point and a covector there."""
     (q0, p0), (q1, p1) = z0, z1
     return (q0, q1), (vec.scale(-1.0, p0), p1)
 
 
-def phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
+def Phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
     """``Phi^-1: T*(Q x Q) -> T*Q x T*Q``, ``((q0, q1), (a, b)) -> (q0, -a; q1, b)``."""
     return (q[0], vec.scale(-1.0, p[0])), (q[1], p[1])
 
@@ -95,11 +95,11 @@ class CotangentLift(DiscretizationMap):
         base = self.discretization.manifold
         lift = cotangent_lift(lambda z: self.discretization(*z), TangentBundle(base), Product(base, base))
         q, qdot, p_q, p_v = alpha_inverse(*x, *v)
-        return phi_inverse(*lift((q, qdot), (p_q, p_v)))
+        return Phi_inverse(*lift((q, qdot), (p_q, p_v)))
 
     def preimage(self, x0: Pair, x1: Pair) -> tuple[Pair, Pair]:
         """Inverse from the inverse of ``R_d``: the covector on ``T(Q x Q)`` is pulled back, then made tangent to ``T*Q``."""
-        ends, covector = phi(x0, x1)
+        ends, covector = Phi(x0, x1)
         base = self.discretization.manifold
         q, qdot = self.discretization.preimage(*ends)
         _, pull = jax.vjp(self.discretization, q, qdot)

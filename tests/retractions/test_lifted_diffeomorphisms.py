@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.manifolds import SO, Sphere
-from retrax.retractions import alpha, alpha_inverse, cotangent_lift, phi, phi_inverse
+from retrax.retractions import Phi, Phi_inverse, alpha, alpha_inverse, cotangent_lift
 
 from tests.support.numerics import SEEDS, compiled, draw_point
 
@@ -91,14 +91,14 @@ def test_alpha_and_phi_are_inverted_by_their_inverses(seed):
     a, b, c, d = quadruple = tuple(np.random.default_rng(seed).standard_normal((4, 3)))
     assert alpha(*alpha_inverse(*quadruple)) == quadruple
     assert alpha_inverse(*alpha(*quadruple)) == quadruple
-    np.testing.assert_array_equal(np.array(phi_inverse(*phi((a, b), (c, d)))), np.array([[a, b], [c, d]]))
-    np.testing.assert_array_equal(np.array(phi(*phi_inverse((a, b), (c, d)))), np.array([[a, b], [c, d]]))
+    np.testing.assert_array_equal(np.array(Phi_inverse(*Phi((a, b), (c, d)))), np.array([[a, b], [c, d]]))
+    np.testing.assert_array_equal(np.array(Phi(*Phi_inverse((a, b), (c, d)))), np.array([[a, b], [c, d]]))
 
 
 def test_alpha_and_phi_are_those_of_the_paper():
     assert alpha("q", "v", "p_q", "p_v") == ("q", "p_v", "v", "p_q")
     assert alpha_inverse("q", "p", "qdot", "pdot") == ("q", "qdot", "pdot", "p")
-    ends, covector = phi((jnp.array(1.0), jnp.array(2.0)), (jnp.array(3.0), jnp.array(4.0)))
+    ends, covector = Phi((jnp.array(1.0), jnp.array(2.0)), (jnp.array(3.0), jnp.array(4.0)))
     assert ends == (1.0, 3.0)
     assert covector == (-2.0, 4.0)
 
@@ -108,7 +108,7 @@ def test_phi_makes_omega_twelve_of_the_canonical_form(size):
     # Phi is linear: the canonical form of T*(Q x Q) pulled back by it is pr2* omega - pr1* omega.
     def linear(z):
         q0, p0, q1, p1 = jnp.split(z, 4)
-        return jnp.concatenate([jnp.ravel(jnp.stack(part)) for part in phi((q0, p0), (q1, p1))])
+        return jnp.concatenate([jnp.ravel(jnp.stack(part)) for part in Phi((q0, p0), (q1, p1))])
 
     jacobian = np.asarray(jax.jacfwd(linear)(jnp.zeros(4 * size)))
     half, zero = np.eye(2 * size), np.zeros((2 * size, 2 * size))
