@@ -17,7 +17,7 @@ from .numerics.ambient import Ambient, Frame
 Pair = tuple[Ambient, Ambient]
 
 
-class _VectorBundle(Manifold):
+class VectorBundle(Manifold):
     """``{(x, v) : x in M, v in T_xM}``, of dimension ``2n``."""
 
     base: Manifold
@@ -62,12 +62,12 @@ class _VectorBundle(Manifold):
 
 
 @final
-class TangentBundle(_VectorBundle):
+class TangentBundle(VectorBundle):
     """Tangent bundle ``TM``; points are pairs ``(x, v)``."""
 
 
 @final
-class CotangentBundle(_VectorBundle):
+class CotangentBundle(VectorBundle):
     """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``."""
 
     def one_form(self, z: Pair, a: Pair) -> Array:

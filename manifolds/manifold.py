@@ -147,7 +147,11 @@ def _normal_part(manifold: Manifold, x: Ambient, v: Ambient) -> Array:
 
 
 def same_manifold(a: Manifold, b: Manifold) -> bool:
-    """Whether two manifolds are of one class with the same data."""
+    """Whether two manifolds are of one class with the same data; tangent and cotangent bundles are the same set."""
+    from .bundles import VectorBundle
+
+    if isinstance(a, VectorBundle) and isinstance(b, VectorBundle):
+        return same_manifold(a.base, b.base)
     return bool(eqx.tree_equal(a, b))
 
 

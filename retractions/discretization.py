@@ -104,9 +104,11 @@ class Theta(DiscretizationMap):
                 raise InvalidInputError(f"a discretization map is made from retractions, got {given!r}; try Cayley(manifold)")
         if not 0 <= theta <= 1:
             raise InvalidInputError(f"theta must lie in [0, 1], got {theta}")
-        if forward is not None and type(forward.manifold) is not type(retraction.manifold):
+        # By class and shape only: the data of a manifold may be traced where this runs.
+        kinds = [(type(r.manifold), r.manifold.ambient) for r in (retraction, forward or retraction)]
+        if kinds[0] != kinds[1]:
             raise InvalidInputError(
-                f"both retractions must act on one manifold, got {retraction.manifold} and {forward.manifold}"
+                f"both retractions must act on one manifold, got {retraction.manifold} and {(forward or retraction).manifold}"
             )
         self.backward, self.other, self.theta = retraction, forward, float(theta)
 

@@ -68,13 +68,13 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     assemble = jax.jit(lambda iterate: problem.assemble(iterate))  # traced once, for the shapes and for the loop
 
     def body(state: _State) -> _State:
-        state = _judge(assemble(state.trial), state)
+        state, good = _judge(assemble(state.trial), state)
         residual = _residual(state.assembled)
         done = residual <= tolerance
-        # This near to a solution Newton's own step leads to it, be it a minimum or a saddle. The last elimination is of the
-        # unchanged system in any case: its inertia tells which.
-        near = residual <= jnp.sqrt(tolerance)
-        shift, factors = _regularised(state.assembled, state.factors, jnp.where(near, 0.0, state.shift), near)
+        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
+        # The last elimination is of the unchanged system: its inertia tells which.
+        keep = done | (good & (residual <= jnp.sqrt(tolerance)))
+        shift, factors = _regularised(state.assembled, state.factors, jnp.where(done, 0.0, state.shift), keep)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
         return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
@@ -115,8 +115,8 @@ def _merit(assembled: Assembled, penalty: Array) -> Array:
     return assembled.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap))
 
 
-def _judge(assembled: Assembled, state: _State) -> _State:
-    """Take the assembled trial if it improves, and set the length and the shift of the next step."""
+def _judge(assembled: Assembled, state: _State) -> tuple[_State, Array]:
+    """Take the assembled trial if it improves, and set the length and the shift of the next step; and whether it does."""
     residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
     improves = (decreases & (state.trials > 0)) | (residual <= RECORD * state.best)
@@ -128,7 +128,7 @@ def _judge(assembled: Assembled, state: _State) -> _State:
     restart = good | (halved < SHORTEST)
     lowered = jnp.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / 10)
     raised = jnp.where(halved < SHORTEST, jnp.maximum(10 * state.shift, FIRST_SHIFT), state.shift)
-    return state._replace(
+    judged = state._replace(
         iterate=iterate,
         assembled=kept,
         fraction=jnp.where(restart, 1.0, halved),
@@ -136,6 +136,7 @@ def _judge(assembled: Assembled, state: _State) -> _State:
         best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
         trials=state.trials + 1,
     )
+    return judged, good
 
 
 def _scales(assembled: Assembled) -> Array:
@@ -145,10 +146,10 @@ def _scales(assembled: Assembled) -> Array:
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, near: Array) -> tuple[Array, BlockSolution]:
+def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, keep: Array) -> tuple[Array, BlockSolution]:
     """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature.
 
-    If ``near`` the shift that came is used as it is.
+    If ``keep`` the shift that came is used as it is.
     """
     blocks, scales = assembled.blocks, _scales(assembled)
 
@@ -157,7 +158,7 @@ def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, nea
         factors = eliminate(blocks._replace(hessian=hessian))
         curvature = jnp.einsum("ks,kst,kt->", factors.steps, hessian, factors.steps)
         size = jnp.einsum("ks,s,ks->", factors.steps, scales, factors.steps)
-        return factors, near | (curvature >= CURVATURE * size)
+        return factors, keep | (curvature >= CURVATURE * size)
 
     def body(state: tuple[Array, BlockSolution, Array, Array]) -> tuple[Array, BlockSolution, Array, Array]:
         shift, _, _, tried = state
