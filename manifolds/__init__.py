@@ -7,7 +7,7 @@ if __package__ != "retrax.manifolds":
     )
 
 from .bundles import CotangentBundle, TangentBundle
-from .euclidean import Euclidean
+from .groups import SO, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
 from .numerics.errors import (
@@ -19,8 +19,7 @@ from .numerics.errors import (
     UnknownRetractionError,
 )
 from .product import Product
-from .special_orthogonal import SO, hat, vee
-from .sphere import Sphere
+from .vectors import Euclidean, Sphere
 
 __all__ = [
     "SO",

@@ -8,13 +8,12 @@ if __package__ != "retrax.retractions":
 
 from .cotangent_lift import BundleRetraction, CotangentLift, Phi, Phi_inverse, alpha, alpha_inverse, cotangent_lift
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
-from .euclidean import Addition
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
+from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
 from .product import ProductRetraction
 from .retraction import MidpointRetraction, Retraction
-from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
-from .sphere import SphereExponential, SphereProjection
+from .vectors import Addition, SphereExponential, SphereProjection
 
 __all__ = [
     "QR",

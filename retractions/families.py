@@ -3,12 +3,11 @@
 from collections.abc import Callable
 
 from ..manifolds import SO, Euclidean, LevelSet, Manifold, Product, Sphere, UnknownRetractionError
-from .euclidean import Addition
+from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
 from .product import ProductRetraction
 from .retraction import Retraction
-from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
-from .sphere import SphereExponential, SphereProjection
+from .vectors import Addition, SphereExponential, SphereProjection
 
 
 class RetractionFamily:

@@ -7,8 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .manifold import HomogeneousSpace, real
-from .special_orthogonal import skew_basis
+from ..groups.special_orthogonal import skew_basis
+from ..manifold import HomogeneousSpace, real
 
 
 @final

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .manifold import HomogeneousSpace, real
-from .numerics import ambient as vec
+from ..manifold import HomogeneousSpace, real
+from ..numerics import ambient as vec
 
 
 def skew_basis(n: int) -> np.ndarray:

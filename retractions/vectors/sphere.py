@@ -5,9 +5,9 @@ from typing import final
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..manifolds import Sphere
-from ..manifolds.numerics import series
-from .retraction import MidpointRetraction, nan_unless
+from ...manifolds import Sphere
+from ...manifolds.numerics import series
+from ..retraction import MidpointRetraction, nan_unless
 
 
 def _middle(x0: Array, x1: Array) -> Array:

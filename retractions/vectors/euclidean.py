@@ -5,8 +5,8 @@ from typing import final
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..manifolds import Euclidean
-from .retraction import MidpointRetraction
+from ...manifolds import Euclidean
+from ..retraction import MidpointRetraction
 
 
 @final

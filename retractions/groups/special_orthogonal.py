@@ -9,9 +9,9 @@ from typing import final
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..manifolds import SO
+from ...manifolds import SO
+from ..retraction import MidpointRetraction, Retraction, nan_unless
 from . import rotations
-from .retraction import MidpointRetraction, Retraction, nan_unless
 
 
 def _largest_angle(omega: Array) -> Array:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace, real
 
 
 @final
