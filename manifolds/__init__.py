@@ -10,6 +10,7 @@ from .bundles import CotangentBundle, TangentBundle
 from .groups import SO, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
+from .metric import EmbeddedMetric, Metric
 from .numerics.errors import (
     ConvergenceError,
     DomainError,
@@ -26,11 +27,13 @@ __all__ = [
     "ConvergenceError",
     "CotangentBundle",
     "DomainError",
+    "EmbeddedMetric",
     "Euclidean",
     "HomogeneousSpace",
     "InvalidInputError",
     "LevelSet",
     "Manifold",
+    "Metric",
     "NotOnManifoldError",
     "Product",
     "RetraxError",

@@ -7,6 +7,7 @@ if __package__ != "retrax.retractions":
     )
 
 from .cotangent_lift import BundleRetraction, CotangentLift, Phi, Phi_inverse, alpha, alpha_inverse, cotangent_lift
+from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
 from .groups import SOQR, SOCayley, SOExponential, SOPolar
@@ -23,6 +24,7 @@ __all__ = [
     "BundleRetraction",
     "Cayley",
     "CotangentLift",
+    "DifferentiatedRetraction",
     "DiscretizationMap",
     "Euler",
     "Exponential",
@@ -42,8 +44,10 @@ __all__ = [
     "SphereExponential",
     "SphereProjection",
     "Theta",
+    "adjoint",
     "alpha",
     "alpha_inverse",
     "cotangent_lift",
     "default_retraction",
+    "differentiated",
 ]

@@ -6,11 +6,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ..manifolds import InvalidInputError, Product
+from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .retraction import Retraction
 
 
 @final
-class ProductRetraction(Retraction):
+class ProductRetraction(DifferentiatedRetraction):
     """Retraction of a product from one retraction for each factor."""
 
     factors: tuple[Retraction, ...]
@@ -29,6 +30,12 @@ class ProductRetraction(Retraction):
 
     def preimage(self, x: tuple, y: tuple) -> tuple:
         return tuple(r.preimage(xi, yi) for r, xi, yi in zip(self.factors, x, y, strict=True))
+
+    def fibre_derivative(self, x: tuple, v: tuple, w: tuple) -> tuple:
+        return tuple(differentiated(r, *parts) for r, *parts in zip(self.factors, x, v, w, strict=True))
+
+    def fibre_adjoint(self, x: tuple, v: tuple, xi: tuple) -> tuple:
+        return tuple(adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
 
     def domain(self, x: tuple, v: tuple) -> Bool[Array, ""]:
         return jnp.all(jnp.stack([r.domain(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]))

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Sphere
 from ...manifolds.numerics import series
+from ..differential import DifferentiatedRetraction
 from ..retraction import MidpointRetraction, nan_unless
 
 
@@ -40,7 +41,7 @@ class SphereExponential(MidpointRetraction):
 
 
 @final
-class SphereProjection(MidpointRetraction):
+class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
     """Nearest point: ``R(x, v) = (x + v) / |x + v|``.
 
     Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain the whole tangent space.
@@ -56,6 +57,14 @@ class SphereProjection(MidpointRetraction):
         # Written with the tangential part of y, which keeps its relative accuracy for y near x.
         c = x @ y
         return nan_unless(c > 0, (y - c * x) / c)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        y = self(x, v)
+        return (w - (y @ w) * y) / jnp.sqrt((x + v) @ (x + v))
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        y = self(x, v)
+        return self.manifold.projection(x, xi - (y @ xi) * y) / jnp.sqrt((x + v) @ (x + v))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jnp.isfinite(v))

@@ -1,0 +1,47 @@
+"""Riemannian metrics: inner products of the tangent spaces, and the energies of their geodesics."""
+
+from abc import abstractmethod
+from typing import final
+
+import equinox as eqx
+import jax
+from jaxtyping import Array
+
+from .manifold import Manifold
+from .numerics import ambient as vec
+from .numerics.ambient import Ambient
+
+
+class Metric(eqx.Module):
+    """A Riemannian metric ``g`` on a manifold.
+
+    It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.
+    """
+
+    manifold: eqx.AbstractVar[Manifold]
+
+    @abstractmethod
+    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
+        """``g_x(v, w)`` of two tangent vectors at ``x``."""
+
+    @abstractmethod
+    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
+        """``g_x^-1(p, p) / 2`` of a covector, any ambient array: the Hamiltonian whose solutions are the geodesics."""
+
+    def covector(self, x: Ambient, v: Ambient) -> Ambient:
+        """The covector ``g_x(v, .)``: the momentum of a geodesic with velocity ``v``."""
+        return self.manifold.projection(x, jax.grad(lambda w: self.inner_product(x, v, w))(v))
+
+
+@final
+class EmbeddedMetric(Metric):
+    """The metric that a manifold has from its ambient space: ``g_x(v, w) = <v, w>``."""
+
+    manifold: Manifold
+
+    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
+        return vec.pairing(v, w)
+
+    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
+        p = self.manifold.projection(x, p)
+        return vec.pairing(p, p) / 2

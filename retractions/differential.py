@@ -1,0 +1,48 @@
+"""The derivative of a retraction along its fibres, ``DR = D_v R(x, v)``, and its adjoint."""
+
+from abc import abstractmethod
+
+import jax
+import jax.numpy as jnp
+
+from ..manifolds.numerics.ambient import Ambient
+from .retraction import Retraction
+
+
+class DifferentiatedRetraction(Retraction):
+    """A retraction with closed forms of its derivative along the fibres and of the adjoint of that.
+
+    Use ``differentiated`` and ``adjoint``, which take any retraction.
+    """
+
+    @abstractmethod
+    def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
+        """``DR[w] = D_v R(x, v)[w]``, tangent at ``R(x, v)``, for ``w`` tangent at ``x``."""
+
+    @abstractmethod
+    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+        """``DR*[xi]``, tangent at ``x``, for ``xi`` any ambient covector at ``R(x, v)``."""
+
+
+def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
+    """Differentiated retraction ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``, a tangent vector at ``R(x, v)``.
+
+    ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that belongs
+    to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
+    """
+    if isinstance(retraction, DifferentiatedRetraction):
+        return retraction.fibre_derivative(x, v, w)
+    return jax.jvp(lambda u: retraction(x, u), (v,), (w,))[1]
+
+
+def adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+    """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at ``x``.
+
+    ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.
+    """
+    if isinstance(retraction, DifferentiatedRetraction):
+        return retraction.fibre_adjoint(x, v, xi)
+    _, pull = jax.vjp(lambda u: retraction(x, u), v)
+    # JAX transposes without conjugation; the pairing is the real part of the Hermitian one.
+    (pulled,) = pull(jax.tree.map(jnp.conj, xi))
+    return retraction.manifold.projection(x, jax.tree.map(jnp.conj, pulled))
