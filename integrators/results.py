@@ -4,7 +4,8 @@ import warnings
 from functools import cache
 
 import equinox as eqx
-import jax.numpy as jnp
+
+from ..manifolds.manifold import working_precision
 
 
 class Result(eqx.Enumeration):
@@ -46,4 +47,4 @@ def warn_if_single_precision(dtype: str) -> None:
 
 def warn_about_precision() -> None:
     """Warn once if JAX computes in single precision."""
-    warn_if_single_precision(str(jnp.zeros(()).dtype))
+    warn_if_single_precision(str(working_precision()))

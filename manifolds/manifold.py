@@ -131,9 +131,14 @@ class HomogeneousSpace(Manifold):
         return vec.components(self.generators(x), p)
 
 
+def working_precision() -> np.dtype:
+    """The dtype of real numbers in the precision that JAX is set to."""
+    return jax.dtypes.canonicalize_dtype(float)
+
+
 def default_tolerance() -> float:
     """Square root of the machine epsilon of the precision in use."""
-    return float(jnp.finfo(jax.dtypes.canonicalize_dtype(float)).eps ** 0.5)
+    return float(np.finfo(working_precision()).eps ** 0.5)
 
 
 @eqx.filter_jit
@@ -157,7 +162,7 @@ def same_manifold(a: Manifold, b: Manifold) -> bool:
 
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     """Real array of a shape, in the precision that JAX is set to."""
-    return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(float))
+    return jax.ShapeDtypeStruct(shape, working_precision())
 
 
 def same_point(x: Ambient, y: Ambient, tolerance: float) -> Bool[Array, ""]:

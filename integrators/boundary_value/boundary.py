@@ -5,6 +5,7 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
@@ -83,5 +84,5 @@ def _fill(manifold: Manifold, merged: Any) -> Ambient:
     if isinstance(manifold, Product) and isinstance(merged, tuple | list):
         return tuple(_fill(factor, part) for factor, part in zip(manifold.factors, merged, strict=True))
     if merged is None:
-        return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), manifold.ambient)
-    return jax.tree.map(lambda a, s: jnp.asarray(a, s.dtype), merged, manifold.ambient)
+        return jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), manifold.ambient)
+    return jax.tree.map(lambda a, s: np.asarray(a, s.dtype), merged, manifold.ambient)

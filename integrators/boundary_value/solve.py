@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold
-from ...manifolds.manifold import default_tolerance
+from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ...retractions import DiscretizationMap
 from ..compilation import compiler_options
@@ -21,7 +21,7 @@ from ..stages import ControlStage
 from .assembly import DiscreteTrajectory, Iterate
 from .boundary import boundary_conditions
 from .diagnostics import Diagnostics, diagnose
-from .globalisation import NewtonResult, solve_kkt
+from .globalisation import solve_kkt
 from .guess import Guess, default_guess
 from .solution import Checks, Solution, Statistics, to_numpy
 
@@ -64,13 +64,13 @@ def solve(
     else:
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
         problem.check(jax.tree.map(lambda leaf: leaf[0], guess.states), rest)
-    limit = jnp.finfo(jnp.zeros(()).dtype).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
     if not (is_finite_number(limit) and limit > 0):
         raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
-    stage = ControlStage(problem=problem, discretization=discretization, step=jnp.asarray(horizon / steps, float))
+    stage = ControlStage(problem=problem, discretization=discretization, step=np.asarray(horizon / steps, working_precision()))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
-    output, compile_seconds, run_seconds = _timed(discrete, guess, np.asarray(limit), np.asarray(max_iterations))
-    solution = _record(discrete, output, float(horizon), Statistics(int(output.newton.iterations), compile_seconds, run_seconds))
+    output, *seconds = _timed(discrete, guess, np.asarray(limit, working_precision()), np.asarray(max_iterations))
+    solution = _record(output, discretization.theta, float(horizon), *seconds)
     return solution.require_success() if throw else solution
 
 
@@ -121,20 +121,29 @@ def _worst_violations(manifold: Manifold, points: Ambient) -> dict[str, Array]:
 
 
 class _Output(NamedTuple):
-    newton: NewtonResult
-    diagnostics: Diagnostics
+    unknowns: Any
     states: Ambient
     costates: Ambient
+    cost: Array
+    gap: Array
+    stationarity: Array
+    strict_minimum: Array
+    iterations: Array
+    success: Array
+    result: Result
+    diagnostics: Diagnostics
 
 
 def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: Array, max_iterations: Array) -> _Output:
     """Everything that runs on arrays, in one compiled function."""
     stage = cast(ControlStage, discrete.stage)
     newton = solve_kkt(discrete, Iterate((guess.states, guess.controls), guess.costates), tolerance, max_iterations)
-    states = newton.assembled.nodes
-    costates = jax.vmap(stage.manifold.projection)(states, newton.assembled.costates)
-    diagnostics = diagnose(stage, newton.iterate.unknowns, states, costates)
-    return _Output(newton, diagnostics, states, costates)
+    found = newton.assembled
+    costates = jax.vmap(stage.manifold.projection)(found.nodes, found.costates)
+    diagnostics = diagnose(stage, newton.iterate.unknowns, found.nodes, costates)
+    trajectory = newton.iterate.unknowns, found.nodes, costates
+    checks = found.cost, found.gap, found.stationarity, newton.strict_minimum
+    return _Output(*trajectory, *checks, newton.iterations, newton.result == Result.successful, newton.result, diagnostics)
 
 
 _compiled: dict[Any, Any] = {}  # executables by the structure of their arguments, oldest first
@@ -150,7 +159,7 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
     dynamic, static = eqx.partition(arguments, _is_data)
     leaves, structure = jax.tree.flatten(static)
     shapes = jax.tree.map(lambda a: (a.shape, a.dtype), jax.tree.leaves(dynamic))
-    key = (tuple(leaves), structure, tuple(shapes), jnp.zeros(()).dtype)
+    key = (tuple(leaves), structure, tuple(shapes), working_precision())
     began = time.perf_counter()
     seconds = 0.0
     if key not in _compiled:
@@ -164,27 +173,27 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
     return output, seconds, time.perf_counter() - began
 
 
-def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, statistics: Statistics) -> Solution:
-    """The solution from the kernel's output."""
-    newton, diagnostics = output.newton, to_numpy(output.diagnostics)
+def _record(output: _Output, theta: float, horizon: float, compiling: float, running: float) -> Solution:
+    """The solution from the kernel's output, and the seconds that it took to compile and to run."""
+    output = to_numpy(output)
+    diagnostics = output.diagnostics
     steps = len(diagnostics.hamiltonians)
-    momenta = {name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()}
     checks = Checks(
-        gap=float(newton.assembled.gap),
-        stationarity=float(newton.assembled.stationarity),
+        gap=float(output.gap),
+        stationarity=float(output.stationarity),
         violations={name: float(value) for name, value in diagnostics.violations.items()},
         hamiltonian=float(diagnostics.hamiltonians[0]),
         hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
-        momentum_spreads=momenta,
-        strict_minimum=bool(newton.strict_minimum),
+        momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
+        strict_minimum=bool(output.strict_minimum),
     )
-    stage_states, controls = to_numpy(newton.iterate.unknowns)
+    stage_states, controls = output.unknowns
     times = np.linspace(0.0, horizon, steps + 1)
     return Solution(
         times=times,
-        states=to_numpy(output.states),
-        costates=to_numpy(output.costates),
-        stage_times=times[:-1] + discrete.stage.discretization.theta * horizon / steps,
+        states=output.states,
+        costates=output.costates,
+        stage_times=times[:-1] + theta * horizon / steps,
         stage_states=stage_states,
         stage_costates=diagnostics.stage_costates,
         controls=controls,
@@ -192,9 +201,9 @@ def _record(discrete: DiscreteTrajectory, output: _Output, horizon: float, stati
         momenta=diagnostics.momenta,
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
-        cost=float(newton.assembled.cost),
-        success=bool(newton.result == Result.successful),
-        result=Result[newton.result],
+        cost=float(output.cost),
+        success=bool(output.success),
+        result=Result[output.result],
         checks=checks,
-        statistics=statistics,
+        statistics=Statistics(int(output.iterations), compiling, running),
     )

@@ -6,9 +6,11 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds import Euclidean, InvalidInputError, Manifold
+from ...manifolds.manifold import working_precision
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
@@ -113,7 +115,11 @@ class PresymplecticIntegrator(Integrator):
 
 def resting_control(controls: Manifold) -> Ambient:
     """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
-    return vec.zeros(controls.ambient) if isinstance(controls, Euclidean) else controls.random_point(jax.random.key(0))
+    return (
+        np.zeros(controls.shape, working_precision())
+        if isinstance(controls, Euclidean)
+        else controls.random_point(jax.random.key(0))
+    )
 
 
 @eqx.filter_jit
