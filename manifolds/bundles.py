@@ -30,13 +30,24 @@ class VectorBundle(Manifold):
     def ambient(self) -> tuple[Any, Any]:
         return self.base.ambient, self.base.ambient
 
-    def spanning_frame(self, z: Pair) -> Frame:
-        """The vectors ``(e_i, D_xP_x(v)[e_i])`` and ``(0, e_i)``: a basis of the tangent space, not orthonormal."""
+    def lift(self, z: Pair, a: Ambient, b: Ambient) -> Pair:
+        """The vector ``(a, b + D_xP_x(v)[a])`` tangent to the bundle at ``z = (x, v)``, for ``a``, ``b`` tangent at ``x``."""
         x, v = z
-        e = self.base.basis(x)
-        tilt = jax.vmap(lambda d: jax.jvp(lambda y: self.base.projection(y, v), (x,), (d,))[1])(e)
+        return a, vec.add(b, jax.jvp(lambda y: self.base.projection(y, v), (x,), (a,))[1])
+
+    def parts(self, z: Pair, covector: Pair) -> Pair:
+        """The tangent ``(s, t)`` with ``<covector, lift(a, b)> = <s, a> + <t, b>`` for all ``a``, ``b`` tangent at ``x``."""
+        x, v = z
+        t = self.base.projection(x, covector[1])
+        _, tilt = jax.vjp(lambda y: self.base.projection(y, v), x)
+        return self.base.projection(x, vec.add(covector[0], tilt(vec.subtract(covector[1], t))[0])), t
+
+    def spanning_frame(self, z: Pair) -> Frame:
+        """The vectors ``lift(e_i, 0)`` and ``lift(0, e_i)``: a basis of the tangent space, not orthonormal."""
+        e = self.base.basis(z[0])
         zero = jax.tree.map(jnp.zeros_like, e)
-        return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), (e, tilt), (zero, e))
+        horizontal = jax.vmap(lambda a, b: self.lift(z, a, b))(e, zero)
+        return jax.tree.map(lambda a, b: jnp.concatenate([a, b]), horizontal, (zero, e))
 
     def basis(self, x: Pair) -> Frame:
         return vec.orthonormalise(self.spanning_frame(x))
@@ -77,3 +88,11 @@ class CotangentBundle(VectorBundle):
     def two_form(self, z: Pair, a: Pair, b: Pair) -> Array:
         """Canonical two-form ``omega = -d theta = dq ^ dp`` at ``z`` on two tangent vectors ``(dq, dp)``."""
         return vec.pairing(a[0], b[1]) - vec.pairing(b[0], a[1])
+
+    def sharp(self, z: Pair, covector: Pair) -> Pair:
+        """The tangent vector ``a`` at ``z`` with ``omega(a, b) = <covector, b>`` for every tangent ``b``.
+
+        Of ``dH`` it is the Hamiltonian vector field, ``qdot = dH/dp``, ``pdot = -dH/dq``. The covector is ambient.
+        """
+        s, t = self.parts(z, covector)
+        return self.lift(z, t, vec.scale(-1.0, s))

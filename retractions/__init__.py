@@ -6,7 +6,7 @@ if __package__ != "retrax.retractions":
         "a second copy of its classes would not match the first"
     )
 
-from .cotangent_lift import BundleRetraction, CotangentLift, Phi, Phi_inverse, alpha, alpha_inverse, cotangent_lift
+from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
 from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
@@ -31,8 +31,6 @@ __all__ = [
     "LevelSetProjection",
     "Midpoint",
     "MidpointRetraction",
-    "Phi",
-    "Phi_inverse",
     "Polar",
     "ProductRetraction",
     "Projection",
@@ -45,8 +43,6 @@ __all__ = [
     "SphereProjection",
     "Theta",
     "adjoint",
-    "alpha",
-    "alpha_inverse",
     "cotangent_lift",
     "default_retraction",
     "differentiated",

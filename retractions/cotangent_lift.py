@@ -14,35 +14,11 @@ import jax.numpy as jnp
 from ..manifolds import CotangentBundle, InvalidInputError, Manifold, Product, TangentBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
 from .discretization import DiscretizationMap
 from .retraction import Retraction
 
 Pair = tuple[Ambient, Ambient]
-Quadruple = tuple[Ambient, Ambient, Ambient, Ambient]
-
-
-def alpha(q: Ambient, v: Ambient, p_q: Ambient, p_v: Ambient) -> Quadruple:
-    """``alpha: T*TQ -> TT*Q``, ``(q, v, p_q, p_v) -> (q, p, qdot, pdot) = (q, p_v, v, p_q)``."""
-    return q, p_v, v, p_q
-
-
-def alpha_inverse(q: Ambient, p: Ambient, qdot: Ambient, pdot: Ambient) -> Quadruple:
-    """``alpha^-1: TT*Q -> T*TQ``, ``(q, p, qdot, pdot) -> (q, v, p_q, p_v) = (q, qdot, pdot, p)``.
-
-    The covector on ``TQ`` at ``(q, v)`` is ``(dq, dv) -> <p_q, dq> + <p_v, dv>``.
-    """
-    return q, qdot, pdot, p
-
-
-def Phi(z0: Pair, z1: Pair) -> tuple[Pair, Pair]:
-    """``Phi: T*Q x T*Q -> T*(Q x Q)``, ``(q0, p0; q1, p1) -> ((q0, q1), (-p0, p1))``: a point and a covector there."""
-    (q0, p0), (q1, p1) = z0, z1
-    return (q0, q1), (vec.scale(-1.0, p0), p1)
-
-
-def Phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
-    """``Phi^-1: T*(Q x Q) -> T*Q x T*Q``, ``((q0, q1), (a, b)) -> (q0, -a; q1, b)``."""
-    return (q[0], vec.scale(-1.0, p[0])), (q[1], p[1])
 
 
 def cotangent_lift(
@@ -103,13 +79,7 @@ class CotangentLift(DiscretizationMap):
         base = self.discretization.manifold
         q, qdot = self.discretization.preimage(*ends)
         _, pull = jax.vjp(self.discretization, q, qdot)
-        p_q, p_v = pull(covector)
-        # The same covector on TQ with p_v tangent, then the rate of p that keeps it tangent along qdot.
-        p = base.projection(q, p_v)
-        _, tilt = jax.vjp(lambda y: base.projection(y, qdot), q)
-        along = base.projection(q, vec.add(p_q, tilt(vec.subtract(p_v, p))[0]))
-        bend = jax.jvp(lambda y: base.projection(y, p), (q,), (qdot,))[1]
-        return (q, p), (qdot, vec.add(along, vec.subtract(bend, base.projection(q, bend))))
+        return TulczyjewTriple(base).alpha((q, qdot), pull(covector))
 
 
 @final

@@ -70,6 +70,11 @@ def combine(frame: Frame, coordinates: Coordinates) -> Ambient:
     return jax.tree.map(lambda leaf: jnp.tensordot(coordinates, leaf, 1), frame)
 
 
+def combine_each(frame: Frame, coordinates: Float[Array, "m k"]) -> Frame:
+    """The frame of ``m`` vectors with these coordinates, one row each, in a frame of ``k``."""
+    return jax.tree.map(lambda leaf: jnp.tensordot(coordinates, leaf, 1), frame)
+
+
 def components(frame: Frame, a: Ambient) -> Coordinates:
     """Pairings ``<E_k, a>``, shape ``(k,)``: the coordinates of ``a`` if the frame is orthonormal."""
 

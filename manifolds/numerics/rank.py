@@ -1,0 +1,33 @@
+"""Ranks and null spaces of matrices in floating point, with the evidence for them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+RANK_TOLERANCE = 1e-7  # smallest singular value that counts, relative to the largest
+
+
+class Rank(NamedTuple):
+    """A numerical rank, the singular values it was read from, and the gap: last one counted over first one not counted."""
+
+    rank: int
+    singular_values: np.ndarray
+    gap: float
+
+
+def numerical_rank(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> Rank:
+    """Number of singular values above ``tolerance`` times the largest."""
+    if not matrix.size:
+        return Rank(0, np.zeros(0), np.inf)
+    values = np.linalg.svd(matrix, compute_uv=False)
+    rank = int(np.sum(values > tolerance * values[0]))
+    dropped = values[rank] if 0 < rank < len(values) else 0.0
+    return Rank(rank, values, float(values[rank - 1] / dropped) if dropped else np.inf)
+
+
+def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
+    """Orthonormal basis of the null space, one column each."""
+    if not matrix.size:
+        return np.eye(matrix.shape[1])
+    _, _, directions = np.linalg.svd(matrix)
+    return directions[numerical_rank(matrix, tolerance).rank :].T
