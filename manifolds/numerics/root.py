@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
-SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, rounding above the other
+SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
 
 Vector = Float[Array, " k"]
 
@@ -96,7 +96,7 @@ def _chords(
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
         done = (remaining <= rounding) | ((step <= quadratic) & (ratio > STALLED) & (s.chords > 0))
-        taken = ratio <= 1  # a step that grows is the fault of an old Jacobian
+        taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
         return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
 
     def going(s: _Iteration) -> Array:

@@ -67,8 +67,8 @@ on_every_problem = pytest.mark.parametrize("name", PROBLEMS)
 
 
 def random_steps(test: Callable) -> Callable:
-    """Random points and steps, and a point where the best control is far from rest."""
-    return given(seed=SEEDS, h=st.floats(0.01, 0.2))(example(seed=73, h=0.02)(test))
+    """Random points and steps, and points where the best control is far from rest."""
+    return given(seed=SEEDS, h=st.floats(0.01, 0.2))(example(seed=73, h=0.02)(example(seed=239, h=0.02)(test)))
 
 
 def pontryagin(problem: OptimalControlProblem, q: Any, p: Any, u: Any) -> jax.Array:
