@@ -10,6 +10,7 @@ from .bundles import CotangentBundle, TangentBundle
 from .groups import SO, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
+from .matrices import SPD, AffineInvariantMetric
 from .metric import EmbeddedMetric, Metric
 from .numerics.errors import (
     ConvergenceError,
@@ -19,6 +20,7 @@ from .numerics.errors import (
     RetraxError,
     UnknownRetractionError,
 )
+from .power import Power
 from .product import Product
 from .symplectic import (
     Immersion,
@@ -39,28 +41,34 @@ from .symplectic import (
     pullback_form,
     tangent_lift,
 )
-from .vectors import Euclidean, Sphere
+from .vectors import Euclidean, Hyperbolic, LorentzMetric, Simplex, Sphere
 
 __all__ = [
     "SO",
+    "SPD",
+    "AffineInvariantMetric",
     "ConvergenceError",
     "CotangentBundle",
     "DomainError",
     "EmbeddedMetric",
     "Euclidean",
     "HomogeneousSpace",
+    "Hyperbolic",
     "Immersion",
     "InvalidInputError",
     "LagrangianVerdict",
     "LevelSet",
+    "LorentzMetric",
     "Manifold",
     "Metric",
     "NotOnManifoldError",
     "Phi",
     "Phi_inverse",
+    "Power",
     "PresymplecticManifold",
     "Product",
     "RetraxError",
+    "Simplex",
     "Sphere",
     "TangentBundle",
     "TulczyjewTriple",

@@ -4,7 +4,6 @@ from abc import abstractmethod
 from typing import final
 
 import equinox as eqx
-import jax
 from jaxtyping import Array
 
 from .manifold import Manifold
@@ -30,7 +29,11 @@ class Metric(eqx.Module):
 
     def covector(self, x: Ambient, v: Ambient) -> Ambient:
         """The covector ``g_x(v, .)``: the momentum of a geodesic with velocity ``v``."""
-        return self.manifold.projection(x, jax.grad(lambda w: self.inner_product(x, v, w))(v))
+        return self.manifold.projection(x, vec.gradient(lambda w: self.inner_product(x, v, w), v))
+
+    def vector(self, x: Ambient, p: Ambient) -> Ambient:
+        """The tangent vector whose ``covector`` is ``p``."""
+        return self.manifold.projection(x, vec.gradient(lambda a: self.kinetic_energy(x, a), p))
 
 
 @final

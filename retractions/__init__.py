@@ -6,15 +6,24 @@ if __package__ != "retrax.retractions":
         "a second copy of its classes would not match the first"
     )
 
+from .constructions import PowerRetraction, ProductRetraction, SecondOrder, Stabilized, acceleration
 from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
 from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
 from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
-from .product import ProductRetraction
+from .matrices import SPDExponential, SPDLogEuclidean, SPDSecondOrder
+from .order import MeasuredOrder, order
 from .retraction import MidpointRetraction, Retraction
-from .vectors import Addition, SphereExponential, SphereProjection
+from .vectors import (
+    Addition,
+    HyperbolicExponential,
+    HyperbolicProjection,
+    SimplexExponential,
+    SphereExponential,
+    SphereProjection,
+)
 
 __all__ = [
     "QR",
@@ -28,10 +37,14 @@ __all__ = [
     "DiscretizationMap",
     "Euler",
     "Exponential",
+    "HyperbolicExponential",
+    "HyperbolicProjection",
     "LevelSetProjection",
+    "MeasuredOrder",
     "Midpoint",
     "MidpointRetraction",
     "Polar",
+    "PowerRetraction",
     "ProductRetraction",
     "Projection",
     "Retraction",
@@ -39,11 +52,19 @@ __all__ = [
     "SOCayley",
     "SOExponential",
     "SOPolar",
+    "SPDExponential",
+    "SPDLogEuclidean",
+    "SPDSecondOrder",
+    "SecondOrder",
+    "SimplexExponential",
     "SphereExponential",
     "SphereProjection",
+    "Stabilized",
     "Theta",
+    "acceleration",
     "adjoint",
     "cotangent_lift",
     "default_retraction",
     "differentiated",
+    "order",
 ]

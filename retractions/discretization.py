@@ -13,7 +13,7 @@ from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.root import find_root
-from .product import ProductRetraction
+from .constructions import PowerRetraction, ProductRetraction
 from .retraction import MidpointRetraction, Retraction, nan_unless
 
 Pair = tuple[Ambient, Ambient]
@@ -141,6 +141,8 @@ class Theta(DiscretizationMap):
             parts = zip(self.backward.factors, x0, x1, strict=True)
             z = [Theta(factor, self.theta).preimage(y0, y1) for factor, y0, y1 in parts]
             return tuple(x for x, _ in z), tuple(v for _, v in z)
+        if self.other is None and isinstance(self.backward, PowerRetraction):
+            return jax.vmap(Theta(self.backward.factor, self.theta).preimage)(x0, x1)
         if self.theta == 0.5 and self.other is None and isinstance(self.backward, MidpointRetraction):
             x = self.backward.midpoint(x0, x1)
             return x, vec.scale(2.0, self.backward.preimage(x, x1))

@@ -2,18 +2,38 @@
 
 from collections.abc import Callable
 
-from ..manifolds import SO, Euclidean, LevelSet, Manifold, Product, Sphere, UnknownRetractionError
+from ..manifolds import (
+    SO,
+    SPD,
+    Euclidean,
+    Hyperbolic,
+    LevelSet,
+    Manifold,
+    Power,
+    Product,
+    Simplex,
+    Sphere,
+    UnknownRetractionError,
+)
+from .constructions import PowerRetraction, ProductRetraction
 from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
-from .product import ProductRetraction
+from .matrices import SPDExponential
 from .retraction import Retraction
-from .vectors import Addition, SphereExponential, SphereProjection
+from .vectors import (
+    Addition,
+    HyperbolicExponential,
+    HyperbolicProjection,
+    SimplexExponential,
+    SphereExponential,
+    SphereProjection,
+)
 
 
 class RetractionFamily:
     """Retractions that share a name. Called with a manifold it gives the one for it.
 
-    A product is taken factor by factor, a Euclidean factor by addition. A class of one's own joins with
+    A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A class of one's own joins with
     ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
     """
 
@@ -29,11 +49,15 @@ class RetractionFamily:
         """Whether the family has a member for a manifold."""
         if isinstance(manifold, Product):
             return all(self.knows(factor) for factor in manifold.factors)
+        if isinstance(manifold, Power):
+            return self.knows(manifold.factor)
         return any(kind in self._members for kind in type(manifold).__mro__)
 
     def __call__(self, manifold: Manifold) -> Retraction:
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
+        if isinstance(manifold, Power):
+            return PowerRetraction(self(manifold.factor), manifold.k)
         for kind in type(manifold).__mro__:
             if kind in self._members:
                 return self._members[kind](manifold)
@@ -47,11 +71,22 @@ class RetractionFamily:
         return self.name
 
 
-Exponential = RetractionFamily("Exponential", {Sphere: SphereExponential, SO: SOExponential})
+Exponential = RetractionFamily(
+    "Exponential",
+    {
+        Sphere: SphereExponential,
+        Hyperbolic: HyperbolicExponential,
+        Simplex: SimplexExponential,
+        SPD: SPDExponential,
+        SO: SOExponential,
+    },
+)
 Cayley = RetractionFamily("Cayley", {SO: SOCayley})
 Polar = RetractionFamily("Polar", {SO: SOPolar})
 QR = RetractionFamily("QR", {SO: SOQR})
-Projection = RetractionFamily("Projection", {Sphere: SphereProjection, SO: SOPolar, LevelSet: LevelSetProjection})
+Projection = RetractionFamily(
+    "Projection", {Sphere: SphereProjection, Hyperbolic: HyperbolicProjection, SO: SOPolar, LevelSet: LevelSetProjection}
+)
 FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 
 
@@ -59,5 +94,7 @@ def default_retraction(manifold: Manifold) -> Retraction:
     """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold; factor by factor on products."""
     if isinstance(manifold, Product):
         return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))
+    if isinstance(manifold, Power):
+        return PowerRetraction(default_retraction(manifold.factor), manifold.k)
     family = next((family for family in FAMILIES if family.knows(manifold)), Exponential)
     return family(manifold)

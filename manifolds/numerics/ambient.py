@@ -3,6 +3,8 @@
 A *frame* is a pytree of the same structure whose leaves carry one extra leading axis: its k-th slice is the k-th vector.
 """
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,6 +31,11 @@ def pairing(a: Ambient, b: Ambient) -> Array:
     """Pairing ``<a, b>`` of a covector with a vector: the real part of the sum of products of entries (Frobenius)."""
     terms = jax.tree.map(lambda s, t: jnp.sum(jnp.real(jnp.conj(s) * t)), a, b)
     return sum(jax.tree.leaves(terms), start=jnp.zeros(()))
+
+
+def gradient(function: Callable[[Ambient], Array], x: Ambient) -> Ambient:
+    """Gradient for the pairing: ``<gradient, a>`` is the derivative of a real function along ``a``."""
+    return jax.tree.map(jnp.conj, jax.grad(function)(x))
 
 
 def add(a: Ambient, b: Ambient) -> Ambient:

@@ -41,6 +41,22 @@ def cosc(s: Array) -> Array:
     return _switch(s, 1.0, _entire(2), lambda s: 2 * jnp.sin(jnp.sqrt(s) / 2) ** 2 / s)
 
 
+def hyperbolic_cosine(s: Array) -> Array:
+    """``cosh(sqrt(s))``."""
+    return _switch(s, 1.0, tuple(map(abs, _entire(0))), lambda s: jnp.cosh(jnp.sqrt(s)))
+
+
+def sinhc(s: Array) -> Array:
+    """``sinh(sqrt(s)) / sqrt(s)``."""
+    return _switch(s, 1.0, tuple(map(abs, _entire(1))), lambda s: jnp.sinh(jnp.sqrt(s)) / jnp.sqrt(s))
+
+
+def arsinhc(s: Array) -> Array:
+    """``arsinh(sqrt(s)) / sqrt(s)``."""
+    coefficients = tuple((-1.0) ** k * c for k, c in enumerate(_ARCSINE))
+    return _switch(s, 1e-2, coefficients, lambda s: jnp.arcsinh(jnp.sqrt(s)) / jnp.sqrt(s))
+
+
 def angle_over_sine(s: Array, cosine_of_angle: Array) -> Array:
     """``t / sin(t)`` for ``t`` in [0, pi), from ``s = sin(t)^2`` and ``cos(t)``: accurate from 0 to the edge."""
     near = (s < 1e-2) & (cosine_of_angle > 0)

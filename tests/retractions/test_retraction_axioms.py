@@ -5,14 +5,14 @@ import pytest
 from hypothesis import example, given
 from retrax.retractions import SOQR, Addition
 
-from tests.support.cases import INVERTED, RETRACTIONS, reach
+from tests.support.cases import FIRST_ORDER, INVERTED, METRICS, RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, slope, unflat
 from tests.support.retractions import LENGTHS, newton_inverse, retraction_facts
 
 every_retraction = pytest.mark.parametrize("name", RETRACTIONS)
 
 # Retractions of second order: their curves have no tangential acceleration at the start.
-SECOND_ORDER = [name for name in RETRACTIONS if name.split("-")[0] not in ("qr", "bundle")]
+SECOND_ORDER = [name for name in RETRACTIONS if name.split("-")[0] not in FIRST_ORDER and name not in METRICS]
 
 
 @every_retraction

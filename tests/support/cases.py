@@ -4,7 +4,23 @@ from typing import final
 
 import jax.numpy as jnp
 from jaxtyping import Array
-from retrax.manifolds import SO, CotangentBundle, Euclidean, LevelSet, Manifold, Product, Sphere, TangentBundle
+from retrax.manifolds import (
+    SO,
+    SPD,
+    AffineInvariantMetric,
+    CotangentBundle,
+    Euclidean,
+    Hyperbolic,
+    LevelSet,
+    LorentzMetric,
+    Manifold,
+    Metric,
+    Power,
+    Product,
+    Simplex,
+    Sphere,
+    TangentBundle,
+)
 from retrax.retractions import (
     QR,
     Adjoint,
@@ -15,6 +31,8 @@ from retrax.retractions import (
     Polar,
     Projection,
     Retraction,
+    SPDLogEuclidean,
+    SPDSecondOrder,
     SphereExponential,
     Theta,
 )
@@ -57,6 +75,10 @@ MANIFOLDS: dict[str, Manifold] = {
     "(SO3*R3)*S2": NESTED,
     "T*S2": CotangentBundle(Sphere(2)),
     "TSO3": TangentBundle(SO(3)),
+    "H2": Hyperbolic(2),
+    "simplex3": Simplex(3),
+    "SPD2": SPD(2),
+    "S2x3": Power(Sphere(2), 3),
 }
 
 RETRACTIONS: dict[str, Retraction] = {
@@ -81,12 +103,28 @@ RETRACTIONS: dict[str, Retraction] = {
     "nearest-intersection": Projection(Intersection()),
     "cayley-SO3*R3": Cayley(SO(3) * Euclidean(3)),
     "exponential-(SO3*R3)*S2": Exponential(NESTED),
+    "exponential-H2": Exponential(Hyperbolic(2)),
+    "projection-H2": Projection(Hyperbolic(2)),
+    "softmax-simplex3": Exponential(Simplex(3)),
+    "exponential-SPD2": Exponential(SPD(2)),
+    "quadratic-SPD2": SPDSecondOrder(SPD(2)),
+    "log-SPD2": SPDLogEuclidean(SPD(2)),
+    "projection-S2x3": Projection(Power(Sphere(2), 3)),
     "bundle-T*S2": BundleRetraction(SphereExponential(Sphere(2))),
 }
 
 # Longest tangent vector (Euclidean norm in the ambient space) that the facts about inverses use, where it is not 3.
 # It is below pi, and on rotations the largest angle is at most that norm over the square root of 2.
-REACH = {"nearest": 0.3, "bundle": 1.0}
+REACH = {"nearest": 0.3, "bundle": 1.0, "projection-H2": 0.5, "softmax": 0.05, "quadratic": 0.9}
+
+# Retractions of first order, and those of second order for a metric that is not the ambient one.
+FIRST_ORDER = ("qr", "bundle", "softmax", "log")
+METRICS: dict[str, Metric] = {
+    "exponential-H2": LorentzMetric(Hyperbolic(2)),
+    "projection-H2": LorentzMetric(Hyperbolic(2)),
+    "exponential-SPD2": AffineInvariantMetric(SPD(2)),
+    "quadratic-SPD2": AffineInvariantMetric(SPD(2)),
+}
 
 # Maps made of two different retractions of one manifold, tested with the maps of the first.
 PARTNERS: dict[str, Retraction] = {
@@ -112,7 +150,7 @@ INVERTED: dict[str, tuple[str, ...]] = {
 
 def reach(name: str) -> float:
     """Longest tangent vector for the facts about a retraction's inverse."""
-    return REACH.get(name.split("-")[0], 3.0)
+    return REACH.get(name, REACH.get(name.split("-")[0], 3.0))
 
 
 def discretization_maps(name: str) -> dict[str, DiscretizationMap]:

@@ -90,6 +90,7 @@ def retraction_facts(name: str, seed: int, length: float, along: str = "ambient 
     x, _, frame = draw_point(manifold, seed)
     v, w = draw_tangent(rng, frame, length), draw_tangent(rng, frame, 1.0)
     c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
+    directions = [min(1.0, reach(name)) * direction for direction in directions]
     fibre = np.zeros_like(x), w
     d, e = (fibre, fibre) if along == "the fibre" else (tuple(directions[:2]), tuple(directions[2:]))
     y = draw_near(manifold, x, rng, 0.3 * min(1.0, reach(name)))

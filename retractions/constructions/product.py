@@ -5,9 +5,9 @@ from typing import final
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..manifolds import InvalidInputError, Product
-from .differential import DifferentiatedRetraction, adjoint, differentiated
-from .retraction import Retraction
+from ...manifolds import InvalidInputError, Product
+from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..retraction import Retraction
 
 
 @final

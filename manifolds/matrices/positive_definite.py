@@ -1,0 +1,77 @@
+"""Symmetric positive definite matrices."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..manifold import HomogeneousSpace, real
+from ..metric import Metric
+from ..numerics.matrices import symmetric
+
+
+def symmetric_basis(n: int) -> np.ndarray:
+    """Orthonormal basis of the symmetric ``n x n`` matrices, shape ``(n(n+1)/2, n, n)``."""
+    rows, columns = np.triu_indices(n)
+    out = np.zeros((rows.size, n, n))
+    size = np.where(rows == columns, 1.0, np.sqrt(0.5))
+    out[np.arange(rows.size), rows, columns] = size
+    out[np.arange(rows.size), columns, rows] = size
+    return out
+
+
+@final
+class SPD(HomogeneousSpace):
+    """Symmetric positive definite matrices, an open cone in the symmetric ``n x n`` matrices; points have shape ``(n, n)``.
+
+    Invertible matrices ``g`` act on it by ``x -> g x g'``; the n^2 generators are ``e_ij x + x e_ij'``.
+    """
+
+    n: int = eqx.field(static=True)
+
+    @property
+    def dimension(self) -> int:
+        return self.n * (self.n + 1) // 2
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n, self.n))
+
+    def projection(self, x: Array, a: Array) -> Array:
+        return symmetric(a)
+
+    def basis(self, x: Array) -> Float[Array, "k n n"]:
+        return jnp.asarray(symmetric_basis(self.n), x.dtype)
+
+    def restore(self, x: Array) -> Array:
+        return symmetric(x)
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        negative = jnp.sum(jnp.linalg.eigvalsh(symmetric(x)) <= 0)
+        return {"max |x - x'|": jnp.max(jnp.abs(x - x.T)), "number of eigenvalues not positive": negative}
+
+    def generators(self, x: Array) -> Array:
+        units = jnp.eye(self.n**2, dtype=x.dtype).reshape(-1, self.n, self.n)
+        return 2 * jax.vmap(symmetric)(units @ x)
+
+    def random_point(self, key: Array) -> Array:
+        """``I`` plus a Wishart matrix: well conditioned."""
+        a = jax.random.normal(key, (self.n, self.n))
+        return jnp.eye(self.n) + a @ a.T / self.n
+
+
+@final
+class AffineInvariantMetric(Metric):
+    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves invariant."""
+
+    manifold: SPD
+
+    def inner_product(self, x: Array, v: Array, w: Array) -> Array:
+        return jnp.trace(jnp.linalg.solve(x, v) @ jnp.linalg.solve(x, w))
+
+    def kinetic_energy(self, x: Array, p: Array) -> Array:
+        moved = x @ symmetric(p)
+        return jnp.trace(moved @ moved) / 2

@@ -1,0 +1,62 @@
+"""Powers of a manifold: many copies in one stacked array."""
+
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .manifold import Manifold
+from .numerics.ambient import Ambient, Frame
+from .numerics.errors import InvalidInputError
+
+
+@final
+class Power(Manifold):
+    """``k`` copies of a manifold: every array of a point has one more axis, the first, of length ``k``.
+
+    A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done to all
+    copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``.
+    """
+
+    factor: Manifold
+    k: int = eqx.field(static=True)
+
+    def __init__(self, factor: Manifold, k: int) -> None:
+        if not isinstance(factor, Manifold) or not isinstance(k, int) or k < 1:
+            raise InvalidInputError(f"Power takes a manifold and a number of copies of at least 1, got {factor!r} and {k!r}")
+        self.factor, self.k = factor, k
+
+    @property
+    def dimension(self) -> int:
+        return self.k * self.factor.dimension
+
+    @property
+    def ambient(self) -> Any:
+        return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct((self.k, *leaf.shape), leaf.dtype), self.factor.ambient)
+
+    def projection(self, x: Ambient, a: Ambient) -> Ambient:
+        return jax.vmap(self.factor.projection)(x, a)
+
+    def basis(self, x: Ambient) -> Frame:
+        return self.pad(jax.vmap(self.factor.basis)(x))
+
+    def restore(self, x: Ambient) -> Ambient:
+        return jax.vmap(self.factor.restore)(x)
+
+    def violations(self, x: Ambient) -> dict[str, Array]:
+        found = jax.vmap(self.factor.violations)(x)
+        return {f"in the worst copy: {words}": jnp.max(values) for words, values in found.items()}
+
+    def random_point(self, key: Array) -> Ambient:
+        return jax.vmap(self.factor.random_point)(jax.random.split(key, self.k))
+
+    def pad(self, frames: Frame) -> Frame:
+        """Frames of the copies, leaves of shape ``(k, m, *leaf)``, as one frame: each vector is zero on the other copies."""
+
+        def padded(leaf: Array) -> Array:
+            apart = jnp.einsum("ij,im...->imj...", jnp.eye(self.k, dtype=leaf.dtype), leaf)
+            return apart.reshape(-1, self.k, *leaf.shape[2:])
+
+        return jax.tree.map(padded, frames)

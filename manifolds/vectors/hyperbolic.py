@@ -1,0 +1,108 @@
+"""Hyperbolic space, the Lorentz model."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..groups.special_orthogonal import skew_basis
+from ..manifold import HomogeneousSpace, real
+from ..metric import Metric
+
+Vector = Float[Array, " n+1"]
+
+
+def lorentz(v: Vector, w: Vector) -> Array:
+    """Lorentz form ``<v, w>_L = -v_0 w_0 + v_1 w_1 + ... + v_n w_n``."""
+    return v[1:] @ w[1:] - v[0] * w[0]
+
+
+@final
+class Hyperbolic(HomogeneousSpace):
+    """Hyperbolic space ``H^n = {x : <x, x>_L = -1, x_0 > 0}``; points have shape ``(n + 1,)``, the time coordinate first.
+
+    Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of products,
+    by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``. The Lorentz
+    group acts on it.
+    """
+
+    n: int = eqx.field(static=True)
+
+    @property
+    def dimension(self) -> int:
+        return self.n
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n + 1,))
+
+    def projection(self, x: Array, a: Array) -> Array:
+        normal = _flipped(x)
+        return a - (normal @ a) / (normal @ normal) * normal
+
+    def basis(self, x: Array) -> Float[Array, "n n+1"]:
+        # The reflection that takes the first axis to the normal, up to sign, takes the other axes to the tangent space.
+        w = (_flipped(x) / jnp.sqrt(x @ x)).at[0].add(-1.0)
+        return (jnp.eye(self.n + 1, dtype=x.dtype) - 2 * jnp.outer(w, w) / (w @ w))[1:]
+
+    def restore(self, x: Array) -> Array:
+        """The point with the same space coordinates: exact also far out, where ``<x, x>_L`` has lost its digits."""
+        return x.at[0].set(jnp.sqrt(1 + x[1:] @ x[1:]))
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {"|x_0 / sqrt(1 + x_1^2 + ... + x_n^2) - 1|": jnp.abs(x[0] / self.restore(x)[0] - 1)}
+
+    def generators(self, x: Array) -> Array:
+        """Boosts and rotations ``J S x`` with ``J = diag(-1, 1, ..., 1)`` and ``S`` the basis of skew matrices."""
+        return _flipped((jnp.asarray(skew_basis(self.n + 1), x.dtype) @ x).T).T
+
+    def random_point(self, key: Array) -> Array:
+        return self.restore(jax.random.normal(key, (self.n + 1,)))
+
+    def at_apex(self, x: Array, v: Array) -> Float[Array, " n"]:
+        """Space part of a tangent vector ``v`` at ``x``, boosted to the apex ``(1, 0, ..., 0)``.
+
+        Its Euclidean length is ``|v|_L``, without the cancellation of ``<v, v>_L``.
+        """
+        return v[1:] - v[0] / (1 + x[0]) * x[1:]
+
+    def from_apex(self, x: Array, u: Float[Array, " n"]) -> Array:
+        """Tangent vector at ``x`` whose boost to the apex has the space part ``u``."""
+        along = x[1:] @ u
+        return jnp.concatenate([along[None], u + along / (1 + x[0]) * x[1:]])
+
+    def seen_from(self, x: Array, y: Array) -> tuple[Array, Float[Array, " n"]]:
+        """Time and space part of ``y`` boosted so that ``x`` is at the apex: ``cosh d`` and ``sinh d`` times a direction.
+
+        Near ``x`` they come from the difference of the points, which keeps its digits, and from their form elsewhere.
+        """
+        e = y - x
+        far = -lorentz(x, y)
+        excess = jnp.where(far < 2, lorentz(e, e) / 2, far - 1)
+        return 1 + excess, e[1:] - (e[0] + excess) / (1 + x[0]) * x[1:]
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """Distance ``arcosh(-<x, y>_L)``, as the ``arsinh`` of the space part of ``y`` seen from ``x``."""
+        _, u = self.seen_from(x, y)
+        return jnp.arcsinh(jnp.linalg.norm(u))
+
+
+@final
+class LorentzMetric(Metric):
+    """The metric ``g_x(v, w) = <v, w>_L`` of hyperbolic space, of constant curvature -1."""
+
+    manifold: Hyperbolic
+
+    def inner_product(self, x: Array, v: Array, w: Array) -> Array:
+        return self.manifold.at_apex(x, v) @ self.manifold.at_apex(x, w)
+
+    def kinetic_energy(self, x: Array, p: Array) -> Array:
+        p = self.manifold.projection(x, p)
+        return (lorentz(p, p) + (x @ p) ** 2) / 2
+
+
+def _flipped(x: Array) -> Array:
+    """``J x``: the time coordinate with its sign changed."""
+    return x.at[0].multiply(-1.0)

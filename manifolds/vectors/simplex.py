@@ -1,0 +1,43 @@
+"""The interior of the probability simplex."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ..manifold import Manifold, real
+
+
+@final
+class Simplex(Manifold):
+    """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``."""
+
+    n: int = eqx.field(static=True)
+
+    @property
+    def dimension(self) -> int:
+        return self.n
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n + 1,))
+
+    def projection(self, x: Array, a: Array) -> Array:
+        return a - jnp.mean(a)
+
+    def basis(self, x: Array) -> Float[Array, "n n+1"]:
+        # The reflection that takes the first axis to the diagonal, up to sign.
+        w = jnp.full_like(x, (self.n + 1) ** -0.5).at[0].add(1.0)
+        return (jnp.eye(self.n + 1, dtype=x.dtype) - 2 * jnp.outer(w, w) / (w @ w))[1:]
+
+    def restore(self, x: Array) -> Array:
+        """``x`` over its sum, which keeps every entry positive."""
+        return x / jnp.sum(x)
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {"|sum of the entries - 1|": jnp.abs(jnp.sum(x) - 1), "number of entries not positive": jnp.sum(x <= 0)}
+
+    def random_point(self, key: Array) -> Array:
+        return jax.nn.softmax(jax.random.normal(key, (self.n + 1,)))

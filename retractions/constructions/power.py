@@ -1,0 +1,45 @@
+"""Retractions of powers, all copies at once."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import InvalidInputError, Power
+from ...manifolds.numerics.ambient import Ambient
+from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..retraction import Retraction
+
+
+@final
+class PowerRetraction(DifferentiatedRetraction):
+    """Retraction of ``Power(M, k)`` from one of ``M``, applied to each copy."""
+
+    factor: Retraction
+    k: int = eqx.field(static=True)
+
+    def __init__(self, factor: Retraction, k: int) -> None:
+        if not isinstance(factor, Retraction):
+            raise InvalidInputError(f"PowerRetraction takes a retraction and a number of copies, got {factor!r}")
+        self.factor, self.k = factor, k
+
+    @property
+    def manifold(self) -> Power:
+        return Power(self.factor.manifold, self.k)
+
+    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+        return jax.vmap(self.factor)(x, v)
+
+    def preimage(self, x: Ambient, y: Ambient) -> Ambient:
+        return jax.vmap(self.factor.preimage)(x, y)
+
+    def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
+        return jax.vmap(lambda *parts: differentiated(self.factor, *parts))(x, v, w)
+
+    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+        return jax.vmap(lambda *parts: adjoint(self.factor, *parts))(x, v, xi)
+
+    def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
+        return jnp.all(jax.vmap(self.factor.domain)(x, v))

@@ -1,0 +1,76 @@
+"""The acceleration with which a retraction starts, and its removal."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ...manifolds import EmbeddedMetric, Manifold, Metric
+from ...manifolds.manifold import default_tolerance, same_point
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.root import find_root
+from ..retraction import Retraction, nan_unless
+
+
+def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> Ambient:
+    """Covariant acceleration ``a(v, v)``, a tangent vector at ``x``, of the curve ``c(t) = R(x, t v)`` at ``t = 0``.
+
+    ``g(a, e) = <d/dt dL/dv - dL/dx, e>`` with the Lagrangian ``L = g_x(v, v)/2`` along the curve; for the embedded metric it is
+    the tangential part of the second derivative. A retraction is of second order for a metric if it vanishes.
+    """
+
+    def lagrangian(at: Ambient, velocity: Ambient) -> Array:
+        return metric.inner_product(at, velocity, velocity) / 2
+
+    def curve(t: Array) -> tuple[Ambient, Ambient]:
+        return jax.jvp(lambda s: retraction(x, vec.scale(s, v)), (t,), (jnp.ones_like(t),))
+
+    def momentum(t: Array) -> Ambient:
+        at, velocity = curve(t)
+        return vec.gradient(lambda w: lagrangian(at, w), velocity)
+
+    zero = jnp.zeros((), vec.size(x).dtype)
+    rate = jax.jvp(momentum, (zero,), (jnp.ones_like(zero),))[1]
+    force = vec.gradient(lambda at: lagrangian(at, v), x)
+    return metric.vector(x, retraction.manifold.projection(x, vec.subtract(rate, force)))
+
+
+@final
+class SecondOrder(Retraction):
+    """Second-order correction ``R(x, v - a(v, v)/2)`` of a retraction, ``a`` its ``acceleration`` for a metric.
+
+    Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it is good for short vectors,
+    and the inverse, by Newton's method from the inverse of ``R``, is that near zero.
+    """
+
+    inner: Retraction
+    metric: Metric
+
+    def __init__(self, inner: Retraction, metric: Metric | None = None) -> None:
+        self.inner = inner
+        self.metric = EmbeddedMetric(inner.manifold) if metric is None else metric
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.inner.manifold
+
+    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+        return self.inner(x, self.bent(x, v))
+
+    def bent(self, x: Ambient, v: Ambient) -> Ambient:
+        """``v - a(v, v)/2``."""
+        return vec.subtract(v, vec.scale(0.5, acceleration(self.inner, self.metric, x, v)))
+
+    def preimage(self, x: Ambient, y: Ambient) -> Ambient:
+        w = self.inner.preimage(x, y)
+        frame = self.manifold.basis(jax.lax.stop_gradient(x))
+
+        def vector(c: Array) -> Ambient:
+            return self.manifold.projection(x, vec.combine(frame, c))
+
+        start = vec.components(frame, w)
+        c, converged = find_root(lambda c: vec.components(frame, vec.subtract(self.bent(x, vector(c)), w)), start)
+        v = vector(c)
+        return nan_unless(converged & same_point(self(x, v), y, default_tolerance()), v)

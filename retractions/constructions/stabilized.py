@@ -1,0 +1,39 @@
+"""Retractions whose long products stay on the manifold."""
+
+from typing import final
+
+from jaxtyping import Array, Bool
+
+from ...manifolds import Manifold
+from ...manifolds.numerics.ambient import Ambient
+from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..retraction import Retraction
+
+
+@final
+class Stabilized(DifferentiatedRetraction):
+    """``R`` followed by ``Manifold.restore``: the same retraction, whose rounding errors do not add up from step to step.
+
+    On the manifold ``restore`` is the identity, hence inverse, domain and derivative along the fibres are those of ``R``.
+    """
+
+    inner: Retraction
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.inner.manifold
+
+    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+        return self.manifold.restore(self.inner(x, v))
+
+    def preimage(self, x: Ambient, y: Ambient) -> Ambient:
+        return self.inner.preimage(x, y)
+
+    def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
+        return differentiated(self.inner, x, v, w)
+
+    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+        return adjoint(self.inner, x, v, xi)
+
+    def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
+        return self.inner.domain(x, v)

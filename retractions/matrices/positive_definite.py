@@ -1,0 +1,103 @@
+"""Retractions of the symmetric positive definite matrices.
+
+With ``x = l l'`` (Cholesky) the action of ``l`` takes the identity to ``x``: what is invariant is computed at the identity,
+on ``m = l^-1 v l^-T``.
+"""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Bool
+
+from ...manifolds import SPD
+from ...manifolds.numerics.matrices import spd_log, spd_sqrt, sym_exp, symmetric
+from ..differential import DifferentiatedRetraction
+from ..retraction import MidpointRetraction
+
+
+def _to_identity(factor: Array, a: Array) -> Array:
+    """``l^-1 a l^-T`` for a symmetric ``a``."""
+    half = solve_triangular(factor, a, lower=True)
+    return symmetric(solve_triangular(factor, half.T, lower=True))
+
+
+@final
+class SPDExponential(MidpointRetraction):
+    """``R(x, v) = l exp(l^-1 v l^-T) l'``, the geodesics of ``AffineInvariantMetric``.
+
+    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold, its domain every tangent vector [Bhatia 2007, chapter 6].
+    """
+
+    manifold: SPD
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        factor = jnp.linalg.cholesky(x)
+        return symmetric(factor @ sym_exp(_to_identity(factor, v)) @ factor.T)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        factor = jnp.linalg.cholesky(x)
+        return symmetric(factor @ spd_log(_to_identity(factor, y)) @ factor.T)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        factor = jnp.linalg.cholesky(x0)
+        return symmetric(factor @ spd_sqrt(_to_identity(factor, x1)) @ factor.T)
+
+
+@final
+class SPDSecondOrder(DifferentiatedRetraction):
+    """``R(x, v) = x + v + v x^-1 v / 2``, of second order for ``AffineInvariantMetric`` [Jeuris, Vandebril, Vandereycken 2012].
+
+    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``. Inverse
+    ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``. At the edge of the domain the image folds: there a
+    relative change ``e`` of ``y`` changes the inverse by ``sqrt(e)``.
+    """
+
+    manifold: SPD
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        half = solve_triangular(jnp.linalg.cholesky(x), v, lower=True)
+        return symmetric(x + v + half.T @ half / 2)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        factor = jnp.linalg.cholesky(x)
+        eye, rounding = jnp.eye(x.shape[0], dtype=x.dtype), 1e3 * float(jnp.finfo(x.dtype).eps)
+        return symmetric(factor @ (spd_sqrt(2 * _to_identity(factor, y) - eye, rounding) - eye) @ factor.T)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        return w + symmetric(v @ jnp.linalg.solve(x, w))
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        xi = symmetric(xi)
+        return xi + symmetric(jnp.linalg.solve(x, v @ xi))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.linalg.eigvalsh(x + v)[0] > 0
+
+
+@final
+class SPDLogEuclidean(MidpointRetraction):
+    """``R(x, v) = exp(log x + D log(x)[v])``, the geodesics of the log-Euclidean metric [Arsigny, Fillard, Pennec, Ayache 2007].
+
+    Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector.
+    """
+
+    manifold: SPD
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        log, rate = jax.jvp(spd_log, (x,), (v,))
+        return sym_exp(symmetric(log + rate))
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        log = spd_log(x)
+        return symmetric(jax.jvp(sym_exp, (log,), (spd_log(y) - log,))[1])
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return sym_exp((spd_log(x0) + spd_log(x1)) / 2)

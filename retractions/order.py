@@ -1,0 +1,100 @@
+"""The order of a retraction, measured."""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..manifolds import EmbeddedMetric, Manifold, Metric
+from ..manifolds.manifold import default_tolerance
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+from .constructions.second_order import acceleration
+from .differential import differentiated
+from .retraction import Retraction
+
+LENGTHS = 2.0 ** -np.arange(5, 12)
+
+
+class MeasuredOrder(NamedTuple):
+    """Order of a retraction with what it was read from, the worst of all points at which it was measured.
+
+    ``order`` is 2 where the curves ``R(x, tv)`` agree with geodesics to second order, 1 where they have the velocity ``v`` at
+    ``x``, 0 else. ``base`` is the largest ``|R(x, 0) - x|``, ``velocity`` the largest ``|D_v R(x, 0)[v] - v|`` and
+    ``acceleration`` the largest acceleration of the curves, all for unit vectors ``v``. ``slope`` is that of the error against
+    the geodesic's Taylor polynomial over ``t``: infinite if there is none.
+    """
+
+    order: int
+    base: float
+    velocity: float
+    acceleration: float
+    slope: float
+
+
+def order(
+    retraction: Retraction,
+    metric: Metric | None = None,
+    at: tuple[Ambient, Ambient] | None = None,
+    points: int = 5,
+    seed: int = 0,
+) -> MeasuredOrder:
+    """Measure the order of ``retraction`` for ``metric`` (default: that of the ambient space).
+
+    At the point and tangent vector ``at = (x, v)``, or at as many random ``points``, it is measured twice: by derivatives at
+    ``v = 0`` and by the values ``R(x, tv)`` for ``t`` from ``2^-5`` to ``2^-11``. The order is the smaller of both.
+    """
+    metric = EmbeddedMetric(retraction.manifold) if metric is None else metric
+    if at is None:
+        draws = _draws(retraction.manifold, jax.random.split(jax.random.key(seed), points))
+    else:
+        draws = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], at)
+    facts = jax.device_get(_measure(retraction, metric, *draws))
+    base, velocity, curvature = (float(np.max(part)) for part in facts[:3])
+    slope = min(_slope(errors) for errors in facts[3])
+    limit = default_tolerance()
+    by_derivative = 0 if not max(base, velocity) <= limit else 1 if not curvature <= limit else 2
+    by_values = 2 if slope > 2.5 else 1 if slope > 1.5 else 0
+    return MeasuredOrder(min(by_derivative, by_values), base, velocity, curvature, slope)
+
+
+@eqx.filter_jit
+def _draws(manifold: Manifold, keys: Array) -> tuple[Ambient, Ambient]:
+    def draw(key: Array) -> tuple[Ambient, Ambient]:
+        first, second = jax.random.split(key)
+        x = manifold.random_point(first)
+        return x, manifold.random_tangent(second, x)
+
+    return jax.vmap(draw)(keys)
+
+
+@eqx.filter_jit
+def _measure(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> tuple[Array, Array, Array, Array]:
+    embedded = EmbeddedMetric(retraction.manifold)
+
+    def one(x: Ambient, v: Ambient) -> tuple[Array, Array, Array, Array]:
+        v = vec.scale(1 / jnp.sqrt(vec.pairing(v, v)), v)
+        rest = vec.scale(0.0, v)
+        bend = acceleration(retraction, metric, x, v)
+        # The geodesic's second derivative along the tangent space: the difference of two accelerations is a tensor.
+        flat = bend if isinstance(metric, EmbeddedMetric) else acceleration(retraction, embedded, x, v)
+        ahead = vec.subtract(flat, bend)
+
+        def error(t: Array) -> Array:
+            chord = retraction.manifold.projection(x, vec.subtract(retraction(x, vec.scale(t, v)), x))
+            return vec.size(vec.subtract(chord, vec.add(vec.scale(t, v), vec.scale(t * t / 2, ahead)))) / (1 + vec.size(x))
+
+        velocity = vec.subtract(differentiated(retraction, x, rest, v), v)
+        base = vec.subtract(retraction(x, rest), x)
+        return vec.size(base), vec.size(velocity), vec.size(bend), jax.vmap(error)(jnp.asarray(LENGTHS))
+
+    return jax.vmap(one)(x, v)
+
+
+def _slope(errors: np.ndarray) -> float:
+    """Slope of ``log error`` over ``log t`` where the errors are above rounding; infinite where none of them is."""
+    seen = ~(errors <= 1e3 * np.finfo(errors.dtype).eps)
+    return float(np.polyfit(np.log(LENGTHS[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= 2 else np.inf

@@ -1,0 +1,68 @@
+"""Retractions of hyperbolic space, computed at the apex of the hyperboloid, where nothing cancels."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import Hyperbolic
+from ...manifolds.numerics import series
+from ..retraction import MidpointRetraction
+
+
+def _middle(manifold: Hyperbolic, x0: Array, x1: Array) -> Array:
+    cosine, _ = manifold.seen_from(x0, x1)
+    return (x0 + x1) / jnp.sqrt(2 * (1 + cosine))
+
+
+@final
+class HyperbolicExponential(MidpointRetraction):
+    """Geodesics of curvature -1: ``R(x, v) = cosh|v| x + (sinh|v| / |v|) v`` with the Lorentz length ``|v|``.
+
+    Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every tangent
+    vector short enough for its value to be a number.
+    """
+
+    manifold: Hyperbolic
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        u = self.manifold.at_apex(x, v)
+        s = u @ u
+        return series.hyperbolic_cosine(s) * x + series.sinhc(s) * v
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        _, u = self.manifold.seen_from(x, y)
+        return self.manifold.from_apex(x, series.arsinhc(u @ u) * u)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        # The squares of its coordinates are to be numbers too.
+        y = self(x, v)
+        return jnp.isfinite(y @ y)
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return _middle(self.manifold, x0, x1)
+
+
+@final
+class HyperbolicProjection(MidpointRetraction):
+    """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below 1.
+
+    Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the domain.
+    """
+
+    manifold: Hyperbolic
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        u = self.manifold.at_apex(x, v)
+        return self.manifold.restore((x + v) / jnp.sqrt(1 - u @ u))
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        cosine, u = self.manifold.seen_from(x, y)
+        return self.manifold.from_apex(x, u / cosine)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        u = self.manifold.at_apex(x, v)
+        return u @ u < 1
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return _middle(self.manifold, x0, x1)

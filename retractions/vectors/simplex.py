@@ -1,0 +1,32 @@
+"""A retraction of the interior of the simplex."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import Simplex
+from ..retraction import Retraction
+
+
+@final
+class SimplexExponential(Retraction):
+    """``R(x, v)`` proportional to ``x exp(v/x)``, entry by entry: the exponential families through ``x``, always positive.
+
+    They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one to
+    second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent vector
+    whose value has no entry that underflows.
+    """
+
+    manifold: Simplex
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return jax.nn.softmax(jnp.log(x) + v / x)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        logs = jnp.log(y / x)
+        return x * (logs - x @ logs)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(self(x, v) > 0)
