@@ -7,17 +7,37 @@ if __package__ != "retrax.integrators":
     )
 
 from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
-from .initial_value import Integrator, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate
+from .initial_value import (
+    KAHAN_LI_6,
+    KAHAN_LI_8,
+    SUZUKI,
+    TRIPLE_JUMP,
+    YOSHIDA_6,
+    Composition,
+    Integrator,
+    LiftedIntegrator,
+    PresymplecticIntegrator,
+    SymplecticIntegrator,
+    Trajectory,
+    integrate,
+)
 from .problem import OptimalControlProblem
 from .results import Result
 from .stages import ControlStage, HamiltonianStage, Stage
 
 __all__ = [
+    "KAHAN_LI_6",
+    "KAHAN_LI_8",
+    "SUZUKI",
+    "TRIPLE_JUMP",
+    "YOSHIDA_6",
     "Checks",
+    "Composition",
     "ControlStage",
     "Guess",
     "HamiltonianStage",
     "Integrator",
+    "LiftedIntegrator",
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",

@@ -1,11 +1,19 @@
 """Initial-value problems on T*Q: one lifted step, the integrators made of it, and trajectories."""
 
-from .integrator import Integrator, PresymplecticIntegrator, SymplecticIntegrator
+from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
+from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .step import StepResult, lifted_step
 from .trajectory import Trajectory, integrate
 
 __all__ = [
+    "KAHAN_LI_6",
+    "KAHAN_LI_8",
+    "SUZUKI",
+    "TRIPLE_JUMP",
+    "YOSHIDA_6",
+    "Composition",
     "Integrator",
+    "LiftedIntegrator",
     "PresymplecticIntegrator",
     "StepResult",
     "SymplecticIntegrator",

@@ -18,28 +18,60 @@ from ...retractions import CotangentLift, default_retraction
 from ..problem import OptimalControlProblem
 from ..stages import ControlStage, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
+from .step import StepResult, lifted_step
 
 
 class Integrator(eqx.Module):
-    """A method that steps on ``T*Q`` by the cotangent lift of a discretization map."""
+    """A one-step method on ``T*Q``."""
 
-    lift: eqx.AbstractVar[CotangentLift]
+    @property
+    @abstractmethod
+    def manifold(self) -> Manifold:
+        """The configuration manifold Q."""
+
+    @property
+    @abstractmethod
+    def control_times(self) -> np.ndarray:
+        """Where in a step its controls belong, in fractions of the step: an array shaped like the leading axes of ``control``."""
 
     @abstractmethod
-    def stage(self, system: Any, step: ArrayLike) -> Stage:
-        """The stage whose stationary points are the steps of ``system``."""
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        """Raise if ``system`` cannot be integrated from ``(q, p)``."""
 
     @abstractmethod
     def begin(self, system: Any, q: Ambient, p: Ambient) -> Any:
         """Unknowns from which the first step is predicted."""
 
     @abstractmethod
-    def control(self, unknowns: Any) -> Any:
-        """The control in a stage's unknowns; None where there is none."""
+    def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        """One step of size ``h`` from ``(q, p)``, predicted from the unknowns of the step before."""
 
     @abstractmethod
-    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
-        """Raise if ``system`` cannot be integrated from ``(q, p)``."""
+    def control(self, unknowns: Any) -> Any:
+        """The control in the unknowns of a step; None where there is none."""
+
+
+class LiftedIntegrator(Integrator):
+    """A method whose steps are stationary points of a stage, by the cotangent lift of a discretization map."""
+
+    lift: eqx.AbstractVar[CotangentLift]
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.lift.discretization.manifold
+
+    @property
+    def control_times(self) -> np.ndarray:
+        return np.asarray(self.lift.theta)
+
+    @abstractmethod
+    def stage(self, system: Any, h: ArrayLike) -> Stage:
+        """The stage whose stationary points are the steps of ``system``."""
+
+    def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        new = lifted_step(self.stage(system, h), q, p, previous)
+        q1 = self.manifold.restore(new.q)
+        return new._replace(q=q1, p=self.manifold.projection(q1, new.p))
 
 
 def _require_lift(lift: object) -> None:
@@ -48,7 +80,7 @@ def _require_lift(lift: object) -> None:
 
 
 @final
-class SymplecticIntegrator(Integrator):
+class SymplecticIntegrator(LiftedIntegrator):
     """Hamilton's equations: ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in ``T*Q``.
 
     The system is a Hamiltonian ``H(q, p)``, a JAX function of ambient arrays. The step is a symplectic map of ``T*Q``;
@@ -60,8 +92,8 @@ class SymplecticIntegrator(Integrator):
     def __check_init__(self) -> None:
         _require_lift(self.lift)
 
-    def stage(self, system: Hamiltonian, step: ArrayLike) -> HamiltonianStage:
-        return HamiltonianStage(hamiltonian=system, discretization=self.lift.discretization, step=step)
+    def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage:
+        return HamiltonianStage(hamiltonian=system, discretization=self.lift.discretization, step=h)
 
     def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient, Ambient]:
         return q, p, p
@@ -78,7 +110,7 @@ class SymplecticIntegrator(Integrator):
 
 
 @final
-class PresymplecticIntegrator(Integrator):
+class PresymplecticIntegrator(LiftedIntegrator):
     """Extremals of a regular optimal control problem from ``(q0, p0)``.
 
     ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of the problem, over its base point: the
@@ -90,8 +122,8 @@ class PresymplecticIntegrator(Integrator):
     def __check_init__(self) -> None:
         _require_lift(self.lift)
 
-    def stage(self, system: OptimalControlProblem, step: ArrayLike) -> ControlStage:
-        return ControlStage(problem=system, discretization=self.lift.discretization, step=step)
+    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage:
+        return ControlStage(problem=system, discretization=self.lift.discretization, step=h)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
         return q, extremal_control(system, q, p)

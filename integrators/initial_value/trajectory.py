@@ -12,14 +12,14 @@ from ...manifolds import ConvergenceError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
-from .step import lifted_step
 
 
 @final
 class Trajectory(eqx.Module):
     """A discrete trajectory on ``T*Q``: nodes along the leading axis of every leaf.
 
-    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``.
+    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a composition
+    has one for each of its substeps.
     ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
     """
 
@@ -27,7 +27,7 @@ class Trajectory(eqx.Module):
     q: Ambient
     p: Ambient
     controls: Any
-    stage_times: Float[Array, " steps"]
+    stage_times: Float[Array, "steps ..."]
     result: Result
     failed_step: Int[Array, ""]
 
@@ -65,7 +65,7 @@ def integrate(
     warn_about_precision()
     if not (isinstance(start, tuple | list) and len(start) == 2):
         raise InvalidInputError(f"start must be a pair (q0, p0) of a point and a covector, got {start!r}")
-    manifold, (q0, p0) = integrator.lift.discretization.manifold, start
+    manifold, (q0, p0) = integrator.manifold, start
     wrong = manifold.describe_mismatch(q0, "a point") or manifold.describe_mismatch(p0, "a covector")
     if wrong:
         raise NotOnManifoldError(f"start: {wrong}")
@@ -96,14 +96,10 @@ def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
 def _integrate(
     system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
 ) -> Trajectory:
-    manifold = integrator.lift.discretization.manifold
-    stage = integrator.stage(system, step_size)
-
     def step(carry: _Carry, index: Array) -> tuple[_Carry, None]:
-        new = lifted_step(stage, carry.q, carry.p, carry.unknowns)
+        new = integrator.step(system, step_size, carry.q, carry.p, carry.unknowns)
         good = new.converged & (carry.failed_step < 0)
-        q = manifold.restore(new.q)
-        moved = _Carry(q, manifold.projection(q, new.p), new.unknowns, carry.failed_step)
+        moved = _Carry(new.q, new.p, new.unknowns, carry.failed_step)
         kept = carry._replace(failed_step=jnp.where(carry.failed_step < 0, index, carry.failed_step))
         return jax.tree.map(lambda a, b: jnp.where(good, a, b), moved, kept), None
 
@@ -111,11 +107,12 @@ def _integrate(
         carry, _ = jax.lax.scan(step, carry, first + jnp.arange(every))
         return carry, (carry.q, carry.p, integrator.control(carry.unknowns))
 
-    q0, p0 = start[0], manifold.projection(*start)
+    q0, p0 = start[0], integrator.manifold.projection(*start)
     first = _Carry(q0, p0, integrator.begin(system, q0, p0), jnp.array(-1))
     last, (q, p, controls) = jax.lax.scan(block, first, every * jnp.arange(saves))
     q, p = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), (q0, p0), (q, p))
     times = step_size * every * jnp.arange(saves + 1)
-    stage_times = times[1:] - (1 - integrator.lift.theta) * step_size
+    before_end = 1 - integrator.control_times
+    stage_times = times[1:].reshape(-1, *(1,) * before_end.ndim) - before_end * step_size
     result = Result.where(last.failed_step < 0, Result.successful, Result.step_not_solved)
     return Trajectory(times, q, p, controls, stage_times, result, last.failed_step)

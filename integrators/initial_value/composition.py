@@ -1,0 +1,90 @@
+"""Compositions: integrators of higher order from steps of different sizes of one symmetric integrator."""
+
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ...manifolds import InvalidInputError, Manifold
+from ...manifolds.numerics.ambient import Ambient
+from .integrator import Integrator
+from .step import StepResult
+
+
+def _symmetric(*half: float) -> tuple[float, ...]:
+    """Weights ``half``, the middle one that makes the sum 1, and ``half`` reversed."""
+    return (*half, 1 - 2 * sum(half), *reversed(half))
+
+
+# [Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006, II.4 and V.3.2]
+TRIPLE_JUMP = _symmetric(1 / (2 - 2 ** (1 / 3)))  # order 4 [Yoshida 1990]
+SUZUKI = _symmetric(*(2 * [1 / (4 - 4 ** (1 / 3))]))  # order 4, its negative step half as long [Suzuki 1990]
+YOSHIDA_6 = _symmetric(0.784513610477557, 0.235573213359359, -1.17767998417887)  # order 6, 14 digits [Yoshida 1990]
+KAHAN_LI_6 = _symmetric(  # order 6 [Kahan, Li 1997]
+    0.39216144400731413928,
+    0.33259913678935943860,
+    -0.70624617255763935981,
+    0.082213596293550800230,
+)
+KAHAN_LI_8 = _symmetric(  # order 8 [Kahan, Li 1997]
+    0.13020248308889008088,
+    0.56116298177510838456,
+    -0.38947496264484728641,
+    0.15884190655515560090,
+    -0.39590389413323757734,
+    0.18453964097831570709,
+    0.25837438768632204729,
+    0.29501172360931029887,
+)
+
+
+@final
+class Composition(Integrator):
+    """Substeps ``w_1 h, ..., w_s h`` of one integrator, with weights that sum to 1.
+
+    Of a symmetric integrator of order 2 the weights ``TRIPLE_JUMP`` and ``SUZUKI`` make one of order 4, ``YOSHIDA_6`` and
+    ``KAHAN_LI_6`` of order 6, ``KAHAN_LI_8`` of order 8. Whatever every substep preserves, the composition preserves.
+    """
+
+    integrator: Integrator
+    weights: tuple[float, ...] = eqx.field(static=True, default=SUZUKI)
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.integrator, Integrator):
+            raise InvalidInputError(f"Composition takes an integrator, got {self.integrator!r}; try SymplecticIntegrator(lift)")
+        if not abs(sum(self.weights) - 1) <= 1e-12:
+            raise InvalidInputError(f"the weights of a composition must sum to 1, got {self.weights}; try SUZUKI")
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.integrator.manifold
+
+    @property
+    def control_times(self) -> np.ndarray:
+        weights, inner = np.asarray(self.weights), self.integrator.control_times
+        begins = (np.cumsum(weights) - weights).reshape(-1, *(1,) * inner.ndim)
+        return begins + np.multiply.outer(weights, inner)
+
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        self.integrator.check(system, q, p)
+
+    def begin(self, system: Any, q: Ambient, p: Ambient) -> tuple[Any, Any]:
+        unknowns = self.integrator.begin(system, q, p)
+        count = len(self.weights)
+        control = self.integrator.control(unknowns)
+        return unknowns, jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (count, *jnp.shape(leaf))), control)
+
+    def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: tuple[Any, Any]) -> StepResult:
+        def substep(last: StepResult, weight: ArrayLike) -> tuple[StepResult, Any]:
+            new = self.integrator.step(system, weight * h, last.q, last.p, last.unknowns)
+            return new._replace(converged=last.converged & new.converged), self.integrator.control(new.unknowns)
+
+        first = StepResult(q, p, previous[0], jnp.array(True))
+        last, controls = jax.lax.scan(substep, first, jnp.asarray(self.weights))
+        return last._replace(unknowns=(last.unknowns, controls))
+
+    def control(self, unknowns: tuple[Any, Any]) -> Any:
+        return unknowns[1]
