@@ -1,0 +1,21 @@
+"""The checks, one module for each kind of object that they are about."""
+
+from .cotangent_lift import COTANGENT_LIFT_CHECKS, CotangentLiftFacts, check_cotangent_lift
+from .discretization import DISCRETIZATION_CHECKS, DiscretizationFacts, check_discretization_map
+from .manifold import MANIFOLD_CHECKS, ManifoldFacts, check_manifold
+from .retraction import RETRACTION_CHECKS, RetractionFacts, check_retraction
+
+__all__ = [
+    "COTANGENT_LIFT_CHECKS",
+    "DISCRETIZATION_CHECKS",
+    "MANIFOLD_CHECKS",
+    "RETRACTION_CHECKS",
+    "CotangentLiftFacts",
+    "DiscretizationFacts",
+    "ManifoldFacts",
+    "RetractionFacts",
+    "check_cotangent_lift",
+    "check_discretization_map",
+    "check_manifold",
+    "check_retraction",
+]

@@ -1,0 +1,238 @@
+"""Facts about manifolds: points, tangent spaces, projections, equations."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...manifolds import HomogeneousSpace, Manifold
+from ...manifolds.numerics import ambient as vec
+from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
+from ..numerics import NODES, ambient_size, flat, unflat
+from ..report import Comparison, Inapplicable, Report, fact
+
+# Distances at which errors of first and second order are told apart, and what a second derivative may be there.
+DISTANCES = 2.0 ** -np.arange(8, 15)
+CURVATURE = 100.0
+STEP = 2e-3
+
+
+class ManifoldFacts(Facts):
+    """What is measured of a manifold, at random points."""
+
+    subject: Manifold
+
+    def __init__(self, manifold: Manifold, *, seeds: Iterable[int] = SEEDS, tolerance: float = TOLERANCE) -> None:
+        super().__init__(manifold, manifold, seeds, tolerance)
+
+    def draw(self, kind: str, seed: int) -> Sample:
+        """A random point with a random tangent vector, the basis there, and unit ambient vectors ``a`` and ``d``."""
+        x, v, basis = self.sampler.point(seed)
+        a, d = np.random.default_rng(seed).standard_normal((2, x.size))
+        return {"x": x, "v": v, "basis": basis, "a": a / np.linalg.norm(a), "d": d / np.linalg.norm(d)}
+
+
+def max_violation(manifold: Manifold, x: Any) -> jax.Array:
+    """Largest violation of the manifold's equations; 0 where there are none."""
+    return jnp.max(jnp.stack([jnp.zeros(()), *map(jnp.asarray, manifold.violations(x).values())]))
+
+
+def _projection(manifold: Manifold, sample: Sample) -> dict:
+    """The matrix of the projection, and its derivative along ``d``."""
+    back, x, a, d = unflat(manifold), sample["x"], sample["a"], sample["d"]
+
+    def project(x: jax.Array, e: jax.Array) -> jax.Array:
+        return flat(manifold.projection(back(x), back(e)))
+
+    return {
+        "projector": jax.vmap(lambda e: project(x, e))(jnp.eye(x.size)).T,
+        "slope": jax.jvp(lambda x: project(x, a), (x,), (d,))[1],
+        "values": jax.vmap(lambda t: project(x + t * d, a))(STEP * NODES),
+    }
+
+
+def _equations(manifold: Manifold, sample: Sample) -> dict:
+    """Violations at the point, on its tangent line, off the manifold, and after restoring."""
+    back, x, a = unflat(manifold), sample["x"], sample["a"]
+    projected = flat(manifold.projection(back(x), back(a)))
+    normal, unit = a - projected, sample["v"] / jnp.linalg.norm(sample["v"])
+
+    def violation(y: jax.Array) -> jax.Array:
+        return max_violation(manifold, back(y))
+
+    def restored(y: jax.Array) -> jax.Array:
+        return flat(manifold.restore(back(y)))
+
+    distances = jnp.asarray(DISTANCES)
+    lines = jnp.stack([unit, normal / jnp.linalg.norm(normal)])
+    along = jax.vmap(jax.vmap(violation))(x + distances[None, :, None] * lines[:, None, :])
+    return {
+        "on": violation(x),
+        "tangent line": along[0],
+        "normal line": along[1],
+        "restored": restored(x),
+        "after restoring": jax.vmap(lambda t: violation(restored(x + t * a)))(distances),
+    }
+
+
+def _generators(manifold: HomogeneousSpace, sample: Sample) -> dict:
+    return {"generators": vec.flatten_frame(manifold.generators(unflat(manifold)(sample["x"])))}
+
+
+@fact
+def random_points_are_on_the_manifold(facts: ManifoldFacts) -> Comparison:
+    """Random points satisfy the manifold's equations."""
+    f = facts.measure(_equations, "points")
+    return facts.bound("the largest violation of the equations", f, f["on"], facts.tolerance * (1 + largest_entries(f["x"])))
+
+
+@fact
+def random_points_differ(facts: ManifoldFacts) -> Comparison | Inapplicable:
+    """Random points from different keys are different."""
+    f = facts.measure(_equations, "points")
+    if facts.manifold.dimension == 0 or len(facts.seeds) < 2:
+        return Inapplicable("there is one point")
+    gaps = np.max(np.abs(f["x"][:, None] - f["x"][None]), axis=2)
+    others = gaps[~np.eye(len(gaps), dtype=bool)].reshape(len(gaps), -1)
+    return facts.bound("the distance to the nearest other point", f, np.min(others, axis=1), 1e-9, "at least")
+
+
+@fact
+def random_tangents_are_tangent(facts: ManifoldFacts) -> Comparison:
+    """Random tangent vectors are left as they are by the projection."""
+    f = facts.measure(_projection, "points")
+    projected = np.einsum("kij,kj->ki", f["projector"], f["v"])
+    return facts.compare("|P v - v|", f, projected, f["v"], facts.tolerance)
+
+
+@fact
+def projection_is_idempotent(facts: ManifoldFacts) -> Comparison:
+    """Projecting twice is projecting once: ``P P = P``."""
+    f = facts.measure(_projection, "points")
+    return facts.compare("|P P - P|", f, f["projector"] @ f["projector"], f["projector"], facts.tolerance)
+
+
+@fact
+def projection_is_symmetric(facts: ManifoldFacts) -> Comparison:
+    """The projection is orthogonal: ``<P a, b> = <a, P b>``."""
+    f = facts.measure(_projection, "points")
+    transposed = np.swapaxes(f["projector"], 1, 2)
+    return facts.compare("|P - P'|", f, f["projector"], transposed, facts.tolerance)
+
+
+@fact
+def tangent_spaces_have_the_dimension(facts: ManifoldFacts) -> Comparison:
+    """The trace of the projection, which is its rank, is the manifold's dimension."""
+    f = facts.measure(_projection, "points")
+    rank = np.trace(f["projector"], axis1=1, axis2=2)
+    return facts.bound("|trace P - dimension|", f, np.abs(rank - facts.manifold.dimension), 1e-6)
+
+
+@fact
+def basis_is_orthonormal(facts: ManifoldFacts) -> Comparison:
+    """The basis of the tangent space is orthonormal: ``<E_i, E_j> = 1`` for ``i = j``, 0 otherwise."""
+    f = facts.measure(_projection, "points")
+    gram = f["basis"] @ np.swapaxes(f["basis"], 1, 2)
+    return facts.compare("|<E_i, E_j> - I|", f, gram, np.eye(gram.shape[1]), facts.tolerance)
+
+
+@fact
+def basis_spans_the_image_of_the_projection(facts: ManifoldFacts) -> Comparison:
+    """The projection is ``a -> sum_i <E_i, a> E_i``."""
+    f = facts.measure(_projection, "points")
+    spanned = np.swapaxes(f["basis"], 1, 2) @ f["basis"]
+    return facts.compare("|sum E_i E_i' - P|", f, spanned, f["projector"], facts.tolerance)
+
+
+@fact
+def derivative_of_the_projection_is_that_of_differences(facts: ManifoldFacts) -> Comparison:
+    """Automatic differentiation of ``P_x a`` by ``x`` gives its derivative: the frames of the bundles stand on it."""
+    f = facts.measure(_projection, "points")
+    return facts.compare_slopes("|D_x P_x a - differences|", f, f["slope"], f["values"], STEP)
+
+
+@fact
+def tangent_lines_touch_the_manifold(facts: ManifoldFacts) -> Comparison | Inapplicable:
+    """At ``x + t v`` with a unit tangent vector ``v`` the equations are violated by ``O(t^2)``."""
+    f = facts.measure(_equations, "points")
+    if facts.manifold.dimension == 0:
+        return Inapplicable("there is no tangent vector")
+    rate = np.max((f["tangent line"] - f["on"][:, None]) / DISTANCES**2, axis=1)
+    return facts.bound("the violation at x + t v over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"])))
+
+
+@fact
+def equations_see_normal_displacements(facts: ManifoldFacts) -> Comparison | Inapplicable:
+    """At ``x + t n`` with a unit normal vector ``n`` the equations are violated by ``t`` times something."""
+    f = facts.measure(_equations, "points")
+    if facts.manifold.dimension == ambient_size(facts.manifold):
+        return Inapplicable("the manifold is open in its ambient space")
+    rate = np.min(f["normal line"] / DISTANCES, axis=1)
+    return facts.bound("the violation at x + t n over t", f, rate, 0.01, "at least")
+
+
+@fact
+def restore_is_the_identity_on_the_manifold(facts: ManifoldFacts) -> Comparison:
+    """A point of the manifold is restored to itself."""
+    f = facts.measure(_equations, "points")
+    return facts.compare("|restore(x) - x|", f, f["restored"], f["x"], facts.tolerance)
+
+
+@fact
+def restore_makes_errors_second_order(facts: ManifoldFacts) -> Comparison:
+    """A point at distance ``t`` from the manifold is restored to one that violates the equations by ``O(t^2)``."""
+    # A bound in place of a slope: along some directions the error changes sign, which no power of the distance does.
+    f = facts.measure(_equations, "points")
+    rate = np.max((f["after restoring"] - f["on"][:, None]) / DISTANCES**2, axis=1)
+    return facts.bound("the violation after restoring x + t a over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"])))
+
+
+@fact
+def generators_of_the_action_span_the_tangent_spaces(facts: ManifoldFacts) -> Comparison | Inapplicable:
+    """The infinitesimal generators of the group's action are tangent, and every tangent vector is a combination of them."""
+    if not isinstance(facts.manifold, HomogeneousSpace):
+        return Inapplicable("no group is said to act on this manifold")
+    f = facts.measure(_generators, "points")
+    coordinates = f["generators"] @ np.swapaxes(f["basis"], 1, 2)
+    normal = largest_entries(f["generators"] - coordinates @ f["basis"])
+    reached = np.linalg.pinv(coordinates) @ coordinates
+    missed = largest_entries(reached - np.eye(reached.shape[1]))
+    return facts.bound("the larger of normal part and missed directions", f, np.maximum(normal, missed), 10 * facts.tolerance)
+
+
+MANIFOLD_CHECKS = (
+    random_points_are_on_the_manifold,
+    random_points_differ,
+    random_tangents_are_tangent,
+    projection_is_idempotent,
+    projection_is_symmetric,
+    tangent_spaces_have_the_dimension,
+    basis_is_orthonormal,
+    basis_spans_the_image_of_the_projection,
+    derivative_of_the_projection_is_that_of_differences,
+    tangent_lines_touch_the_manifold,
+    equations_see_normal_displacements,
+    restore_is_the_identity_on_the_manifold,
+    restore_makes_errors_second_order,
+    generators_of_the_action_span_the_tangent_spaces,
+)
+
+
+def check_manifold(
+    manifold: Manifold,
+    *,
+    seeds: Iterable[int] = SEEDS,
+    tolerance: float = TOLERANCE,
+    only: Iterable[str] | str | None = None,
+    skip: dict[str, str] | None = None,
+    throw: bool = True,
+) -> Report:
+    """Measure whether an object keeps the promises of ``Manifold``, at one random point for each seed.
+
+    ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size. ``only`` names the
+    checks to run (default: all), ``skip`` maps names of checks to the reasons for leaving them out.
+    Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    """
+    return examine(ManifoldFacts(manifold, seeds=seeds, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw)

@@ -1,0 +1,84 @@
+"""Random points, tangent vectors and covectors from integer seeds, in flat real coordinates."""
+
+from functools import cached_property
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..manifolds import CotangentBundle, Manifold, TangentBundle
+from ..manifolds.numerics import ambient as vec
+from ..retractions import Retraction
+from .numerics import Vector, compiled, flat, unflat
+
+RESTORING_STEPS = 6
+BISECTIONS = 60
+
+
+def direction(rng: np.random.Generator, basis: np.ndarray) -> np.ndarray:
+    """Unit vector in a random direction of the span of an orthonormal ``basis``, given by rows; zero if there is none."""
+    c = rng.standard_normal(basis.shape[0])
+    return (c / max(float(np.linalg.norm(c)), 1e-300)) @ basis
+
+
+class Sampler:
+    """Draws on one manifold; its kernels are compiled at the first draw."""
+
+    def __init__(self, manifold: Manifold) -> None:
+        self.manifold, self.unflat = manifold, unflat(manifold)
+
+        def point(seed: jax.Array) -> tuple[Vector, Vector, jax.Array]:
+            first, second = jax.random.split(jax.random.key(seed))
+            x = manifold.random_point(first)
+            return flat(x), flat(manifold.random_tangent(second, x)), vec.flatten_frame(manifold.basis(x))
+
+        def nearest(a: Vector) -> Vector:
+            return jax.lax.fori_loop(0, RESTORING_STEPS, lambda _, a: flat(manifold.restore(self.unflat(a))), a)
+
+        def frame(x: Vector, v: Vector) -> jax.Array:
+            return vec.flatten_frame(TangentBundle(manifold).spanning_frame((self.unflat(x), self.unflat(v))))
+
+        self._point, self._nearest, self._frame = compiled(point), compiled(nearest), compiled(frame)
+
+    def point(self, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """A random point, a random tangent vector there, and the orthonormal basis of the tangent space, by rows."""
+        return self._point(seed)
+
+    def near(self, x: np.ndarray, rng: np.random.Generator, distance: float) -> np.ndarray:
+        """A point of the manifold about this far from ``x``, reached through the ambient space."""
+        a = rng.standard_normal(x.size)
+        return self._nearest(x + distance * a / np.linalg.norm(a))
+
+    def bundle_frame(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Frame of the tangent space of ``TM`` at ``(x, v)``, by rows; its second half is ``(0, e_i)``."""
+        return self._frame(x, v)
+
+    @cached_property
+    def cotangent(self) -> "Sampler":
+        """Draws on the cotangent bundle."""
+        return Sampler(CotangentBundle(self.manifold))
+
+
+class DomainEdge:
+    """How far a retraction's domain reaches from a point in a direction."""
+
+    def __init__(self, retraction: Retraction) -> None:
+        back = unflat(retraction.manifold)
+
+        def edge(x: Vector, u: Vector, longest: jax.Array) -> jax.Array:
+            def inside(t: jax.Array) -> jax.Array:
+                return retraction.domain(back(x), back(t * u))
+
+            def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
+                middle = (bracket[0] + bracket[1]) / 2
+                yes = inside(middle)
+                return jnp.where(yes, middle, bracket[0]), jnp.where(yes, bracket[1], middle)
+
+            low, _ = jax.lax.fori_loop(0, BISECTIONS, halve, (0 * longest, longest))
+            return jnp.where(inside(longest), longest, low)
+
+        self._edge = compiled(edge)
+
+    def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
+        """Length of the longest known multiple of the unit tangent vector ``u`` in the domain, at most ``longest``."""
+        return float(self._edge(x, u, longest))

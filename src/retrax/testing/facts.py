@@ -1,0 +1,111 @@
+"""Facts about one object: samples of points and vectors, and what compiled kernels measure there."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..manifolds import InvalidInputError, Manifold
+from .draws import Sampler
+from .numerics import coarse_differences, compiled, differences, require_double_precision
+from .report import Batch, Check, Comparison, ConformanceError, Outcome, Report, judge
+
+SEEDS = tuple(range(6))
+TOLERANCE = 1e-12
+# Differences that are known no better than this say nothing.
+WORST_DIFFERENCES = 1e-5
+
+Sample = dict[str, Any]  # names of flat arrays and numbers
+
+
+class Facts:
+    """What is measured of one object. A kernel is compiled and run when the first check reads it.
+
+    ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size.
+    """
+
+    def __init__(self, subject: Any, manifold: Manifold, seeds: Iterable[int], tolerance: float) -> None:
+        require_double_precision()
+        self.subject, self.manifold = subject, manifold
+        self.seeds, self.tolerance = tuple(seeds), tolerance
+        if not self.seeds:
+            raise InvalidInputError("the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)")
+        self.sampler = Sampler(manifold)
+        self.kernels: dict[str, Callable] = {}
+        self._samples: dict[str, list[Sample]] = {}
+        self._measured: dict[tuple[str, str], Batch] = {}
+
+    def draw(self, kind: str, seed: int) -> Sample:
+        """The sample of one kind and seed: named flat arrays, ``x`` among them."""
+        raise NotImplementedError
+
+    def samples(self, kind: str) -> list[Sample]:
+        """The samples of one kind, one for each seed."""
+        if kind not in self._samples:
+            self._samples[kind] = [{"seed": seed, **self.draw(kind, seed)} for seed in self.seeds]
+        return self._samples[kind]
+
+    def measure(self, kernel: Callable[..., dict], *kinds: str) -> Batch:
+        """Values of ``kernel(subject, sample)`` at the samples of some kinds, with the samples; the first axis counts them."""
+        found = [self._measure_kind(kernel, kind) for kind in kinds]
+        return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+
+    def _measure_kind(self, kernel: Callable[..., dict], kind: str) -> Batch:
+        name = kernel.__name__
+        if name not in self.kernels:
+            self.kernels[name] = compiled(lambda sample: kernel(self.subject, sample))
+        if (name, kind) not in self._measured:
+            rows = [{**sample, **self.kernels[name](sample)} for sample in self.samples(kind)]
+            self._measured[name, kind] = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+        return self._measured[name, kind]
+
+    def compare(self, what: str, at: Batch, got: Any, expected: Any, limit: float | np.ndarray) -> Comparison:
+        """Largest difference, relative to ``1 +`` the largest entry expected, at each sample."""
+        got, expected = np.asarray(got), np.broadcast_to(expected, np.shape(got))
+        size = 1 + largest_entries(expected)
+        return self.bound(what, at, largest_entries(got - expected) / size, limit)
+
+    def compare_slopes(self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float) -> Comparison:
+        """Derivatives against differences of ``values`` at ``step NODES``, which are as good as the coarser ones say."""
+        steps = np.broadcast_to(step, len(exact))
+        fine = np.stack([differences(v, h) for v, h in zip(values, steps, strict=True)])
+        coarse = np.stack([coarse_differences(v, h) for v, h in zip(values, steps, strict=True)])
+        limit = np.minimum(1e3 * self.tolerance + largest_entries(fine - coarse), WORST_DIFFERENCES)
+        return self.compare(what, at, exact, fine, limit)
+
+    def bound(self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most") -> Comparison:
+        """A measured number at each sample, with what it is expected to be ``at most`` or ``at least``."""
+        measured = np.asarray(measured, float)
+        return Comparison(what, measured, np.broadcast_to(np.asarray(limit, float), measured.shape), at, side)
+
+
+def largest_entries(a: np.ndarray) -> np.ndarray:
+    """Largest absolute entry at each sample; NaN if any entry is."""
+    return np.max(np.abs(a.reshape(a.shape[0], -1)), axis=1, initial=0.0)
+
+
+def examine(
+    facts: Facts, checks: Sequence[Check], only: Iterable[str] | str | None, skip: dict[str, str] | None, throw: bool
+) -> Report:
+    """Judge the named checks (default: all); those in ``skip`` are left out, each with its reason."""
+    skip = skip or {}
+    named = [only] if isinstance(only, str) else [check.name for check in checks] if only is None else list(only)
+    refuse_unknown((*named, *skip), checks)
+    outcomes = [
+        Outcome(check, "skipped", skip[check.name]) if check.name in skip else judge(check, facts)
+        for check in checks
+        if check.name in named
+    ]
+    report = Report(str(facts.subject), tuple(outcomes))
+    if throw and report.failures:
+        raise ConformanceError(report)
+    return report
+
+
+def refuse_unknown(names: Iterable[str], checks: Sequence[Check]) -> None:
+    """Raise ``InvalidInputError`` for a name that no check has."""
+    known = [check.name for check in checks]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise InvalidInputError(f"no check is named {', '.join(map(repr, unknown))}; the checks here are {', '.join(known)}")

@@ -1,0 +1,106 @@
+"""Numerics that facts are measured with: compiled kernels, flat real coordinates, differences, slopes."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..manifolds import InvalidInputError, Manifold
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+
+Vector = Float[Array, " N"]
+
+# The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
+# An XLA that does not know an option does without.
+_WISHES = {
+    "xla_backend_optimization_level": 0,
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_cpu_use_fusion_emitters": False,
+}
+
+
+@lru_cache
+def _compiler_options() -> dict[str, int | bool]:
+    def known(option: str) -> bool:
+        try:
+            jax.jit(lambda x: x + 1, compiler_options={option: _WISHES[option]})(1.0)
+        except jax.errors.JaxRuntimeError:
+            return False
+        return True
+
+    return {option: value for option, value in _WISHES.items() if known(option)}
+
+
+def compiled(function: Callable) -> Callable:
+    """``function`` compiled quickly, with numpy arrays as its values."""
+    fast = jax.jit(function, compiler_options=_compiler_options())
+    return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
+
+
+def require_double_precision() -> None:
+    """Raise ``InvalidInputError`` in single precision, in which the facts are not told from rounding."""
+    if not jax.config.read("jax_enable_x64"):
+        raise InvalidInputError(
+            "the facts are measured to rounding in double precision, got single precision; "
+            'try jax.config.update("jax_enable_x64", True) before anything else'
+        )
+
+
+def flat(a: Ambient) -> Vector:
+    """The entries of an ambient vector, or of several, as one real vector: each array's real, then imaginary parts."""
+    return vec.flatten_frame(jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], a))[0]
+
+
+def unflat(manifold: Manifold) -> Callable[[Vector], Ambient]:
+    """The map from real vectors to ambient vectors of a manifold, inverse to ``flat``."""
+    leaves, structure = jax.tree.flatten(manifold.ambient)
+
+    def back(w: Vector) -> Ambient:
+        parts, start = [], 0
+        for leaf in leaves:
+            stop = start + leaf.size
+            part = w[start:stop]
+            if jnp.issubdtype(leaf.dtype, jnp.complexfloating):
+                part, stop = part + 1j * w[stop : stop + leaf.size], stop + leaf.size
+            parts.append(jnp.asarray(part, leaf.dtype).reshape(leaf.shape))
+            start = stop
+        return jax.tree.unflatten(structure, parts)
+
+    return back
+
+
+def ambient_size(manifold: Manifold) -> int:
+    """Real dimension of the ambient space."""
+    return jax.eval_shape(flat, vec.zeros(manifold.ambient)).size
+
+
+def largest(a: Any) -> float:
+    """Largest absolute entry of an ambient vector; NaN if any entry is."""
+    return float(max(np.max(np.abs(leaf), initial=0.0) for leaf in jax.tree.leaves(a)))
+
+
+# Differences of orders 6 and 4: f'(0) = sum_k w_k f(k h) / h.
+NODES = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
+WEIGHTS = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60.0
+_COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
+
+
+def differences(values: np.ndarray, h: float) -> np.ndarray:
+    """Derivative at 0, to order ``h^6``, of a function with these ``values`` at ``h NODES``."""
+    return np.tensordot(WEIGHTS, values, 1) / h
+
+
+def coarse_differences(values: np.ndarray, h: float) -> np.ndarray:
+    """The same derivative to order ``h^4``; how far it is from the finer one bounds the finer one's error."""
+    return np.tensordot(_COARSE, values, 1) / h
+
+
+def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
+    """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``; infinite where none is."""
+    seen = errors > floor
+    return float(np.polyfit(np.log(t[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= 3 else np.inf

@@ -1,0 +1,71 @@
+"""The suite of checks for each kind of object: to list them, and to run them from pytest one by one."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+from ..manifolds import CotangentBundle, InvalidInputError, Manifold
+from ..retractions import DiscretizationMap, Retraction
+from . import checks as kit
+from .facts import Facts, refuse_unknown
+from .report import Check, ConformanceError, Report, judge
+
+
+class Suite(NamedTuple):
+    """What is measured of one kind of object, and the checks that read it."""
+
+    facts: Callable[..., Facts]
+    checks: tuple[Check, ...]
+
+
+def suite_for(subject: Any) -> Suite:
+    """The suite for a manifold, a retraction, a discretization map or a cotangent lift."""
+    if isinstance(subject, DiscretizationMap):
+        if isinstance(subject.manifold, CotangentBundle):
+            return Suite(kit.CotangentLiftFacts, kit.COTANGENT_LIFT_CHECKS)
+        return Suite(kit.DiscretizationFacts, kit.DISCRETIZATION_CHECKS)
+    if isinstance(subject, Retraction):
+        return Suite(kit.RetractionFacts, kit.RETRACTION_CHECKS)
+    if isinstance(subject, Manifold):
+        return Suite(kit.ManifoldFacts, kit.MANIFOLD_CHECKS)
+    raise InvalidInputError(
+        f"there are checks of manifolds, retractions, discretization maps and cotangent lifts, got {subject!r}"
+    )
+
+
+def list_checks(subject: Any) -> tuple[Check, ...]:
+    """The checks for an object, in the order in which they run; each has a ``name`` and a ``fact``, and prints as both."""
+    return suite_for(subject).checks
+
+
+def parametrize_with_checks(subjects: dict[str, Any], skip: dict[str, str] | None = None, **options: Any) -> Any:
+    """Pytest decorator: one test for each check of each named object, which it passes as the argument ``check``.
+
+        @parametrize_with_checks({"mine": MyRetraction(MyManifold())}, order=2)
+        def test_conforms(check):
+            check()
+
+    Calling ``check`` raises ``ConformanceError`` if the fact does not hold, and skips the test if ``skip`` has a reason for
+    that. ``options`` are those of ``check_manifold``, ``check_retraction``, ... The checks of one object share what was measured.
+    """
+    import pytest
+
+    def run(facts: Callable[[], Facts], check: Check) -> Callable[[], None]:
+        def call() -> None:
+            if check.name in (skip or {}):
+                pytest.skip((skip or {})[check.name])
+            outcome = judge(check, facts())
+            if outcome.status == "not applicable":
+                pytest.skip(outcome.words)
+            if outcome.status == "fails":
+                raise ConformanceError(Report(str(facts().subject), (outcome,)))
+
+        return call
+
+    items = []
+    for name, subject in subjects.items():
+        suite = suite_for(subject)
+        refuse_unknown(skip or {}, suite.checks)
+        facts = cache(lambda suite=suite, subject=subject: suite.facts(subject, **options))
+        items += [pytest.param(run(facts, check), id=f"{name}-{check.name}") for check in suite.checks]
+    return pytest.mark.parametrize("check", items)

@@ -1,0 +1,133 @@
+"""How checks are listed, run, skipped and reported."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import pytest
+from hypothesis import given
+from retrax.manifolds import InvalidInputError, Manifold, Sphere
+from retrax.retractions import CotangentLift, Midpoint, Projection, Retraction
+
+from retrax.testing import (
+    ConformanceError,
+    check_cotangent_lift,
+    check_discretization_map,
+    check_manifold,
+    check_retraction,
+    list_checks,
+    parametrize_with_checks,
+    strategies,
+)
+from tests.support.numerics import norm
+
+SPHERE = Sphere(2)
+
+
+@final
+class Longer(Retraction):
+    """``R(x, 1.01 v)`` of the projection."""
+
+    manifold: Manifold
+
+    def __call__(self, x, v):
+        return Projection(self.manifold)(x, 1.01 * v)
+
+
+@parametrize_with_checks({"R": Projection(SPHERE)}, order=2, skip={"inverse_is_tangent": "to see a skip"})
+def test_each_check_is_a_test(check):
+    check()
+
+
+def test_checks_have_names_and_facts():
+    for subject in (SPHERE, Projection(SPHERE), Midpoint(Projection(SPHERE)), CotangentLift(Midpoint(Projection(SPHERE)))):
+        checks = list_checks(subject)
+        assert len({check.name for check in checks}) == len(checks)
+        assert all(check.fact for check in checks)
+        assert str(checks[0]) == f"{checks[0].name}: {checks[0].fact}"
+
+
+def test_there_are_no_checks_of_other_things():
+    with pytest.raises(InvalidInputError, match=r"checks of manifolds, retractions, .* got 3"):
+        list_checks(3)
+
+
+def test_the_error_says_which_fact_fails_by_how_much_and_where():
+    name = "derivative_at_zero_is_the_identity"
+    with pytest.raises(
+        ConformanceError, match=rf"1 fails\n.*{name}: .* is 0\.0\d+, expected at most 1e-12\n.*the fact: "
+    ) as caught:
+        check_retraction(Longer(SPHERE), only=name, seeds=(3, 5))
+    assert "Id" in str(caught.value)
+    assert "at seed 3, x = [" in str(caught.value) or "at seed 5, x = [" in str(caught.value)
+    assert [outcome.check.name for outcome in caught.value.report.failures] == [name]
+
+
+def test_a_report_is_a_table_of_all_outcomes():
+    report = check_manifold(
+        SPHERE, only=["projection_is_symmetric", "random_points_differ"], skip={"random_points_differ": "one is enough"}
+    )
+    lines = str(report).splitlines()
+    assert lines[0] == "Sphere(n=2): 1 holds, 1 skipped"
+    assert "skipped" in lines[1]
+    assert "random_points_differ: one is enough" in lines[1]
+    assert "holds" in lines[2]
+    assert "expected at most 1e-12" in lines[2]
+    assert report.failures == ()
+
+
+def test_an_error_on_the_way_is_a_fact_that_does_not_hold():
+    @final
+    class Broken(Retraction):
+        manifold: Manifold
+
+        def __call__(self, x, v):
+            raise ZeroDivisionError("no such thing")
+
+    report = check_retraction(Broken(SPHERE), only="zero_goes_to_the_base_point", throw=False)
+    assert "ZeroDivisionError: no such thing" in report.failures[0].words
+
+
+@pytest.mark.parametrize("option", [{"only": "no_such_check"}, {"skip": {"no_such_check": "why"}}], ids=["only", "skip"])
+def test_an_unknown_name_is_refused(option):
+    with pytest.raises(InvalidInputError, match="no check is named 'no_such_check'; the checks here are random_points"):
+        check_manifold(SPHERE, **option)
+
+
+def test_what_cannot_be_checked_is_refused():
+    with pytest.raises(InvalidInputError, match="got order=3"):
+        check_retraction(Projection(SPHERE), order=3)
+    with pytest.raises(InvalidInputError, match="got no seed"):
+        check_discretization_map(Midpoint(Projection(SPHERE)), seeds=())
+    with pytest.raises(InvalidInputError, match="acts on a cotangent bundle, got one on Sphere"):
+        check_cotangent_lift(Midpoint(Projection(SPHERE)))
+
+
+def test_single_precision_is_refused():
+    with jax.enable_x64(False), pytest.raises(InvalidInputError, match="double precision, got single"):
+        check_manifold(SPHERE)
+
+
+@given(x=strategies.points(SPHERE))
+def test_drawn_points_are_points(x):
+    assert SPHERE.contains(x, 1e-14)
+
+
+@given(pair=strategies.tangent_vectors(SPHERE, longest=2.0), tiny=strategies.tiny_tangent_vectors(SPHERE))
+def test_drawn_tangent_vectors_are_tangent_and_as_long_as_asked_for(pair, tiny):
+    for (x, v), longest in ((pair, 2.0), (tiny, 1e-6)):
+        assert SPHERE.is_tangent(x, v, 1e-14)
+        assert jnp.linalg.norm(v) <= longest * (1 + 1e-12)
+
+
+@given(pair=strategies.tangent_vectors_near_the_edge(Projection(SPHERE), longest=5.0))
+def test_vectors_near_the_edge_are_in_the_domain(pair):
+    x, v = pair
+    assert Projection(SPHERE).domain(x, v)
+    assert 4.4 < jnp.linalg.norm(v) < 5.0
+
+
+@given(pair=strategies.covectors(SPHERE))
+def test_drawn_covectors_are_tangent_representatives(pair):
+    x, p = pair
+    assert norm(x @ p) < 1e-14
