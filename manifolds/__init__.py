@@ -10,7 +10,7 @@ from .bundles import CotangentBundle, TangentBundle
 from .groups import SO, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
-from .matrices import SPD, AffineInvariantMetric
+from .matrices import SPD, AffineInvariantMetric, CanonicalMetric, FixedRank, Grassmann, Oblique, Stiefel
 from .metric import EmbeddedMetric, Metric
 from .numerics.errors import (
     ConvergenceError,
@@ -47,11 +47,14 @@ __all__ = [
     "SO",
     "SPD",
     "AffineInvariantMetric",
+    "CanonicalMetric",
     "ConvergenceError",
     "CotangentBundle",
     "DomainError",
     "EmbeddedMetric",
     "Euclidean",
+    "FixedRank",
+    "Grassmann",
     "HomogeneousSpace",
     "Hyperbolic",
     "Immersion",
@@ -62,6 +65,7 @@ __all__ = [
     "Manifold",
     "Metric",
     "NotOnManifoldError",
+    "Oblique",
     "Phi",
     "Phi_inverse",
     "Power",
@@ -70,6 +74,7 @@ __all__ = [
     "RetraxError",
     "Simplex",
     "Sphere",
+    "Stiefel",
     "TangentBundle",
     "TulczyjewTriple",
     "UnknownRetractionError",

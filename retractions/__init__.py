@@ -13,7 +13,21 @@ from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
 from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
-from .matrices import SPDExponential, SPDLogEuclidean, SPDSecondOrder
+from .matrices import (
+    Columnwise,
+    FixedRankOrthographic,
+    FixedRankProjection,
+    GrassmannCayley,
+    GrassmannExponential,
+    GrassmannPolar,
+    SPDExponential,
+    SPDLogEuclidean,
+    SPDSecondOrder,
+    StiefelCayley,
+    StiefelExponential,
+    StiefelPolar,
+    StiefelQR,
+)
 from .order import MeasuredOrder, order
 from .retraction import MidpointRetraction, Retraction
 from .vectors import (
@@ -32,11 +46,17 @@ __all__ = [
     "Adjoint",
     "BundleRetraction",
     "Cayley",
+    "Columnwise",
     "CotangentLift",
     "DifferentiatedRetraction",
     "DiscretizationMap",
     "Euler",
     "Exponential",
+    "FixedRankOrthographic",
+    "FixedRankProjection",
+    "GrassmannCayley",
+    "GrassmannExponential",
+    "GrassmannPolar",
     "HyperbolicExponential",
     "HyperbolicProjection",
     "LevelSetProjection",
@@ -60,6 +80,10 @@ __all__ = [
     "SphereExponential",
     "SphereProjection",
     "Stabilized",
+    "StiefelCayley",
+    "StiefelExponential",
+    "StiefelPolar",
+    "StiefelQR",
     "Theta",
     "acceleration",
     "adjoint",

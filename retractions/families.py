@@ -6,19 +6,34 @@ from ..manifolds import (
     SO,
     SPD,
     Euclidean,
+    FixedRank,
+    Grassmann,
     Hyperbolic,
     LevelSet,
     Manifold,
+    Oblique,
     Power,
     Product,
     Simplex,
     Sphere,
+    Stiefel,
     UnknownRetractionError,
 )
 from .constructions import PowerRetraction, ProductRetraction
 from .groups import SOQR, SOCayley, SOExponential, SOPolar
 from .level_set import LevelSetProjection
-from .matrices import SPDExponential
+from .matrices import (
+    Columnwise,
+    FixedRankProjection,
+    GrassmannCayley,
+    GrassmannExponential,
+    GrassmannPolar,
+    SPDExponential,
+    StiefelCayley,
+    StiefelExponential,
+    StiefelPolar,
+    StiefelQR,
+)
 from .retraction import Retraction
 from .vectors import (
     Addition,
@@ -79,13 +94,25 @@ Exponential = RetractionFamily(
         Simplex: SimplexExponential,
         SPD: SPDExponential,
         SO: SOExponential,
+        Stiefel: StiefelExponential,
+        Grassmann: GrassmannExponential,
+        Oblique: lambda m: Columnwise(m, SphereExponential(m.column)),
     },
 )
-Cayley = RetractionFamily("Cayley", {SO: SOCayley})
-Polar = RetractionFamily("Polar", {SO: SOPolar})
-QR = RetractionFamily("QR", {SO: SOQR})
+Cayley = RetractionFamily("Cayley", {SO: SOCayley, Stiefel: StiefelCayley, Grassmann: GrassmannCayley})
+Polar = RetractionFamily("Polar", {SO: SOPolar, Stiefel: StiefelPolar, Grassmann: GrassmannPolar})
+QR = RetractionFamily("QR", {SO: SOQR, Stiefel: StiefelQR, Grassmann: GrassmannPolar})
 Projection = RetractionFamily(
-    "Projection", {Sphere: SphereProjection, Hyperbolic: HyperbolicProjection, SO: SOPolar, LevelSet: LevelSetProjection}
+    "Projection",
+    {
+        Sphere: SphereProjection,
+        Hyperbolic: HyperbolicProjection,
+        SO: SOPolar,
+        LevelSet: LevelSetProjection,
+        Stiefel: StiefelPolar,
+        Oblique: lambda m: Columnwise(m, SphereProjection(m.column)),
+        FixedRank: FixedRankProjection,
+    },
 )
 FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 

@@ -1,6 +1,7 @@
 """The abstract retraction, with the inverse and the domain that follow from its values."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 
 import equinox as eqx
 import jax
@@ -11,7 +12,7 @@ from ..manifolds import DomainError, Manifold
 from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.root import find_root
+from ..manifolds.numerics.root import find_root, known_root
 
 
 class Retraction(eqx.Module):
@@ -53,8 +54,29 @@ class Retraction(eqx.Module):
         return v
 
 
-def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient) -> Ambient:
-    """Inverse of any retraction by Newton's method in orthonormal coordinates of the tangent space."""
+def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambient | None = None) -> Ambient:
+    """Inverse of any retraction by Newton's method in orthonormal coordinates of the tangent space.
+
+    ``start`` is the tangent vector to begin with, the projected chord ``y - x`` if it is not given.
+    """
+    here, there = jax.lax.stop_gradient((x, y))
+    source = retraction.manifold.basis(here)
+    begin = vec.components(source, vec.subtract(there, here) if start is None else start)
+    c, converged = find_root(_miss(retraction, x, y), begin)
+    v = retraction.manifold.projection(x, vec.combine(source, c))
+    reached = converged & same_point(retraction(x, v), y, default_tolerance())
+    return nan_unless(reached, v)
+
+
+def implicit_preimage(retraction: Retraction, x: Ambient, y: Ambient, v: Ambient) -> Ambient:
+    """``v``, an inverse ``R(x, v) = y`` found by whatever means, with the derivatives of the implicit function theorem."""
+    source = retraction.manifold.basis(jax.lax.stop_gradient(x))
+    c = known_root(_miss(retraction, x, y), vec.components(source, v))
+    return retraction.manifold.projection(x, vec.combine(source, c))
+
+
+def _miss(retraction: Retraction, x: Ambient, y: Ambient) -> Callable[[Array], Array]:
+    """By how much ``R(x, v)`` misses ``y``, in coordinates at ``y``, as a function of the coordinates of ``v`` at ``x``."""
     here, there = jax.lax.stop_gradient((x, y))
     source, target = retraction.manifold.basis(here), retraction.manifold.basis(there)
 
@@ -62,11 +84,7 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient) -> Ambient:
         v = retraction.manifold.projection(x, vec.combine(source, c))
         return vec.components(target, vec.subtract(retraction(x, v), y))
 
-    start = vec.components(source, vec.subtract(there, here))
-    c, converged = find_root(residual, start)
-    v = retraction.manifold.projection(x, vec.combine(source, c))
-    reached = converged & same_point(retraction(x, v), y, default_tolerance())
-    return nan_unless(reached, v)
+    return residual
 
 
 def nan_unless(valid: Bool[Array, ""], v: Ambient) -> Ambient:

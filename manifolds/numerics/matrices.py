@@ -4,6 +4,7 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from . import series
@@ -99,3 +100,25 @@ def _spd_log_jvp(primals: tuple[Matrix], tangents: tuple[Matrix]) -> tuple[Matri
         return jax.jvp(exponential, (log,), (x,))[1]
 
     return log, jax.lax.custom_linear_solve(derivative, right, solve, transpose_solve=solve, symmetric=True)
+
+
+def symmetric_factor(a: Matrix, c: Matrix) -> Matrix:
+    """Symmetric ``t`` with ``a t + t a' = c`` for a symmetric ``c``, from one dense system for its upper triangle."""
+    i, j = np.triu_indices(a.shape[0])
+    t = jnp.linalg.solve(_images(a, i, j) + np.where(i == j, 0.0, 1.0) * _images(a, j, i), c[i, j])
+    return jnp.zeros_like(a).at[i, j].set(t).at[j, i].set(t)
+
+
+def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
+    """Upper triangular ``t`` with ``a t + t'a' = c`` for a symmetric ``c``, from one dense system.
+
+    Its determinant is a power of two times the product of the leading principal minors of ``a``.
+    """
+    i, j = np.triu_indices(a.shape[0])
+    return jnp.zeros_like(a).at[i, j].set(jnp.linalg.solve(_images(a, i, j), c[i, j]))
+
+
+def _images(a: Matrix, rows: np.ndarray, columns: np.ndarray) -> Float[Array, "k k"]:
+    """Upper triangles, by columns, of ``a t + (a t)'`` for each ``t`` with a one at ``(row, column)``, zero elsewhere."""
+    i, j = np.triu_indices(a.shape[0])
+    return a[np.ix_(i, rows)] * (j[:, None] == columns) + a[np.ix_(j, rows)] * (i[:, None] == columns)

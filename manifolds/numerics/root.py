@@ -11,6 +11,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
+MAX_APPROACHES = 60
+DAMPING, DAMPING_FACTOR, NEAR = 0.1, 4.0, 1e-3  # of Levenberg-Marquardt; the residual that Newton's method takes over at
 
 Vector = Float[Array, " k"]
 
@@ -46,12 +48,41 @@ def find_root(
     def solve(f: Callable[[Vector], Vector], first: Vector) -> tuple[Vector, Array]:
         return _newton(f, first, None if inverse is None else jnp.asarray(inverse, first.dtype) / unit[:, None])
 
-    def tangent_solve(linear: Callable[[Vector], Vector], right: Vector) -> Vector:
-        return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(right)), right)
-
     first = jax.lax.stop_gradient(start) / unit
-    root, converged = jax.lax.custom_root(scaled, first, solve, tangent_solve, has_aux=True)
+    root, converged = jax.lax.custom_root(scaled, first, solve, _solve_linear, has_aux=True)
     return unit * root, converged > 0
+
+
+def known_root(residual: Callable[[Vector], Vector], root: Vector) -> Vector:
+    """``root``, a root of ``residual`` to rounding, with the derivatives of the implicit function theorem."""
+    return jax.lax.custom_root(residual, jax.lax.stop_gradient(root), lambda _, c: c, _solve_linear)
+
+
+def approach_root(residual: Callable[[Vector], Float[Array, " m"]], start: Vector) -> Vector:
+    """Levenberg-Marquardt steps towards a root of ``m >= k`` equations, to where Newton's method converges.
+
+    A step that makes the residual grow is not taken and raises the damping.
+    """
+
+    def step(state: tuple[Vector, Array, Array, Array]) -> tuple[Vector, Array, Array, Array]:
+        c, r, damping, count = state
+        j = jax.jacfwd(residual)(c)
+        tried = c - jnp.linalg.solve(j.T @ j + damping * jnp.eye(c.size, dtype=c.dtype), j.T @ r)
+        missed = residual(tried)
+        better = missed @ missed < r @ r
+        damping = damping * jnp.where(better, 1 / DAMPING_FACTOR, DAMPING_FACTOR)
+        return jnp.where(better, tried, c), jnp.where(better, missed, r), damping, count + 1
+
+    def far(state: tuple[Vector, Array, Array, Array]) -> Array:
+        _, r, _, count = state
+        return (r @ r > NEAR**2) & (count < MAX_APPROACHES)
+
+    first = (start, residual(start), jnp.asarray(DAMPING, start.dtype), jnp.zeros((), int))
+    return jax.lax.while_loop(far, step, first)[0]
+
+
+def _solve_linear(linear: Callable[[Vector], Vector], right: Vector) -> Vector:
+    return jnp.linalg.solve(jax.jacfwd(linear)(jnp.zeros_like(right)), right)
 
 
 class _Iteration(NamedTuple):

@@ -1,5 +1,24 @@
 """Retractions of the manifolds of ``retrax.manifolds.matrices``."""
 
+from .fixed_rank import FixedRankOrthographic, FixedRankProjection
+from .grassmann import GrassmannCayley, GrassmannExponential, GrassmannPolar
+from .oblique import Columnwise
 from .positive_definite import SPDExponential, SPDLogEuclidean, SPDSecondOrder
+from .stiefel import StiefelCayley, StiefelPolar, StiefelQR
+from .stiefel_exponential import StiefelExponential
 
-__all__ = ["SPDExponential", "SPDLogEuclidean", "SPDSecondOrder"]
+__all__ = [
+    "Columnwise",
+    "FixedRankOrthographic",
+    "FixedRankProjection",
+    "GrassmannCayley",
+    "GrassmannExponential",
+    "GrassmannPolar",
+    "SPDExponential",
+    "SPDLogEuclidean",
+    "SPDSecondOrder",
+    "StiefelCayley",
+    "StiefelExponential",
+    "StiefelPolar",
+    "StiefelQR",
+]

@@ -6,7 +6,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SPD, AffineInvariantMetric, EmbeddedMetric, Hyperbolic, LorentzMetric, Metric, Sphere
+from retrax.manifolds import (
+    SPD,
+    AffineInvariantMetric,
+    CanonicalMetric,
+    EmbeddedMetric,
+    Hyperbolic,
+    LorentzMetric,
+    Metric,
+    Sphere,
+    Stiefel,
+)
 
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent, unflat
 
@@ -14,6 +24,7 @@ METRICS: dict[str, Metric] = {
     "embedded-S2": EmbeddedMetric(Sphere(2)),
     "Lorentz-H3": LorentzMetric(Hyperbolic(3)),
     "affine-SPD3": AffineInvariantMetric(SPD(3)),
+    "canonical-St42": CanonicalMetric(Stiefel(4, 2)),
 }
 
 

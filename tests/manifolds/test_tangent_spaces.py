@@ -28,6 +28,13 @@ DIMENSIONS = {
     "(SO3*R3)*S2": 8,
     "T*S2": 4,
     "TSO3": 6,
+    "St42": 5,
+    "St33": 3,
+    "Gr42": 4,
+    "Gr31": 2,
+    "oblique32": 4,
+    "rank2-4x3": 10,
+    "rank1-3x3": 5,
 }
 DISTANCES = 2.0 ** -np.arange(5, 15)
 

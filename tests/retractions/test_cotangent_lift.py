@@ -14,7 +14,7 @@ from tests.support.maps import LIFTED, flat_lift, lift_facts, lift_inverses, map
 from tests.support.numerics import FRACTIONS, SEEDS, compiled, draw_bundle_tangent, flat, norm, unflat
 
 every_lift = pytest.mark.parametrize("name", LIFTED)
-EQUIVARIANT = [name for name in LIFTED if name.split("-")[1] in ("S2", "S4", "SO2", "SO3", "SO4")]
+EQUIVARIANT = [name for name in LIFTED if name.split("-")[1] in ("S2", "S4", "SO2", "SO3", "SO4", "St42")]
 INVERTED_LIFTS = ["addition-R2x3", "exponential-S2", "cayley-SO4", "nearest-ellipsoid", "exponential-(SO3*R3)*S2"]
 
 

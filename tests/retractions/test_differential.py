@@ -13,7 +13,16 @@ from tests.support.cases import RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, compiled, draw_point, draw_tangent, flat, unflat
 from tests.support.retractions import flat_retraction
 
-NAMES = ("projection-S2", "cayley-SO3", "exponential-(SO3*R3)*S2", "quadratic-SPD2", "projection-S2x3")
+NAMES = (
+    "projection-S2",
+    "cayley-SO3",
+    "exponential-(SO3*R3)*S2",
+    "quadratic-SPD2",
+    "projection-S2x3",
+    "polar-St42",
+    "qr-St42",
+    "cayley-St42",
+)
 
 
 @lru_cache

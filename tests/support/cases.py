@@ -8,17 +8,22 @@ from retrax.manifolds import (
     SO,
     SPD,
     AffineInvariantMetric,
+    CanonicalMetric,
     CotangentBundle,
     Euclidean,
+    FixedRank,
+    Grassmann,
     Hyperbolic,
     LevelSet,
     LorentzMetric,
     Manifold,
     Metric,
+    Oblique,
     Power,
     Product,
     Simplex,
     Sphere,
+    Stiefel,
     TangentBundle,
 )
 from retrax.retractions import (
@@ -28,6 +33,7 @@ from retrax.retractions import (
     Cayley,
     DiscretizationMap,
     Exponential,
+    FixedRankOrthographic,
     Polar,
     Projection,
     Retraction,
@@ -79,6 +85,13 @@ MANIFOLDS: dict[str, Manifold] = {
     "simplex3": Simplex(3),
     "SPD2": SPD(2),
     "S2x3": Power(Sphere(2), 3),
+    "St42": Stiefel(4, 2),
+    "St33": Stiefel(3, 3),
+    "Gr42": Grassmann(4, 2),
+    "Gr31": Grassmann(3, 1),
+    "oblique32": Oblique(3, 2),
+    "rank2-4x3": FixedRank(4, 3, 2),
+    "rank1-3x3": FixedRank(3, 3, 1),
 }
 
 RETRACTIONS: dict[str, Retraction] = {
@@ -111,11 +124,32 @@ RETRACTIONS: dict[str, Retraction] = {
     "log-SPD2": SPDLogEuclidean(SPD(2)),
     "projection-S2x3": Projection(Power(Sphere(2), 3)),
     "bundle-T*S2": BundleRetraction(SphereExponential(Sphere(2))),
+    "polar-St42": Polar(Stiefel(4, 2)),
+    "qr-St42": QR(Stiefel(4, 2)),
+    "cayley-St42": Cayley(Stiefel(4, 2)),
+    "exponential-St32": Exponential(Stiefel(3, 2)),
+    "exponential-Gr31": Exponential(Grassmann(3, 1)),
+    "cayley-Gr42": Cayley(Grassmann(4, 2)),
+    "polar-Gr42": Polar(Grassmann(4, 2)),
+    "projection-oblique32": Projection(Oblique(3, 2)),
+    "truncation-rank2-4x3": Projection(FixedRank(4, 3, 2)),
+    "orthographic-rank1-3x3": FixedRankOrthographic(FixedRank(3, 3, 1)),
 }
 
 # Longest tangent vector (Euclidean norm in the ambient space) that the facts about inverses use, where it is not 3.
 # It is below pi, and on rotations the largest angle is at most that norm over the square root of 2.
-REACH = {"nearest": 0.3, "bundle": 1.0, "projection-H2": 0.5, "softmax": 0.05, "quadratic": 0.9}
+# On projectors it is the square root of 2 times the root of the sum of squares of the singular values.
+REACH = {
+    "nearest": 0.3,
+    "bundle": 1.0,
+    "projection-H2": 0.5,
+    "softmax": 0.05,
+    "quadratic": 0.9,
+    "exponential-Gr31": 2.2,
+    "cayley-Gr42": 2.5,
+    "truncation": 0.4,
+    "orthographic": 0.4,
+}
 
 # Retractions of first order, and those of second order for a metric that is not the ambient one.
 FIRST_ORDER = ("qr", "bundle", "softmax", "log")
@@ -124,6 +158,7 @@ METRICS: dict[str, Metric] = {
     "projection-H2": LorentzMetric(Hyperbolic(2)),
     "exponential-SPD2": AffineInvariantMetric(SPD(2)),
     "quadratic-SPD2": AffineInvariantMetric(SPD(2)),
+    "cayley-St42": CanonicalMetric(Stiefel(4, 2)),
 }
 
 # Maps made of two different retractions of one manifold, tested with the maps of the first.
@@ -144,6 +179,8 @@ INVERTED: dict[str, tuple[str, ...]] = {
     "polar-SO3": (),
     "qr-SO4": (),
     "nearest-ellipsoid": ("theta=0.0", "theta=0.3"),
+    "polar-St42": ("theta=0.5",),
+    "cayley-Gr42": ("theta=0.5",),
     "exponential-(SO3*R3)*S2": ("theta=0.3", "theta=0.5"),
 }
 

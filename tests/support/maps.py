@@ -13,7 +13,22 @@ from .cases import RETRACTIONS, discretization_maps, inverted_maps, reach
 from .numerics import compiled, draw_bundle_tangent, draw_near, draw_point, draw_tangent, flat, unflat
 
 # Lifts that take long to compile and are of the same kind as others are left out.
-UNLIFTED = ("bundle-T*S2", "exponential-H2", "exponential-SPD2", "log-SPD2", "projection-S2x3")
+UNLIFTED = (
+    "bundle-T*S2",
+    "exponential-H2",
+    "exponential-SPD2",
+    "log-SPD2",
+    "projection-S2x3",
+    "qr-St42",
+    "cayley-St42",
+    "exponential-St32",
+    "exponential-Gr31",
+    "cayley-Gr42",
+    "polar-Gr42",
+    "projection-oblique32",
+    "truncation-rank2-4x3",
+    "orthographic-rank1-3x3",
+)
 LIFTED = [name for name in RETRACTIONS if name not in UNLIFTED]
 
 

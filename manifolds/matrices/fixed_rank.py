@@ -1,0 +1,76 @@
+"""Matrices of one rank."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..manifold import Manifold, default_tolerance, real
+from ..numerics.errors import InvalidInputError
+from ..numerics.frames import adapted_frame, leading_projector, qr_factor
+
+
+@final
+class FixedRank(Manifold):
+    """Matrices of shape ``(m, n)`` and rank ``r``; points are the matrices themselves, whatever their factors.
+
+    With ``c`` and ``d`` the orthogonal projectors on the spans of a point's columns and of its rows, the normal vectors are
+    the ``(I - c) a (I - d)``. Off the manifold the spans are those of the ``r`` leading singular vectors, so all of this is
+    smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
+    """
+
+    m: int = eqx.field(static=True)
+    n: int = eqx.field(static=True)
+    r: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not 1 <= self.r < min(self.m, self.n):
+            raise InvalidInputError(
+                f"FixedRank(m, n, r) holds m x n matrices of rank r, 1 <= r < min(m, n); got m = {self.m}, n = {self.n}, "
+                f"r = {self.r}. Matrices of full rank are an open set: take Euclidean((m, n))"
+            )
+
+    @property
+    def dimension(self) -> int:
+        return self.r * (self.m + self.n - self.r)
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.m, self.n))
+
+    def projectors(self, x: Array) -> tuple[Array, Array]:
+        """Orthogonal projectors on the spans of the columns, shape ``(m, m)``, and of the rows, shape ``(n, n)``."""
+        return leading_projector(x, self.r), leading_projector(x.T, self.r)
+
+    def projection(self, x: Array, a: Array) -> Array:
+        c, d = self.projectors(x)
+        inside = c @ a
+        return inside + (a - inside) @ d
+
+    def basis(self, x: Array) -> Array:
+        columns, rows = (adapted_frame(projector, self.r) for projector in self.projectors(x))
+        normal = np.add.outer(np.arange(self.m) >= self.r, np.arange(self.n) >= self.r, dtype=int) == 2
+        i, j = np.nonzero(~normal)
+        return jnp.einsum("mk,nk->kmn", columns[:, i], rows[:, j])
+
+    def restore(self, x: Array) -> Array:
+        """The nearest matrix of rank ``r``."""
+        return leading_projector(x, self.r) @ x
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        singular = jnp.linalg.svd(x, compute_uv=False)
+        lost = jnp.sum(singular[: self.r] <= default_tolerance() * singular[0])
+        return {
+            f"singular value {self.r + 1} over the first": singular[self.r] / singular[0],
+            f"singular values that vanish among the first {self.r}": lost,
+        }
+
+    def random_point(self, key: Array) -> Array:
+        """Columns and rows in random directions, singular values between 1 and 2."""
+        left, middle, right = jax.random.split(key, 3)
+        u = qr_factor(jax.random.normal(left, (self.m, self.r)))
+        w = qr_factor(jax.random.normal(right, (self.n, self.r)))
+        return u * jax.random.uniform(middle, (self.r,), minval=1.0, maxval=2.0) @ w.T

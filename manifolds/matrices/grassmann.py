@@ -1,0 +1,76 @@
+"""Subspaces, as orthogonal projectors."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..groups import skew_basis
+from ..manifold import HomogeneousSpace, real
+from ..numerics.errors import InvalidInputError
+from ..numerics.frames import adapted_frame, qr_factor
+
+
+@final
+class Grassmann(HomogeneousSpace):
+    """Grassmann manifold of ``p``-dimensional subspaces of ``R^n``, as ``{x : x' = x, x^2 = x, tr x = p}``.
+
+    A point is the orthogonal projector on the subspace, shape ``(n, n)``: no frame has to be chosen or compared. Tangent
+    vectors are the symmetric ``v`` with ``x v + v x = v``; in the ambient metric a rotation of one direction by a small
+    angle ``t`` has length ``sqrt(2) t``. Rotations act by ``x -> g x g'``, with momentum ``J_i = <p, [e_i, x]>``
+    [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
+    """
+
+    n: int = eqx.field(static=True)
+    p: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not 1 <= self.p < self.n:
+            raise InvalidInputError(
+                f"Grassmann(n, p) holds the p-dimensional subspaces of R^n, 1 <= p < n; got n = {self.n}, p = {self.p}"
+            )
+
+    @property
+    def dimension(self) -> int:
+        return self.p * (self.n - self.p)
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n, self.n))
+
+    def rotation(self, x: Array, v: Array) -> Array:
+        """Infinitesimal rotation ``[v, x]``, exactly skew, that moves ``x`` along ``v``: ``v = [[v, x], x]``."""
+        s = (v + v.T) @ x / 2
+        return s - s.T
+
+    def projection(self, x: Array, a: Array) -> Array:
+        s = x @ (a + a.T) / 2
+        return s + s.T - 2 * s @ x
+
+    def basis(self, x: Array) -> Array:
+        frame = adapted_frame(x, self.p)
+        turns = jnp.einsum("ni,mj->ijnm", frame[:, : self.p], frame[:, self.p :]).reshape(-1, self.n, self.n)
+        return (turns + jnp.swapaxes(turns, 1, 2)) / np.sqrt(2)
+
+    def restore(self, x: Array) -> Array:
+        # McWeeny's purification: eigenvalues go to 0 and 1 quadratically.
+        s = (x + x.T) / 2
+        return 3 * s @ s - 2 * s @ s @ s
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {
+            "max |x - x'|": jnp.max(jnp.abs(x - x.T)),
+            "max |x^2 - x|": jnp.max(jnp.abs(x @ x - x)),
+            f"|tr x - {self.p}|": jnp.abs(jnp.trace(x) - self.p),
+        }
+
+    def generators(self, x: Array) -> Array:
+        e = jnp.asarray(skew_basis(self.n), x.dtype)
+        return e @ x - x @ e
+
+    def random_point(self, key: Array) -> Array:
+        q = qr_factor(jax.random.normal(key, (self.n, self.p)))
+        return q @ q.T

@@ -1,0 +1,65 @@
+"""Matrices with unit columns."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..manifold import HomogeneousSpace, real
+from ..numerics.errors import InvalidInputError
+from ..vectors import Sphere
+
+
+@final
+class Oblique(HomogeneousSpace):
+    """Oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors, each a point of the sphere in ``R^n``.
+
+    Rotations of each column act on it, as they do on the sphere; momenta are listed column by column.
+    """
+
+    n: int = eqx.field(static=True)
+    m: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        if not (self.n >= 2 and self.m >= 1):
+            raise InvalidInputError(
+                f"Oblique(n, m) holds m unit columns in R^n, n >= 2 and m >= 1; got n = {self.n}, m = {self.m}"
+            )
+
+    @property
+    def column(self) -> Sphere:
+        """The sphere of one column."""
+        return Sphere(self.n - 1)
+
+    @property
+    def dimension(self) -> int:
+        return self.m * self.column.dimension
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return real((self.n, self.m))
+
+    def projection(self, x: Array, a: Array) -> Array:
+        return jax.vmap(self.column.projection, 1, 1)(x, a)
+
+    def basis(self, x: Array) -> Array:
+        return self.place(jax.vmap(self.column.basis, 1)(x))
+
+    def restore(self, x: Array) -> Array:
+        return jax.vmap(self.column.restore, 1, 1)(x)
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {"max ||column|^2 - 1|": jnp.max(jnp.abs(jnp.sum(x * x, 0) - 1))}
+
+    def generators(self, x: Array) -> Array:
+        return self.place(jax.vmap(self.column.generators, 1)(x))
+
+    def random_point(self, key: Array) -> Array:
+        return jax.vmap(self.column.random_point, out_axes=1)(jax.random.split(key, self.m))
+
+    def place(self, frames: Array) -> Array:
+        """Frames of the columns, shape ``(m, k, n)``, as one of shape ``(m k, n, m)``, each zero in the other columns."""
+        placed = jnp.einsum("jkn,ji->jkni", frames, jnp.eye(self.m, dtype=frames.dtype))
+        return placed.reshape(-1, self.n, self.m)

@@ -1,0 +1,100 @@
+"""Orthonormal frames and the projectors on their spans, smooth where singular value decompositions are not.
+
+The derivative of a singular vector divides by the gaps between singular values; a projector on a span of singular vectors
+needs only the one gap between those inside and those outside. Where a frame is chosen, the choice is frozen and the frame
+moves smoothly from there.
+"""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .matrices import lyapunov
+
+Frame = Float[Array, "n p"]
+Matrix = Float[Array, "n n"]
+
+
+def qr_factor(a: Frame) -> Frame:
+    """Orthonormal factor ``q`` of ``a = q r`` with a positive diagonal of the triangular ``r``."""
+    q, r = jnp.linalg.qr(a)
+    return q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
+
+
+@jax.custom_jvp
+def polar_factor(a: Frame) -> Frame:
+    """Orthonormal factor ``y`` of ``a = y s``, ``s`` symmetric positive definite: the nearest orthonormal frame.
+
+    Its derivative is ``y t + (I - yy') da s^-1`` with the skew ``t`` of ``s t + t s = y'da - da'y``.
+    """
+    u, _, w = jnp.linalg.svd(a, full_matrices=False)
+    return u @ w
+
+
+@polar_factor.defjvp
+def _polar_factor_jvp(primals: tuple[Frame], tangents: tuple[Frame]) -> tuple[Frame, Frame]:
+    (a,), (da,) = primals, tangents
+    y = polar_factor(a)
+    s, inside = y.T @ a, y.T @ da
+    s = (s + s.T) / 2
+    return y, y @ lyapunov(s, inside - inside.T) + jnp.linalg.solve(s, (da - y @ inside).T).T
+
+
+def complement(x: Frame) -> Float[Array, "n n-p"]:
+    """Orthonormal frame of the orthogonal complement of the span of an orthonormal frame.
+
+    With ``e`` the first ``p`` columns of the identity, ``s`` diagonal with entries of size one and ``w = x - e s``, the
+    matrix ``I + w (w'e s)^-1 w'`` is orthogonal and takes ``e s`` to ``x``, hence the other columns of the identity to the
+    complement. The signs are those of Householder's reflections, which keep ``w'e s`` invertible.
+    """
+    p = x.shape[1]
+    s = _reflection_signs(jax.lax.stop_gradient(x[:p]))
+    w = x.at[:p].add(-jnp.diag(s))
+    z = w @ jnp.linalg.solve(w[:p].T * s, w[p:].T)
+    return z.at[p:].add(jnp.eye(z.shape[1], dtype=x.dtype))
+
+
+def _reflection_signs(top: Matrix) -> Float[Array, " p"]:
+    """Signs opposite to the pivots in the elimination of ``top - diag(s)`` [Ballard et al. 2014, modified LU]."""
+
+    def eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
+        a, s = state
+        sign = jnp.where(a[k, k] < 0, 1.0, -1.0)
+        return a - jnp.outer(a[:, k], a[k] / (a[k, k] - sign)), s.at[k].set(sign)
+
+    return jax.lax.fori_loop(0, top.shape[0], eliminate, (top, jnp.zeros_like(top[0])))[1]
+
+
+def adapted_frame(projector: Matrix, rank: int) -> Matrix:
+    """Orthogonal matrix whose first ``rank`` columns span the image of an orthogonal projector, the others its kernel.
+
+    The eigenvectors are frozen; carried into image and kernel and made orthonormal again they move with the projector.
+    """
+    u = jnp.linalg.eigh(jax.lax.stop_gradient(projector))[1][:, ::-1]
+    image = projector @ u
+    carried = jnp.where(jnp.arange(u.shape[1]) < rank, image, u - image)
+    return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(carried.T @ carried), carried.T, lower=True).T
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def leading_projector(a: Float[Array, "m n"], rank: int) -> Float[Array, "m m"]:
+    """Orthogonal projector on the span of the ``rank`` leading left singular vectors, ``rank < min(m, n)``.
+
+    ``2 p - I`` is the sign ``s`` of ``b = aa' - mu``, for a number ``mu`` between the two squared singular values; it is
+    differentiated by ``|b| ds + ds |b| = db - s db s``, which needs the gap between these two values and no other.
+    """
+    u = jnp.linalg.svd(a, full_matrices=False)[0][:, :rank]
+    return u @ u.T
+
+
+@leading_projector.defjvp
+def _leading_projector_jvp(rank: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[Array, Array]:
+    (a,), (da,) = primals, tangents
+    p = leading_projector(a, rank)
+    eye = jnp.eye(p.shape[0], dtype=p.dtype)
+    inside, outside = jnp.linalg.svd(jax.lax.stop_gradient(a), compute_uv=False)[rank - 1 : rank + 1]
+    sign, db = 2 * p - eye, da @ a.T + a @ da.T
+    size = sign @ (a @ a.T - (inside**2 + outside**2) / 2 * eye)
+    return p, lyapunov((size + size.T) / 2, db - sign @ db @ sign) / 2

@@ -1,0 +1,136 @@
+"""Retractions of the Grassmann manifold of projectors.
+
+Each is ``R(x, v) = q x q'`` with a rotation ``q = f(Omega)``, ``Omega = [v, x]``, for one of the functions ``f`` by which the
+rotation group is retracted. Between two points whose principal angles are below pi/2 there is one such rotation
+[Kato 1995, I.4.6; Bendokat, Zimmermann, Absil 2024].
+"""
+
+from abc import abstractmethod
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import Grassmann
+from ...manifolds.numerics.frames import adapted_frame, polar_factor
+from ...manifolds.numerics.matrices import exponential
+from ..groups import rotations
+from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
+from .stiefel import EDGE
+
+
+class _RotatedProjector(MidpointRetraction):
+    """``R(x, v) = q x q'``; the midpoint projects on the positive eigenspace of ``x0 + x1 - I``."""
+
+    manifold: Grassmann
+
+    @abstractmethod
+    def rotation(self, omega: Array) -> Array:
+        """``f(Omega)``."""
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        q = self.rotation(self.manifold.rotation(x, v))
+        return q @ x @ q.T
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        eye = jnp.eye(x0.shape[0], dtype=x0.dtype)
+        reflection = polar_factor(x0 + x1 - eye)
+        return (eye + (reflection + reflection.T) / 2) / 2
+
+
+def _largest(v: Array) -> Array:
+    return jnp.linalg.norm(v, 2)
+
+
+def _direct_rotation(x: Array, y: Array, p: int) -> tuple[Array, Array]:
+    """The rotation of least angles that takes ``x`` to ``y``, and the cosine of the largest of these angles.
+
+    Frames of the two images, and of the two kernels, are aligned by polar factors; unlike the polar factor of
+    ``yx + (I - y)(I - x)`` this loses no digits where an angle is near pi/2.
+    """
+    source, target = adapted_frame(x, p), adapted_frame(y, p)
+    turned, smallest = [], []
+    for part in (slice(None, p), slice(p, None)):
+        u, cosines, w = jnp.linalg.svd(target[:, part].T @ source[:, part])
+        turned.append(target[:, part] @ (u @ w))
+        smallest.append(cosines[-1])
+    return jnp.concatenate(turned, axis=1) @ source.T, smallest[0]
+
+
+class _AlignedProjector(_RotatedProjector):
+    """The inverse from ``f^-1`` of the direct rotation."""
+
+    @abstractmethod
+    def generator(self, rotation: Array) -> Array:
+        """``f^-1`` of a rotation by angles below pi/2."""
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        here, there = jax.lax.stop_gradient((x, y))
+        rotation, cosine = _direct_rotation(here, there, self.manifold.p)
+        omega = self.generator(rotation)
+        inside = cosine > EDGE * jnp.finfo(x.dtype).eps
+        return nan_unless(inside, implicit_preimage(self, x, y, omega @ here - here @ omega))
+
+
+@final
+class GrassmannExponential(_AlignedProjector):
+    """``R(x, v) = q x q'`` with ``q = exp [v, x]``: the geodesics, along which each principal angle grows linearly.
+
+    Inverse: the logarithm of the direct rotation; its image is where all principal angles are below pi/2, its domain where
+    the largest singular value of ``v``, which is the largest angle, is below pi/2.
+    """
+
+    manifold: Grassmann
+
+    def rotation(self, omega: Array) -> Array:
+        return exponential(omega)
+
+    def generator(self, rotation: Array) -> Array:
+        return rotations.logarithm(rotation)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return _largest(v) < jnp.pi / 2
+
+
+@final
+class GrassmannCayley(_AlignedProjector):
+    """``R(x, v) = q x q'`` with the Cayley transform ``q`` of ``[v, x]``; an angle ``t`` from a singular value ``2 tan(t/2)``.
+
+    Its image is where all principal angles are below pi/2, its domain where the largest singular value of ``v`` is below 2.
+    """
+
+    manifold: Grassmann
+
+    def rotation(self, omega: Array) -> Array:
+        return rotations.cayley(omega)
+
+    def generator(self, rotation: Array) -> Array:
+        return rotations.cayley_inverse(rotation)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return _largest(v) < 2
+
+
+@final
+class GrassmannPolar(_RotatedProjector):
+    """Projector on the image of ``(x + v) x``: the polar and the QR retraction of frames, which span the same subspace.
+
+    It turns by an angle ``t`` from a singular value ``tan t``. Inverse ``(y - x)(x + y - I)^-1 (2x - I)``; its image is
+    where all principal angles are below pi/2, its domain the whole tangent space.
+    """
+
+    manifold: Grassmann
+
+    def rotation(self, omega: Array) -> Array:
+        return polar_factor(jnp.eye(omega.shape[0], dtype=omega.dtype) + omega)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        eye = jnp.eye(x.shape[0], dtype=x.dtype)
+        cosines = x + y - eye  # symmetric, with eigenvalues of these sizes
+        v = jnp.linalg.solve(cosines, y - x).T @ (2 * x - eye)
+        inside = jnp.min(jnp.abs(jnp.linalg.eigvalsh(cosines))) > EDGE * jnp.finfo(x.dtype).eps
+        return nan_unless(inside, self.manifold.projection(x, v))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))

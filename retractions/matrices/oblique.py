@@ -1,0 +1,30 @@
+"""Retractions of matrices with unit columns, column by column."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import Oblique
+from ..retraction import MidpointRetraction
+
+
+@final
+class Columnwise(MidpointRetraction):
+    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain and midpoints."""
+
+    manifold: Oblique
+    column: MidpointRetraction
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return jax.vmap(self.column, 1, 1)(x, v)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        return jax.vmap(self.column.preimage, 1, 1)(x, y)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jax.vmap(self.column.domain, 1)(x, v))
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return jax.vmap(self.column.midpoint, 1, 1)(x0, x1)

@@ -1,0 +1,163 @@
+"""Rational and factorisation retractions of the Stiefel manifold.
+
+Differentiated retractions are those of [Zhu 2017] and [Manton 2002] where a formula has no derivation beside it; inverses
+are written with ``y - x``, so that they keep the relative accuracy of short vectors.
+"""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import Stiefel
+from ...manifolds.numerics.frames import polar_factor, qr_factor
+from ...manifolds.numerics.matrices import lyapunov, symmetric, symmetric_factor, triangular_factor
+from ..differential import DifferentiatedRetraction
+from ..retraction import nan_unless
+
+EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
+
+
+def _right_divide(a: Array, b: Array) -> Array:
+    """``a b^-1``."""
+    return jnp.linalg.solve(b.T, a.T).T
+
+
+def _skew(a: Array) -> Array:
+    return (a - a.T) / 2
+
+
+def _defect(x: Array, d: Array) -> Array:
+    """``2I - a - a'`` of ``a = x'y``, from ``d = y - x``."""
+    return -2 * symmetric(x.T @ d)
+
+
+@final
+class StiefelPolar(DifferentiatedRetraction):
+    """``R(x, v) = (x + v)(I + v'v)^(-1/2)``, the polar factor of ``x + v``: the nearest frame. Second order.
+
+    Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is positive
+    definite, that is where all eigenvalues of ``a`` have positive real parts; its domain is the whole tangent space
+    [Kaneko, Fiori, Tanaka 2013].
+    """
+
+    manifold: Stiefel
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return polar_factor(x + v)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        d = y - x
+        t = symmetric_factor(x.T @ y, _defect(x, d))
+        positive = jnp.linalg.eigvalsh(t)[0] > -1
+        return nan_unless(positive, d + y @ t)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        y, s = self._factors(x, v)
+        return y @ lyapunov(s, 2 * _skew(y.T @ w)) + _right_divide(w - y @ (y.T @ w), s)
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        y, s = self._factors(x, v)
+        turn = 2 * lyapunov(s, _skew(y.T @ xi))
+        return self.manifold.projection(x, y @ turn + _right_divide(xi - y @ (y.T @ xi), s))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
+        """``y`` and the symmetric ``s`` of ``x + v = y s``."""
+        y = polar_factor(x + v)
+        return y, symmetric(y.T @ (x + v))
+
+
+@final
+class StiefelQR(DifferentiatedRetraction):
+    """``R(x, v)`` = orthonormal factor of the QR factorisation of ``x + v`` with positive diagonal. First order.
+
+    Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the diagonal
+    of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain is the whole tangent space
+    [Kaneko, Fiori, Tanaka 2013].
+    """
+
+    manifold: Stiefel
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return qr_factor(x + v)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        d = y - x
+        t = triangular_factor(x.T @ y, _defect(x, d))
+        return nan_unless(jnp.all(jnp.diagonal(t) > -1), d + y @ t)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        y, r = self._factors(x, v)
+        moved = _right_divide(w, r)
+        inside = y.T @ moved
+        below = jnp.tril(inside, -1)
+        return y @ (below - below.T) + moved - y @ inside
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        y, r = self._factors(x, v)
+        inside = y.T @ xi
+        # The skew part, because <y s, xi> for a skew s does not see the symmetric one.
+        turned = y @ jnp.tril(inside - inside.T, -1) + xi - y @ inside
+        return self.manifold.projection(x, _right_divide(turned, r.T))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
+        """``y`` and the upper triangular ``r`` of ``x + v = y r``."""
+        y = qr_factor(x + v)
+        return y, jnp.triu(y.T @ (x + v))
+
+
+@final
+class StiefelCayley(DifferentiatedRetraction):
+    """``R(x, v) = (I - W/2)^-1 (I + W/2) x`` with ``W = P v x' - x v' P`` and ``P = I - xx'/2``.
+
+    Second order for the canonical metric, whose geodesics are ``exp(W) x``; first order for the ambient one. Eliminating the span of ``x`` leaves ``p x p`` matrices: with ``v = x Omega + k`` and ``x'k = 0``,
+
+        R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
+
+    Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
+    eigenvalue -1, its domain the whole tangent space [Wen, Yin 2013; Zhu, Sato 2020].
+    """
+
+    manifold: Stiefel
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return self._sum(x, v)[0] - x
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        # With w = x + y, d = y - x: I + x'y = (w'w + w'd - d'w) / 2, exact near x and near the edge of the image.
+        w, d = x + y, y - x
+        turn = _skew(w.T @ d) / 2
+        t = jnp.linalg.solve(w.T @ w / 2 + turn, d.T @ d / 2 - turn)
+        inside = jnp.linalg.norm(w, -2) > EDGE * jnp.finfo(x.dtype).eps
+        return nan_unless(inside, d + d @ t + 2 * x @ symmetric(t))
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        total, k, inverse = self._sum(x, v)
+        across = w - x @ (x.T @ w)
+        bend = (symmetric(k.T @ across) - self.manifold.skew(x, w)) / 2
+        return (across - total @ bend) @ inverse
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        total, k, inverse = self._sum(x, v)
+        pulled = xi @ inverse.T
+        z = total.T @ pulled
+        across = pulled - k @ symmetric(z) / 2
+        return across - x @ (x.T @ across) + x @ _skew(z) / 2
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+    def _sum(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
+        """``R(x, v) + x``, ``k`` and ``s^-1``, from the QR factorisation of ``[I; k/2]``, whose Gram matrix is ``sym s``."""
+        p = x.shape[1]
+        eye, k = jnp.eye(p, dtype=x.dtype), v - x @ (x.T @ v)
+        q = jnp.linalg.qr(jnp.concatenate([eye, k / 2]))[0]
+        top, bottom = q[:p], q[p:]
+        unwound = jnp.linalg.solve(eye - top.T @ self.manifold.skew(x, v) @ top / 2, top.T)
+        return 2 * (x @ top + bottom) @ unwound, k, top @ unwound
