@@ -58,13 +58,13 @@ def complement(x: Frame) -> Float[Array, "n n-p"]:
 
 def _reflection_signs(top: Matrix) -> Float[Array, " p"]:
     """Signs opposite to the pivots in the elimination of ``top - diag(s)`` [Ballard et al. 2014, modified LU]."""
+    return jax.lax.fori_loop(0, top.shape[0], _eliminate, (top, jnp.zeros_like(top[0])))[1]
 
-    def eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
-        a, s = state
-        sign = jnp.where(a[k, k] < 0, 1.0, -1.0)
-        return a - jnp.outer(a[:, k], a[k] / (a[k, k] - sign)), s.at[k].set(sign)
 
-    return jax.lax.fori_loop(0, top.shape[0], eliminate, (top, jnp.zeros_like(top[0])))[1]
+def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
+    a, s = state
+    sign = jnp.where(a[k, k] < 0, 1.0, -1.0).astype(a.dtype)
+    return a - jnp.outer(a[:, k], a[k] / (a[k, k] - sign)), s.at[k].set(sign)
 
 
 def adapted_frame(projector: Matrix, rank: int) -> Matrix:

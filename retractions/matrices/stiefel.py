@@ -130,7 +130,7 @@ class StiefelCayley(DifferentiatedRetraction):
         return self._sum(x, v)[0] - x
 
     def preimage(self, x: Array, y: Array) -> Array:
-        # With w = x + y, d = y - x: I + x'y = (w'w + w'd - d'w) / 2, exact near x and near the edge of the image.
+        # With w = x + y, d = y - x: I + x'y = (2 w'w + w'd - d'w) / 4, exact near x and near the edge of the image.
         w, d = x + y, y - x
         turn = _skew(w.T @ d) / 2
         t = jnp.linalg.solve(w.T @ w / 2 + turn, d.T @ d / 2 - turn)

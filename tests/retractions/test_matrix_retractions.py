@@ -1,0 +1,395 @@
+"""Closed forms of the retractions of matrix manifolds against their definitions, their special cases and other libraries."""
+
+import warnings
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from retrax.manifolds import SO, DomainError, FixedRank, Grassmann, Oblique, Sphere, Stiefel
+from retrax.retractions import (
+    QR,
+    Cayley,
+    Columnwise,
+    Exponential,
+    FixedRankOrthographic,
+    GrassmannPolar,
+    Polar,
+    Projection,
+    SphereExponential,
+    StiefelPolar,
+)
+from scipy.linalg import expm
+
+from tests.support.numerics import FRACTIONS, NODES, SEEDS, compiled, differences, draw_point, draw_tangent, norm
+
+STEP = 4e-3
+
+
+@lru_cache
+def kernel(retraction):
+    """Value of a retraction, what its inverse finds from there, the value of that, and the inverse of another point."""
+
+    def facts(x, v, other):
+        y = retraction(x, v)
+        back, inverse = jax.vmap(lambda y: retraction.inverse(x, y))(jnp.stack([y, other]))
+        return y, back, retraction(x, back), inverse
+
+    return compiled(facts)
+
+
+def round_trip(retraction, x, v):
+    """Value of a retraction, what its inverse finds from there, and the value of that."""
+    return kernel(retraction)(x, v, x)[:3]
+
+
+def draw(manifold, seed, length):
+    """A random point and a random tangent vector of this length, as matrices."""
+    x, _, basis = draw_point(manifold, seed)
+    v = draw_tangent(np.random.default_rng(seed), basis, length)
+    return x.reshape(manifold.ambient.shape), v.reshape(manifold.ambient.shape)
+
+
+def stiefel_polar(x, v):
+    u, _, w = np.linalg.svd(x + v, full_matrices=False)
+    return u @ w
+
+
+def stiefel_cayley(x, v):
+    eye = np.eye(len(x))
+    p = eye - x @ x.T / 2
+    w = p @ v @ x.T - x @ v.T @ p
+    return np.linalg.solve(eye - w / 2, (eye + w / 2) @ x)
+
+
+def stiefel_qr(x, v):
+    q, r = np.linalg.qr(x + v)
+    return q * np.sign(np.diag(r))
+
+
+def rotated(function):
+    """``q x q'`` with ``q`` a function of ``[v, x]``."""
+
+    def value(x, v):
+        q = function(v @ x - x @ v)
+        return q @ x @ q.T
+
+    return value
+
+
+def grassmann_polar(x, v):
+    q = np.linalg.svd((x + v) @ x)[0][:, :2]
+    return q @ q.T
+
+
+def truncated(x, v):
+    u, s, w = np.linalg.svd(x + v)
+    return u[:, :2] * s[:2] @ w[:2]
+
+
+DEFINITIONS = {
+    "Stiefel polar": (Polar(Stiefel(4, 2)), stiefel_polar),
+    "Stiefel QR": (QR(Stiefel(4, 2)), stiefel_qr),
+    "Stiefel Cayley": (Cayley(Stiefel(4, 2)), stiefel_cayley),
+    "Grassmann exponential": (Exponential(Grassmann(4, 2)), rotated(expm)),
+    "Grassmann Cayley": (
+        Cayley(Grassmann(4, 2)),
+        rotated(lambda a: np.linalg.solve(np.eye(4) - a / 2, np.eye(4) + a / 2)),
+    ),
+    "Grassmann polar": (Polar(Grassmann(4, 2)), grassmann_polar),
+    "fixed rank projection": (Projection(FixedRank(4, 3, 2)), truncated),
+}
+
+
+@pytest.mark.parametrize("name", DEFINITIONS)
+@given(seed=SEEDS, length=st.floats(0.0, 1.0))
+def test_closed_forms_are_their_definitions(name, seed, length):
+    retraction, definition = DEFINITIONS[name]
+    x, v = draw(retraction.manifold, seed, length)
+    np.testing.assert_allclose(round_trip(retraction, x, v)[0], definition(x, v), atol=2e-14)
+
+
+@given(seed=SEEDS, length=st.floats(0.0, 0.5))
+def test_the_orthographic_retraction_moves_along_a_normal_vector(seed, length):
+    retraction = FixedRankOrthographic(FixedRank(4, 3, 2))
+    x, v = draw(retraction.manifold, seed, length)
+    y = round_trip(retraction, x, v)[0]
+    assert np.linalg.svd(y, compute_uv=False)[2] < 1e-14
+    assert norm(x.T @ (y - x - v)) < 1e-13
+    assert norm(x @ (y - x - v).T) < 1e-13
+
+
+SPHERE, ROTATIONS, ONE, ALL = Sphere(2), SO(3), Stiefel(3, 1), Stiefel(3, 3)
+COINCIDENT = {
+    "polar, one column": (Polar(ONE), Projection(SPHERE)),
+    "QR, one column": (QR(ONE), Projection(SPHERE)),
+    "exponential, one column": (Exponential(ONE), Exponential(SPHERE)),
+    "polar, all columns": (Polar(ALL), Polar(ROTATIONS)),
+    "QR, all columns": (QR(ALL), QR(ROTATIONS)),
+    "Cayley, all columns": (Cayley(ALL), Cayley(ROTATIONS)),
+}
+
+
+@lru_cache
+def _both(name):
+    ours, theirs = COINCIDENT[name]
+    shapes = ours.manifold.ambient.shape, theirs.manifold.ambient.shape
+
+    def values(x, v):
+        return ours(x.reshape(shapes[0]), v.reshape(shapes[0])).reshape(-1), theirs(
+            x.reshape(shapes[1]), v.reshape(shapes[1])
+        ).reshape(-1)
+
+    return compiled(values)
+
+
+@pytest.mark.parametrize("name", COINCIDENT)
+@given(seed=SEEDS, length=st.floats(0.0, 2.0))
+def test_one_column_is_the_sphere_and_all_columns_are_rotations(name, seed, length):
+    manifold = COINCIDENT[name][1].manifold
+    x, v = draw(manifold, seed, length)
+    np.testing.assert_allclose(*_both(name)(x.reshape(-1), v.reshape(-1)), atol=5e-15)
+
+
+@given(seed=SEEDS, length=st.floats(0.0, 1.0))
+def test_a_column_at_a_time_is_the_sphere_at_a_time(seed, length):
+    retraction = Exponential(Oblique(3, 2))
+    assert retraction == Columnwise(Oblique(3, 2), SphereExponential(Sphere(2)))
+    x, v = draw(Oblique(3, 2), seed, length)
+    y = round_trip(retraction, x, v)[0]
+    for a, b, c in zip(x.T, v.T, y.T, strict=True):
+        t = np.linalg.norm(b)
+        np.testing.assert_allclose(c, np.cos(t) * a + np.sinc(t / np.pi) * b, atol=1e-15)
+
+
+def test_frames_of_one_subspace_have_one_polar_and_qr_retraction():
+    assert type(QR(Grassmann(4, 2))) is GrassmannPolar
+    assert type(Projection(Stiefel(4, 2))) is StiefelPolar
+
+
+@compiled
+def _along_the_geodesic(x, v):
+    exponential = Exponential(Stiefel(3, 2))
+
+    def velocity(s):
+        return jax.jvp(lambda s: exponential(x, s * v), (s,), (1.0,))
+
+    acceleration = jax.jvp(lambda s: velocity(s)[1], (0.7,), (1.0,))[1]
+    y, w = velocity(0.7)
+    return y, w, acceleration, exponential(y, 0.5 * w), exponential(x, 1.2 * v)
+
+
+@given(seed=SEEDS, length=st.floats(0.1, 2.5))
+def test_geodesics_of_frames_have_normal_acceleration_and_one_speed(seed, length):
+    x, v = draw(Stiefel(3, 2), seed, length)
+    y, w, acceleration, further, at_once = _along_the_geodesic(x, v)
+    tangential = acceleration - y @ (y.T @ acceleration + acceleration.T @ y) / 2
+    assert norm(tangential) < 1e-12 * (1 + length**2)
+    assert np.linalg.norm(w) == pytest.approx(length, rel=1e-13)
+    np.testing.assert_allclose(further, at_once, atol=1e-13)
+
+
+LENGTHS = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 2.0, 3.0, 3.1, np.pi - 1e-4]
+
+
+@pytest.mark.parametrize("length", LENGTHS)
+def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(length):
+    # Where the exponential is nearly singular, near pi, the rounding of the point is magnified by 1 / sin.
+    for seed in range(3):
+        x, v = draw(Stiefel(3, 2), seed, length)
+        y, back, there = round_trip(Exponential(Stiefel(3, 2)), x, v)
+        np.testing.assert_allclose(back, v, atol=2e-14)
+        np.testing.assert_allclose(there, y, atol=1e-14)
+
+
+def test_the_logarithm_of_frames_reaches_the_edge_of_its_domain():
+    # One column turns by almost a half turn, the shortest way to a conjugate point.
+    for gap in (1e-2, 1e-5, 1e-8):
+        x, v = np.eye(3)[:, :2], np.zeros((3, 2))
+        v[2, 0] = np.pi - gap
+        y, back, there = round_trip(Exponential(Stiefel(3, 2)), x, v)
+        np.testing.assert_allclose(there, y, atol=1e-13)
+        assert np.linalg.norm(back) == pytest.approx(np.pi - gap, abs=1e-13)
+        np.testing.assert_allclose(back, v, atol=1e-14 / gap)
+
+
+# The rational retractions send tangent vectors of any length t into their images, with edges at t = infinity: a rounding of
+# v by eps t is one of y by eps t, and a rounding of y by eps is magnified to eps t^2.
+SIZES = [1e-12, 1e-6, 1.0, 1e2, 1e4, 1e8]
+GRADED = {"Stiefel polar": stiefel_polar, "Stiefel QR": stiefel_qr, "Stiefel Cayley": stiefel_cayley}
+
+
+@pytest.mark.parametrize("name", GRADED)
+@pytest.mark.parametrize("size", SIZES)
+def test_inverses_on_frames_are_exact_up_to_the_edge_of_the_image(name, size):
+    retraction = DEFINITIONS[name][0]
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        q, turn = (np.linalg.qr(rng.standard_normal((k, k)))[0] for k in (4, 2))
+        second = 0.4 * min(size, 1.0)
+        x = q[:, :2] @ turn
+        v = (q[:, :2] @ np.array([[0.0, -second], [second, 0.0]]) + q[:, 2:] @ np.diag([size, second])) @ turn
+        y, back, there = round_trip(retraction, x, v)
+        np.testing.assert_allclose(y.T @ y, np.eye(2), atol=2e-15 * (1 + size))
+        np.testing.assert_allclose(there, y, atol=1e-14 * (1 + size**2 * (name == "Stiefel Cayley")) + 2e-15 * size)
+        np.testing.assert_allclose(back, v, atol=2e-15 + 1e-15 * size**2 * (1 + size * (name == "Stiefel Cayley")))
+
+
+EDGES = {
+    "Grassmann exponential": (Exponential(Grassmann(4, 2)), np.pi / 2),
+    "Grassmann Cayley": (Cayley(Grassmann(4, 2)), 2.0),
+}
+
+
+@pytest.mark.parametrize("name", EDGES)
+@pytest.mark.parametrize("gap", [1e-8, 1e-6, 1e-3, 1.0])
+def test_inverses_on_subspaces_are_exact_up_to_the_edge_of_the_domain(name, gap):
+    retraction, edge = EDGES[name]
+    for seed, second in enumerate((1e-12, 0.3, 1.2)):
+        q = np.linalg.qr(np.random.default_rng(seed).standard_normal((4, 4)))[0]
+        x, b = q[:, :2] @ q[:, :2].T, q[:, 2:] @ np.diag([edge - gap, second]) @ q[:, :2].T
+        y, back, there = round_trip(retraction, x, b + b.T)
+        assert retraction.domain(x, b + b.T)
+        assert not retraction.domain(x, (b + b.T) * (edge + 1e-8) / (edge - gap))
+        np.testing.assert_allclose(back, b + b.T, atol=1e-14)
+        np.testing.assert_allclose(there, y, atol=1e-14)
+
+
+HALF = np.diag([-1.0, 1.0, 1.0, 1.0])[:, :2]
+OUTSIDE = {
+    "polar, a half turn": (Polar(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
+    "QR, a half turn": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
+    "QR, a right angle": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], np.eye(4)[:, 1:3]),
+    "Cayley, a half turn": (Cayley(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
+    "exponential, the antipodal frame": (Exponential(Stiefel(3, 2)), np.eye(3)[:, :2], -np.eye(3)[:, :2]),
+    "subspaces with a right angle": (Exponential(Grassmann(4, 2)), np.diag([1.0, 1, 0, 0]), np.diag([0.0, 1, 1, 0])),
+    "the same, Cayley": (Cayley(Grassmann(4, 2)), np.diag([1.0, 1, 0, 0]), np.diag([0.0, 1, 1, 0])),
+    "the same, polar": (Polar(Grassmann(4, 2)), np.diag([1.0, 1, 0, 0]), np.diag([0.0, 1, 1, 0])),
+    "an orthogonal column": (
+        Projection(Oblique(3, 2)),
+        np.eye(3)[:, :2],
+        np.eye(3)[:, 1:],
+    ),
+    "a matrix with other columns": (
+        FixedRankOrthographic(FixedRank(4, 3, 2)),
+        np.eye(4, 3) @ np.diag([1.0, 1, 0]),
+        np.eye(4, 3) @ np.diag([0.0, 1, 1]),
+    ),
+    "the same, projection": (
+        Projection(FixedRank(4, 3, 2)),
+        np.eye(4, 3) @ np.diag([1.0, 1, 0]),
+        np.eye(4, 3) @ np.diag([0.0, 1, 1]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_outside_the_image_the_inverse_is_nan(name):
+    retraction, x, y = OUTSIDE[name]
+    inverse = kernel(retraction)(x, np.zeros_like(x), y)[3]
+    # The other column has an inverse of its own.
+    assert np.all(np.isnan(inverse[:, 0] if isinstance(retraction, Columnwise) else inverse))
+
+
+@pytest.mark.parametrize("name", ["QR, a half turn", "the same, polar", "an orthogonal column"])
+def test_outside_the_image_the_inverse_says_so(name):
+    retraction, x, y = OUTSIDE[name]
+    with pytest.raises(DomainError, match=rf"outside the image of {type(retraction).__name__} .* take a nearer point"):
+        retraction.inverse(jnp.asarray(x), jnp.asarray(y))
+
+
+INVERSES = {
+    "Stiefel polar": Polar(Stiefel(4, 2)),
+    "Grassmann Cayley": Cayley(Grassmann(3, 1)),
+    "fixed rank projection": Projection(FixedRank(3, 3, 1)),
+}
+
+
+@lru_cache
+def _inverse_along_curves(name):
+    retraction = INVERSES[name]
+
+    def facts(x, v, a, b):
+        """The inverse between ``R(x, s a)`` and ``R(x, v + s b)``, and its derivatives at ``s = 0``."""
+
+        def between(s):
+            return jnp.sum(jnp.cos(jnp.arange(x.size)) * jnp.ravel(retraction.preimage(retraction(x, s * a), y(s))))
+
+        def y(s):
+            return retraction(x, v + s * b)
+
+        slope = jax.grad(between)
+        return {
+            "values": jax.vmap(between)(STEP * NODES),
+            "slopes": jax.vmap(slope)(STEP * NODES),
+            "forward": jax.jvp(between, (0.0,), (1.0,))[1],
+            "reverse": slope(0.0),
+            "second": jax.jvp(slope, (0.0,), (1.0,))[1],
+        }
+
+    return compiled(facts)
+
+
+@pytest.mark.parametrize("name", INVERSES)
+@given(seed=SEEDS, fraction=FRACTIONS)
+@example(seed=0, fraction=0.0)
+def test_inverses_have_their_derivatives_at_zero_too(name, seed, fraction):
+    manifold, rng = INVERSES[name].manifold, np.random.default_rng(seed)
+    x, _, basis = draw_point(manifold, seed)
+    a, b, v = (draw_tangent(rng, basis, length) for length in (0.5, 0.5, 0.5 * fraction))
+    facts = _inverse_along_curves(name)(*(z.reshape(manifold.ambient.shape) for z in (x, v, a, b)))
+    np.testing.assert_allclose(facts["forward"], differences(facts["values"], STEP), atol=1e-9)
+    np.testing.assert_allclose(facts["reverse"], facts["forward"], atol=1e-12)
+    np.testing.assert_allclose(facts["second"], differences(facts["slopes"], STEP), atol=1e-8)
+
+
+@lru_cache
+def peers():
+    """pymanopt's and geomstats' manifolds; what they warn about on import is theirs."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import geomstats.geometry.grassmannian
+        import pymanopt.manifolds
+    return pymanopt.manifolds, geomstats.geometry.grassmannian
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pymanopts_values_on_frames(seed):
+    pymanopt, _ = peers()
+    x, v = draw(Stiefel(4, 2), seed, 0.9)
+    for name in ("polar", "qr"):
+        theirs = pymanopt.Stiefel(4, 2, retraction=name)
+        ours = round_trip(DEFINITIONS["Stiefel polar" if name == "polar" else "Stiefel QR"][0], x, v)[0]
+        np.testing.assert_allclose(ours, theirs.retraction(x, v), atol=1e-14)
+    x, v = draw(Stiefel(3, 2), seed, 0.9)
+    ours = round_trip(Exponential(Stiefel(3, 2)), x, v)[0]
+    np.testing.assert_allclose(ours, pymanopt.Stiefel(3, 2).exp(x, v), atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pymanopts_truncation(seed):
+    pymanopt, _ = peers()
+    theirs = pymanopt.FixedRankEmbedded(4, 3, 2)
+    x, v = draw(FixedRank(4, 3, 2), seed, 0.4)
+    u, s, w = (part[..., :2].T if i == 2 else part[..., :2] for i, part in enumerate(_svd(x)))
+    y = theirs.retraction((u, s, w), theirs.projection((u, s, w), v))
+    ours = round_trip(DEFINITIONS["fixed rank projection"][0], x, v)[0]
+    np.testing.assert_allclose(ours, y[0] * y[1] @ y[2], atol=1e-13)
+
+
+def _svd(x):
+    u, s, w = np.linalg.svd(x, full_matrices=False)
+    return u, s, w.T
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_geomstats_values_on_subspaces(seed):
+    _, geomstats = peers()
+    metric = geomstats.Grassmannian(4, 2).metric
+    x, v = draw(Grassmann(4, 2), seed, 0.9)
+    y, back, _ = round_trip(Exponential(Grassmann(4, 2)), x, v)
+    np.testing.assert_allclose(y, metric.exp(v, x), atol=1e-13)
+    np.testing.assert_allclose(back, metric.log(y, x), atol=1e-10)
