@@ -116,7 +116,8 @@ class StiefelQR(DifferentiatedRetraction):
 class StiefelCayley(DifferentiatedRetraction):
     """``R(x, v) = (I - W/2)^-1 (I + W/2) x`` with ``W = P v x' - x v' P`` and ``P = I - xx'/2``.
 
-    Second order for the canonical metric, whose geodesics are ``exp(W) x``; first order for the ambient one. Eliminating the span of ``x`` leaves ``p x p`` matrices: with ``v = x Omega + k`` and ``x'k = 0``,
+    Second order for the canonical metric, whose geodesics are ``exp(W) x``; first order for the ambient one.
+    Eliminating the span of ``x`` leaves ``p x p`` matrices: with ``v = x Omega + k`` and ``x'k = 0``,
 
         R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
 

@@ -77,7 +77,7 @@ def test_the_order_is_measured(name):
     assert expected < 2 or measured.acceleration < 1e-12
 
 
-@pytest.mark.parametrize("name", ["projection-H2", "quadratic-SPD2"])
+@pytest.mark.parametrize("name", ["projection-H2", "quadratic-SPD2", "cayley-St42"])
 def test_order_two_belongs_to_a_metric(name):
     assert order(RETRACTIONS[name]).order == 1
     measured = order(RETRACTIONS[name], METRICS[name])
