@@ -1,6 +1,7 @@
 """Initial-value problems on T*Q: one lifted step, the integrators made of it, and trajectories."""
 
 from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
+from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .step import StepResult, lifted_step
 from .trajectory import Trajectory, integrate
@@ -12,6 +13,7 @@ __all__ = [
     "TRIPLE_JUMP",
     "YOSHIDA_6",
     "Composition",
+    "GeodesicRetraction",
     "Integrator",
     "LiftedIntegrator",
     "PresymplecticIntegrator",

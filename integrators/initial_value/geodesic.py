@@ -1,0 +1,67 @@
+"""The exponential map of any metric, by symplectic integration of its geodesics."""
+
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+
+from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
+from ...manifolds.manifold import same_manifold
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import CotangentLift, Midpoint, Retraction, default_retraction
+from ...retractions.retraction import nan_unless
+from .composition import Composition
+from .integrator import Integrator, SymplecticIntegrator
+from .step import StepResult
+
+
+@final
+class GeodesicRetraction(Retraction):
+    """End after unit time of the geodesic of a metric from ``x`` with velocity ``v``; entries are NaN where a step is not solved.
+
+    Hamilton's equations of the kinetic energy are solved in ``steps`` equal steps. A step depends on ``v`` and on its size
+    through the product alone, so whatever the number of steps the result is a retraction, of second order for the metric; with
+    an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The inverse is
+    Newton's method.
+    """
+
+    metric: Metric
+    integrator: Integrator
+    steps: int = eqx.field(static=True)
+
+    def __init__(
+        self, manifold: Manifold, metric: Metric | None = None, steps: int = 8, integrator: Integrator | None = None
+    ) -> None:
+        """By default the metric is that of the ambient space, the integrator of order 4, composed of lifted midpoint steps."""
+        self.metric = EmbeddedMetric(manifold) if metric is None else metric
+        self.integrator = _order_four(manifold) if integrator is None else integrator
+        self.steps = steps
+        for part in (self.metric, self.integrator):
+            if not same_manifold(part.manifold, manifold):
+                raise InvalidInputError(f"the geodesics of {manifold} need a metric and an integrator of it, got {part}")
+        if not isinstance(steps, int) or steps < 1:
+            raise InvalidInputError(f"steps must be a whole number of at least 1, got {steps!r}")
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.metric.manifold
+
+    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+        end = self.flow(x, self.metric.covector(x, v))
+        return nan_unless(end.converged, end.q)
+
+    def flow(self, x: Ambient, p: Ambient) -> StepResult:
+        """Point and covector after unit time from the point ``x`` and the covector ``p``, and whether all steps were solved."""
+        energy, p = self.metric.kinetic_energy, self.manifold.projection(x, p)
+
+        def step(last: StepResult, _: Any) -> tuple[StepResult, None]:
+            new = self.integrator.step(energy, 1 / self.steps, last.q, last.p, last.unknowns)
+            return new._replace(converged=last.converged & new.converged), None
+
+        start = StepResult(x, p, self.integrator.begin(energy, x, p), jnp.array(True))
+        return jax.lax.scan(step, start, length=self.steps)[0]
+
+
+def _order_four(manifold: Manifold) -> Integrator:
+    return Composition(SymplecticIntegrator(CotangentLift(Midpoint(default_retraction(manifold)))))

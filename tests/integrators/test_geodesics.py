@@ -1,0 +1,120 @@
+"""Exponential maps by symplectic integration, beside closed forms."""
+
+from functools import lru_cache
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from retrax.integrators import Composition, GeodesicRetraction, SymplecticIntegrator
+from retrax.manifolds import SO, SPD, AffineInvariantMetric, EmbeddedMetric, InvalidInputError, Metric, Sphere
+from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Projection, Retraction, SPDSecondOrder
+
+from tests.support.cases import Ellipsoid
+from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent, unflat
+
+LENGTHS = 2.0 ** -np.arange(3)
+
+
+@final
+class Central(Retraction):
+    """``x + v`` scaled to the ellipsoid: cheap to compile."""
+
+    manifold: Ellipsoid
+
+    def __call__(self, x, v):
+        y = x + v
+        return y / jnp.sqrt(1 + self.manifold.constraint(y))
+
+
+def geodesics(retraction: Retraction, metric: Metric | None = None) -> GeodesicRetraction:
+    """Geodesics in four steps of order 4, by the lifted midpoint method with a retraction."""
+    integrator = Composition(SymplecticIntegrator(CotangentLift(Midpoint(retraction))))
+    return GeodesicRetraction(retraction.manifold, metric, steps=4, integrator=integrator)
+
+
+GEODESICS = {
+    "sphere": geodesics(Projection(Sphere(2))),
+    "rotations": geodesics(Cayley(SO(3))),
+    "cone": geodesics(SPDSecondOrder(SPD(2)), AffineInvariantMetric(SPD(2))),
+    "ellipsoid": geodesics(Central(Ellipsoid())),
+}
+
+
+@lru_cache
+def _kernel(name: str):
+    exponential = GEODESICS[name]
+    metric, unravel = exponential.metric, unflat(exponential.manifold)
+
+    def facts(x, v):
+        def ended(length):
+            w = unravel(length * v)
+            end = exponential.flow(unravel(x), metric.covector(unravel(x), w))
+            energy = metric.kinetic_energy(end.q, end.p) - metric.inner_product(unravel(x), w, w) / 2
+            violations = exponential.manifold.violations(end.q)
+            return {"end": end.q, "energy": energy, "solved": end.converged, "violations": violations}
+
+        return jax.vmap(ended)(LENGTHS)
+
+    return compiled(facts)
+
+
+def facts_at(name: str, seed: int) -> dict:
+    """Ends of geodesics of lengths 1, 1/2 and 1/4 from a random point, and the exact ends where they are known."""
+    manifold = GEODESICS[name].manifold
+    x, _, basis = draw_point(manifold, seed)
+    v = draw_tangent(np.random.default_rng(seed), basis, 1.0)
+    facts = _kernel(name)(x, v)
+    if name != "ellipsoid":
+        x, v = unflat(manifold)(x), unflat(manifold)(v)
+        facts["exact"] = np.stack([Exponential(manifold)(x, length * v) for length in LENGTHS])
+    return facts
+
+
+@pytest.mark.parametrize("name", ["sphere", "rotations", "cone"])
+@settings(max_examples=4)
+@given(seed=SEEDS)
+def test_geodesics_are_exponentials_to_order_four(name, seed):
+    # Unit time in 4 steps of order 4: the error is proportional to the fifth power of the length.
+    facts = facts_at(name, seed)
+    errors = np.max(np.abs(facts["end"] - facts["exact"]), axis=(1, 2) if name != "sphere" else 1)
+    assert np.all(facts["solved"])
+    assert errors[0] < 1e-3
+    assert np.all(np.log2(errors[:-1] / errors[1:])[errors[1:] > 1e-12] > 4)
+    np.testing.assert_allclose(max(map(np.max, facts["violations"].values())), 0, atol=1e-14)
+
+
+@settings(max_examples=4)
+@given(seed=SEEDS)
+def test_the_energy_of_geodesics_of_an_ellipsoid_is_conserved_to_order_four(seed):
+    facts = facts_at("ellipsoid", seed)
+    energy = np.abs(facts["energy"])
+    assert np.all(facts["solved"])
+    assert energy[0] < 1e-2
+    # The energy itself is quadratic in the length. Beside the order, a coefficient may vanish between two lengths.
+    assert energy[2] < max(energy[0] * 2.0**-9, 1e-13)
+
+
+@lru_cache
+def _round_trip():
+    exponential = GEODESICS["sphere"]
+    return compiled(lambda x, v: (exponential.inverse(x, exponential(x, v)), exponential(x, 0 * v)))
+
+
+@settings(max_examples=4)
+@given(seed=SEEDS)
+def test_newtons_method_finds_the_initial_velocity(seed):
+    x, _, basis = draw_point(Sphere(2), seed)
+    v = draw_tangent(np.random.default_rng(seed), basis, 1.0)
+    back, rest = _round_trip()(x, v)
+    np.testing.assert_allclose(back, v, atol=1e-13)
+    np.testing.assert_allclose(rest, x, atol=1e-15)
+
+
+def test_what_geodesics_are_made_of_is_checked():
+    with pytest.raises(InvalidInputError, match="need a metric and an integrator of it"):
+        GeodesicRetraction(Sphere(2), EmbeddedMetric(SO(3)))
+    with pytest.raises(InvalidInputError, match="steps must be a whole number of at least 1, got 0"):
+        GeodesicRetraction(Sphere(2), steps=0)
