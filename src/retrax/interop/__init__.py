@@ -1,0 +1,88 @@
+"""Doors to pymanopt and geomstats: their manifolds as ours, ours as theirs.
+
+Neither library is imported before one of these functions is called, and what its import does to global settings is undone.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from ..manifolds import InvalidInputError, Manifold, Metric
+from ..manifolds.manifold import same_manifold
+from ..retractions import Retraction, default_retraction
+from .conventions import Conventions
+from .counterpart import Counterpart
+from .geometry import Geometry
+from .peers import import_peer
+
+__all__ = ["Conventions", "Counterpart", "Geometry", "from_geomstats", "from_pymanopt", "to_geomstats", "to_pymanopt"]
+
+
+def to_pymanopt(
+    manifold: Manifold,
+    retraction: Retraction | None = None,
+    metric: Metric | None = None,
+    conventions: Conventions | None = None,
+) -> Any:
+    """A manifold with a retraction (default: ``default_retraction``) as a pymanopt manifold, for pymanopt's optimisers.
+
+    Points, tangent vectors and arguments are pymanopt's: tangent vectors of SO(n) are skew factors, points of a product are
+    lists, flat however the product is nested. Gradients and Hessians are those of ``metric``; by default of the sum of products
+    of entries. ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
+
+    Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
+    """
+    module = import_peer(".pymanopt")
+    geometry = _geometry(manifold, retraction, metric, conventions, module.conventions_of)
+    return module.RetraxManifold(geometry, module.typical_distance(manifold))
+
+
+def from_pymanopt(space: Any) -> Counterpart:
+    """A pymanopt manifold as ours: ``manifold, retraction, metric, conventions``.
+
+    Manifolds that we have become ours, with the retraction that the given one was made with. Others keep pymanopt's functions,
+    which run on the host: derivatives are differences, accurate to about 1e-10, and slow. Raises ``InvalidInputError`` for
+    one that is not an embedded manifold of real arrays (a quotient, complex entries, points of several arrays).
+    """
+    return import_peer(".pymanopt").counterpart(space)
+
+
+def to_geomstats(
+    manifold: Manifold,
+    retraction: Retraction | None = None,
+    metric: Metric | None = None,
+    conventions: Conventions | None = None,
+) -> Any:
+    """A manifold as a geomstats space with a metric, for geomstats' learning algorithms.
+
+    Arguments come in geomstats' order, leading axes are batches, and a point of several arrays is one vector of their entries.
+    The metric is ``metric``, by default the sum of products of entries. Raises ``InvalidInputError`` if the retraction or the
+    metric belongs to another manifold.
+    """
+    module = import_peer(".geomstats")
+    return module.RetraxSpace(_geometry(manifold, retraction, metric, conventions, module.conventions_of))
+
+
+def from_geomstats(space: Any) -> Counterpart:
+    """A geomstats space as ours: ``manifold, retraction, metric, conventions``.
+
+    Spaces that we have become ours, with the default retraction. Others keep geomstats' tangent projection and exponential map,
+    which run on the host: derivatives are differences, accurate to about 1e-10, and slow. Raises ``InvalidInputError`` for
+    one that is not an embedded manifold of real arrays.
+    """
+    return import_peer(".geomstats").counterpart(space)
+
+
+def _geometry(
+    manifold: Manifold,
+    retraction: Retraction | None,
+    metric: Metric | None,
+    conventions: Conventions | None,
+    conventions_of: Callable[[Manifold], Conventions],
+) -> Geometry:
+    if not isinstance(manifold, Manifold):
+        raise InvalidInputError(f"expected a manifold of retrax, got {manifold!r}; try SO(3)")
+    retraction = default_retraction(manifold) if retraction is None else retraction
+    for name, given in (("retraction", retraction), ("metric", metric)):
+        if given is not None and not same_manifold(given.manifold, manifold):
+            raise InvalidInputError(f"the {name} acts on {given.manifold}, expected {manifold}")
+    return Geometry(manifold, retraction, metric, conventions_of(manifold) if conventions is None else conventions)

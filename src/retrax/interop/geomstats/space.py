@@ -1,0 +1,137 @@
+"""Our manifolds as geomstats spaces with a metric."""
+
+from functools import lru_cache
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from geomstats.geometry.manifold import Manifold as GeomstatsManifold
+from geomstats.geometry.riemannian_metric import RiemannianMetric
+
+from ..geometry import Geometry
+
+ATOL = 1e-12  # the default of geomstats
+_VALUES = {"inner_product", "dist", "violation", "normal_part"}  # methods whose values are numbers
+
+
+@final
+class RetraxSpace(GeomstatsManifold):
+    """One of our manifolds with its metric, for geomstats' learning algorithms.
+
+    Points are arrays, or the entries of all arrays of a point in one vector. Leading axes are batches, everywhere.
+    Random points draw their keys from NumPy's global state, which geomstats' own spaces use.
+    """
+
+    def __init__(self, geometry: Geometry, equip: bool = True) -> None:
+        self.geometry = geometry
+        shape = jax.eval_shape(geometry.conventions.lift, geometry.manifold.ambient).shape
+        super().__init__(geometry.manifold.dimension, shape, intrinsic=False, equip=equip)
+
+    def new(self, equip: bool = True) -> "RetraxSpace":
+        """The same space, with or without its metric."""
+        return RetraxSpace(self.geometry, equip)
+
+    @staticmethod
+    def default_metric() -> type["RetraxMetric"]:
+        """The metric that the manifold came with."""
+        return RetraxMetric
+
+    def belongs(self, point: np.ndarray, atol: float = ATOL) -> Any:
+        """Whether every equation of the manifold holds to ``atol``."""
+        batch = np.shape(point)[: np.ndim(point) - self.point_ndim]
+        if np.shape(point)[len(batch) :] != self.shape:
+            return np.zeros(batch, bool)
+        return self.host("violation", point) <= atol
+
+    def is_tangent(self, vector: np.ndarray, base_point: np.ndarray | None = None, atol: float = ATOL) -> Any:
+        """Whether the normal part of a vector is at most ``atol``."""
+        return self.host("normal_part", _given(base_point), vector) <= atol
+
+    def to_tangent(self, vector: np.ndarray, base_point: np.ndarray | None = None) -> Any:
+        """Tangent projection."""
+        return self.host("project", _given(base_point), vector)
+
+    def random_point(self, n_samples: int = 1, bound: float = 1.0) -> Any:
+        """Random points."""
+        seeds = np.random.randint(2**31, size=n_samples)  # noqa: NPY002
+        drawn = np.array(_drawn(self.geometry, jnp.asarray(seeds)))
+        return drawn if n_samples > 1 else drawn[0]
+
+    def projection(self, point: np.ndarray) -> np.ndarray:
+        """The point of the manifold for one that is near it, by Newton's method."""
+        return self.host("restore", point)
+
+    def host(self, method: str, *arguments: np.ndarray) -> np.ndarray:
+        """A method of the geometry, compiled, on NumPy arrays with broadcast leading axes."""
+        core = "(" + ",".join(f"d{i}" for i in range(self.point_ndim)) + ")"
+        out = "()" if method in _VALUES else core
+        signature = ",".join([core] * len(arguments)) + "->" + out
+        return np.array(_kernel(method, signature)(self.geometry, *map(jnp.asarray, arguments)))
+
+
+@final
+class RetraxMetric(RiemannianMetric):
+    """The metric of one of our manifolds, with the closed form of its exponential map, and its retraction."""
+
+    def inner_product(
+        self, tangent_vec_a: np.ndarray, tangent_vec_b: np.ndarray, base_point: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Inner product of tangent vectors."""
+        return self._space.host("inner_product", _given(base_point), tangent_vec_a, tangent_vec_b)
+
+    def exp(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
+        """Exponential map."""
+        self._require_exponential()
+        return self._space.host("exp", base_point, tangent_vec)
+
+    def log(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
+        """Logarithm of ``point`` at ``base_point``."""
+        self._require_exponential()
+        return self._space.host("log", base_point, point)
+
+    def retraction(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
+        """The retraction that the space came with."""
+        return self._space.host("move", base_point, tangent_vec)
+
+    def lifting(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
+        """Inverse of the retraction; NaN outside its image."""
+        return self._space.host("back", base_point, point)
+
+    def parallel_transport(
+        self,
+        tangent_vec: np.ndarray,
+        base_point: np.ndarray,
+        direction: np.ndarray | None = None,
+        end_point: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Parallel transport along the geodesic to ``end_point``, or in ``direction``, on symmetric spaces."""
+        if not self._space.geometry.is_symmetric:
+            raise NotImplementedError(f"parallel transport is known on symmetric spaces, not on {self._space.geometry.manifold}")
+        if end_point is None:
+            end_point = self.exp(_given(direction), base_point)
+        return self._space.host("transport", base_point, end_point, tangent_vec)
+
+    def _require_exponential(self) -> None:
+        if not self._space.geometry.has_exponential:
+            raise NotImplementedError(f"no closed form of the exponential map is known on {self._space.geometry.manifold}")
+
+
+def _given(array: np.ndarray | None) -> np.ndarray:
+    if array is None:
+        raise ValueError("base_point (for a transport: end_point or direction) is missing: these spaces need it")
+    return array
+
+
+@lru_cache
+def _kernel(method: str, signature: str) -> Any:
+    def apply(geometry: Geometry, *arguments: jax.Array) -> jax.Array:
+        return jnp.vectorize(getattr(geometry, method), signature=signature)(*arguments)
+
+    return eqx.filter_jit(apply)
+
+
+@eqx.filter_jit
+def _drawn(geometry: Geometry, seeds: jax.Array) -> jax.Array:
+    return jax.vmap(lambda seed: geometry.random_point(jax.random.key(seed)))(seeds)

@@ -1,0 +1,121 @@
+"""geomstats' spaces as ours."""
+
+from dataclasses import dataclass
+from functools import cached_property, singledispatch
+from typing import Any, final
+
+import numpy as np
+from geomstats.geometry.euclidean import Euclidean as GeomstatsEuclidean
+from geomstats.geometry.hypersphere import _Hypersphere
+from geomstats.geometry.manifold import Manifold as GeomstatsManifold
+from geomstats.geometry.product_manifold import ProductManifold
+from geomstats.geometry.special_orthogonal import _SpecialOrthogonalMatrices
+
+from ...manifolds import SO, Euclidean, InvalidInputError, Manifold, Product, Sphere
+from ...retractions import ProductRetraction, default_retraction
+from ..conventions import Conventions, Reshaped, Same
+from ..counterpart import Counterpart
+from ..peers import seeded
+from ..wrapped import HostSpace, wrap
+from .space import RetraxSpace
+
+
+@singledispatch
+def counterpart(space: Any) -> Counterpart:
+    """Our manifold for a geomstats space."""
+    raise InvalidInputError(f"from_geomstats takes a real manifold of geomstats, got {space!r}; try Hypersphere(2)")
+
+
+@counterpart.register
+def _(space: GeomstatsManifold) -> Counterpart:
+    if not hasattr(space, "metric"):
+        raise InvalidInputError(f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()")
+    return Counterpart(*wrap(GeomstatsHost(space), _name(space)), None, Same())
+
+
+@counterpart.register
+def _(space: RetraxSpace) -> Counterpart:
+    geometry = space.geometry
+    return Counterpart(geometry.manifold, geometry.retraction, geometry.metric, geometry.conventions)
+
+
+@counterpart.register
+def _(space: GeomstatsEuclidean) -> Counterpart:
+    return _native(Euclidean(space.shape))
+
+
+@counterpart.register
+def _(space: _Hypersphere) -> Counterpart:
+    if space.intrinsic:
+        raise InvalidInputError(f"{_name(space)} is in angles, which are not an embedding; use intrinsic=False")
+    return _native(Sphere(space.dim))
+
+
+@counterpart.register
+def _(space: _SpecialOrthogonalMatrices) -> Counterpart:
+    return _native(SO(space.n))
+
+
+@counterpart.register
+def _(space: ProductManifold) -> Counterpart:
+    factors = [counterpart(factor) for factor in space.factors]
+    for factor in factors:
+        if not isinstance(factor.conventions, Same | Reshaped):
+            raise InvalidInputError(f"{_name(space)} has a factor in other coordinates; make a product of its counterparts")
+    manifold = Product(*(factor.manifold for factor in factors))
+    retraction = ProductRetraction(*(factor.retraction for factor in factors))
+    return Counterpart(manifold, retraction, None, Reshaped(manifold.ambient, space.shape))
+
+
+def conventions_of(manifold: Manifold) -> Conventions:
+    """How a manifold is written for geomstats: as it is if its points are one array, else in one vector."""
+    ambient = manifold.ambient
+    return Same() if hasattr(ambient, "shape") else Reshaped(ambient)
+
+
+def _native(manifold: Manifold) -> Counterpart:
+    return Counterpart(manifold, default_retraction(manifold), None, Same())
+
+
+def _name(space: GeomstatsManifold) -> str:
+    return f"{type(space).__name__} of shape {space.shape}"
+
+
+@final
+@dataclass(frozen=True)
+class GeomstatsHost(HostSpace):
+    """A geomstats space that we do not have, with its exponential map."""
+
+    space: Any
+
+    @property
+    def dimension(self) -> int:
+        return self.space.dim
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        return self.space.shape
+
+    def retract(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return self.space.metric.exp(v, x)
+
+    def project(self, x: np.ndarray, a: np.ndarray) -> np.ndarray:
+        return self.space.to_tangent(a, x)
+
+    def restore(self, x: np.ndarray) -> np.ndarray:
+        return self.space.projection(x) if self._has_projection else x
+
+    def contains(self, x: np.ndarray) -> np.ndarray:
+        return self.space.belongs(x, atol=1e-8)
+
+    def random_point(self, seed: int) -> np.ndarray:
+        with seeded(seed):
+            return self.space.random_point()
+
+    @cached_property
+    def _has_projection(self) -> bool:
+        try:
+            self.space.projection(self.random_point(0))
+        except NotImplementedError:
+            return False
+        return True

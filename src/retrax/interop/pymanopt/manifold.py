@@ -1,0 +1,140 @@
+"""Our manifolds as pymanopt's."""
+
+from functools import lru_cache
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
+from pymanopt.tools import ndarraySequenceMixin
+
+from ..conventions import Theirs
+from ..geometry import Geometry
+
+
+class TangentList(ndarraySequenceMixin, list):
+    """A tangent vector of several arrays, with the arithmetic of a vector space."""
+
+    def __add__(self, other: list) -> "TangentList":
+        return TangentList(a + b for a, b in zip(self, other, strict=True))
+
+    def __sub__(self, other: list) -> "TangentList":
+        return TangentList(a - b for a, b in zip(self, other, strict=True))
+
+    def __mul__(self, factor: Any) -> Any:
+        return TangentList(factor * a for a in self)
+
+    def __rmul__(self, factor: Any) -> Any:
+        return self * factor
+
+    def __truediv__(self, divisor: float) -> "TangentList":
+        return TangentList(a / divisor for a in self)
+
+    def __neg__(self) -> "TangentList":
+        return TangentList(-a for a in self)
+
+
+@final
+class RetraxManifold(PymanoptManifold):
+    """One of our manifolds with a retraction and a metric, for pymanopt's optimisers.
+
+    Points, tangent vectors and the meaning of every method are pymanopt's. ``geometry`` holds what is behind them.
+    Random points draw their key from NumPy's global state, which pymanopt's own manifolds use.
+    """
+
+    def __init__(self, geometry: Geometry, typical_dist: float) -> None:
+        parts = jax.eval_shape(geometry.conventions.lift, geometry.manifold.ambient)
+        layout = (1,) * len(parts) if isinstance(parts, list) else 1
+        super().__init__(str(geometry.manifold), geometry.manifold.dimension, layout)
+        self.geometry, self._typical_dist = geometry, typical_dist
+
+    @property
+    def typical_dist(self) -> float:
+        return self._typical_dist
+
+    def inner_product(self, point: Theirs, tangent_vector_a: Theirs, tangent_vector_b: Theirs) -> float:
+        return float(self._host("inner_product", point, tangent_vector_a, tangent_vector_b))
+
+    def norm(self, point: Theirs, tangent_vector: Theirs) -> Any:
+        return float(np.sqrt(self.inner_product(point, tangent_vector, tangent_vector)))
+
+    def projection(self, point: Theirs, vector: Theirs) -> Theirs:
+        return self._tangent("project", point, vector)
+
+    def to_tangent_space(self, point: Theirs, vector: Theirs) -> Theirs:
+        return self._tangent("tangential", point, vector)
+
+    def embedding(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
+        return self._tangent("embed", point, tangent_vector)
+
+    def euclidean_to_riemannian_gradient(self, point: Theirs, euclidean_gradient: Theirs) -> Theirs:
+        return self._tangent("gradient", point, euclidean_gradient)
+
+    def euclidean_to_riemannian_hessian(
+        self, point: Theirs, euclidean_gradient: Theirs, euclidean_hessian: Theirs, tangent_vector: Theirs
+    ) -> Theirs:
+        return self._tangent("hessian", point, euclidean_gradient, euclidean_hessian, tangent_vector)
+
+    def retraction(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
+        return self._host("move", point, tangent_vector)
+
+    def exp(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
+        self._require_exponential("exp")
+        return self._host("exp", point, tangent_vector)
+
+    def log(self, point_a: Theirs, point_b: Theirs) -> Theirs:
+        self._require_exponential("log")
+        return self._tangent("log", point_a, point_b)
+
+    def dist(self, point_a: Theirs, point_b: Theirs) -> Any:
+        self._require_exponential("dist")
+        return float(self._host("dist", point_a, point_b))
+
+    def pair_mean(self, point_a: Theirs, point_b: Theirs) -> Theirs:
+        self._require_exponential("pair_mean")
+        return self._host("middle", point_a, point_b)
+
+    def transport(self, point_a: Theirs, point_b: Theirs, tangent_vector_a: Theirs) -> Theirs:
+        return self.to_tangent_space(point_b, tangent_vector_a)
+
+    def zero_vector(self, point: Theirs) -> Theirs:
+        return TangentList(point) * 0.0 if isinstance(point, list) else np.zeros_like(point)
+
+    def random_point(self) -> Theirs:
+        return self._host("random_point", _key())
+
+    def random_tangent_vector(self, point: Theirs) -> Theirs:
+        return self._tangent("random_tangent", _key(), point)
+
+    def _require_exponential(self, method: str) -> None:
+        if not self.geometry.has_exponential:
+            raise NotImplementedError(
+                f"{method} needs the exponential map, of which no closed form is known on {self.geometry.manifold}; "
+                "use retraction and transport"
+            )
+
+    def _tangent(self, method: str, *arguments: Theirs) -> Theirs:
+        return _as_tangent(self._host(method, *arguments))
+
+    def _host(self, method: str, *arguments: Theirs) -> Theirs:
+        """A method of the geometry, compiled, on NumPy arrays."""
+        return jax.tree.map(np.array, _kernel(method)(self.geometry, *map(_plain, arguments)))
+
+
+@lru_cache
+def _kernel(method: str) -> Any:
+    return eqx.filter_jit(lambda geometry, *arguments: getattr(geometry, method)(*arguments))
+
+
+def _plain(a: Any) -> Any:
+    """Lists of pymanopt's as lists that JAX knows as pytrees."""
+    return list(a) if isinstance(a, list) else a
+
+
+def _as_tangent(a: Any) -> Any:
+    return TangentList(a) if isinstance(a, list) else a
+
+
+def _key() -> jax.Array:
+    return jax.random.key(np.random.randint(2**31))  # noqa: NPY002

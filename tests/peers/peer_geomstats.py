@@ -1,0 +1,73 @@
+"""geomstats' own test cases, unmodified, on our classes.
+
+They ship in geomstats' wheel as classes that want a ``space`` and data. Every test of them that draws its data is activated
+here: once (``trials = 1``), and it fails where something is not implemented. The spaces are geomstats' own through both doors,
+``to_geomstats(*from_geomstats(...))``; in the comparisons the original stands beside ours.
+"""
+
+import inspect
+
+from geomstats.geometry.euclidean import Euclidean
+from geomstats.geometry.hypersphere import Hypersphere
+from geomstats.geometry.product_manifold import ProductManifold
+from geomstats.geometry.special_orthogonal import SpecialOrthogonal
+from geomstats.test.data import TestData
+from geomstats.test.parametrizers import DataBasedParametrizer
+from geomstats.test.random import RandomDataGenerator
+from geomstats.test_cases.geometry.manifold import ManifoldTestCase
+from geomstats.test_cases.geometry.mixins import ProjectionTestCaseMixins
+from geomstats.test_cases.geometry.riemannian_metric import RiemannianMetricComparisonTestCase, RiemannianMetricTestCase
+
+from retrax.interop import from_geomstats, to_geomstats
+
+SPACES = {
+    "Euclidean": Euclidean(3),
+    "Hypersphere": Hypersphere(3),
+    "SpecialOrthogonal": SpecialOrthogonal(3),
+    "Product": ProductManifold([Hypersphere(2), Euclidean(2)]),
+}
+# What a test draws, by the names of its arguments; those that want other values are called by these.
+DRAWN = {
+    ("n_points",): TestData.generate_random_data,
+    ("n_reps",): TestData.generate_vec_data,
+    ("n_points", "n_times"): TestData.generate_random_data_with_time,
+    ("n_reps", "n_times"): TestData.generate_vec_data_with_time,
+}
+
+
+class Space(ProjectionTestCaseMixins, ManifoldTestCase):
+    """The test cases of a space with a projection."""
+
+
+CASES = {"": Space, "Metric": RiemannianMetricTestCase, "Comparison": RiemannianMetricComparisonTestCase}
+
+
+class NearbyData(RandomDataGenerator):
+    """Random data; the points to project are near the manifold, where ``projection`` is defined."""
+
+    def point_to_project(self, n_points=1):
+        """A random point, a tenth of a random tangent vector away."""
+        point = self.space.random_point(n_points)
+        return point + 0.1 * self.space.random_tangent_vec(point)
+
+
+def drawn_data(case):
+    """Test data for every test of a case that draws its own."""
+    methods = {"trials": 1, "fail_for_not_implemented_errors": True}
+    for name, function in inspect.getmembers(case, inspect.isfunction):
+        arguments = tuple(a for a in inspect.getfullargspec(function).args if a not in ("self", "atol"))
+        if name.startswith("test_") and arguments in DRAWN:
+            methods[f"{name[5:]}_test_data"] = DRAWN[arguments]
+    return type("DrawnData", (TestData,), methods)()
+
+
+def test_class(name, suffix, case):
+    """A test class of geomstats for one of our spaces."""
+    ours = to_geomstats(*from_geomstats(SPACES[name]))
+    body = {"space": ours, "other_space": SPACES[name], "data_generator": NearbyData(ours), "testing_data": drawn_data(case)}
+    return DataBasedParametrizer(f"Test{name}{suffix}", (case,), body)
+
+
+for space in SPACES:
+    for suffix, case in CASES.items():
+        globals()[f"Test{space}{suffix}"] = test_class(space, suffix, case)
