@@ -41,3 +41,19 @@ def test_new_manifold(tmp_path):
     assert solution.success
     assert mismatch <= 1e-10
     assert (tmp_path / "new_manifold.png").exists()
+
+
+def test_path_planning(tmp_path):
+    module = example("path_planning")
+    solution, angle, error = module.main(["--steps", "40", "--output", str(tmp_path)])
+    assert solution.checks.strict_minimum
+    assert error <= 1e-10, "the energy of the geodesic"
+    assert angle >= module.KEEP_OUT
+    assert (tmp_path / "path_planning.png").exists()
+
+
+def test_monte_carlo_slew(tmp_path):
+    deviations, linear, mean_log = example("monte_carlo_slew").main(["--samples", "500", "--output", str(tmp_path)])
+    assert mean_log <= 1e-10, "the mean of the logarithms vanishes at the Fréchet mean"
+    np.testing.assert_allclose(deviations, linear, rtol=0.1)
+    assert (tmp_path / "monte_carlo_slew.png").exists()

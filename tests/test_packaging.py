@@ -9,7 +9,6 @@ import tomllib
 from pathlib import Path
 
 import pytest
-
 import retrax
 
 ROOT = Path(__file__).parents[1]

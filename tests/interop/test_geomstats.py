@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SO, Euclidean, Product, Sphere
-
 from retrax.interop import from_geomstats, to_geomstats
 from retrax.interop.peers import import_peer, seeded
+from retrax.manifolds import SO, Euclidean, Product, Sphere
+
 from tests.support.numerics import SEEDS
 
 Hypersphere = import_peer("geomstats.geometry.hypersphere").Hypersphere

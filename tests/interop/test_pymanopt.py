@@ -7,11 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
+from retrax.interop import from_pymanopt, to_pymanopt
+from retrax.interop.peers import import_peer, seeded
 from retrax.manifolds import SO, CotangentBundle, Euclidean, Product, Sphere
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 
-from retrax.interop import from_pymanopt, to_pymanopt
-from retrax.interop.peers import import_peer, seeded
 from tests.support.cases import NESTED
 from tests.support.numerics import SEEDS
 

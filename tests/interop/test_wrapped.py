@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
-from retrax.retractions import CotangentLift, Midpoint
-
 from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.peers import import_peer
+from retrax.retractions import CotangentLift, Midpoint
+
 from tests.support.numerics import NODES, SEEDS, compiled, differences
 
 theirs = import_peer("pymanopt.manifolds")

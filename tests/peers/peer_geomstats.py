@@ -17,7 +17,6 @@ from geomstats.test.random import RandomDataGenerator
 from geomstats.test_cases.geometry.manifold import ManifoldTestCase
 from geomstats.test_cases.geometry.mixins import ProjectionTestCaseMixins
 from geomstats.test_cases.geometry.riemannian_metric import RiemannianMetricComparisonTestCase, RiemannianMetricTestCase
-
 from retrax.interop import from_geomstats, to_geomstats
 
 SPACES = {

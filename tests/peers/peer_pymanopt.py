@@ -9,7 +9,6 @@ import os
 from pathlib import Path
 
 import pymanopt.manifolds
-
 from retrax.interop import from_pymanopt, to_pymanopt
 
 TESTS = Path(os.environ["PYMANOPT_SOURCE"]) / "tests" / "manifolds"
@@ -19,6 +18,10 @@ FILES = {
     "sphere": (["Sphere"], ["TestSphereManifold"]),
     "euclidean": (["Euclidean"], ["TestEuclideanManifold"]),
     "group": (["SpecialOrthogonalGroup"], ["TestSpecialOrthogonalGroup"]),
+    "positive_definite": (
+        ["SymmetricPositiveDefinite"],
+        ["TestSingleSymmetricPositiveDefiniteManifold", "TestMultiSymmetricPositiveDefiniteManifold"],
+    ),
     "product": (["Euclidean", "Sphere", "Product"], ["TestProductManifold"]),
 }
 

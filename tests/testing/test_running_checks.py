@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from retrax.manifolds import InvalidInputError, Manifold, Sphere
 from retrax.retractions import CotangentLift, Midpoint, Projection, Retraction
-
 from retrax.testing import (
     ConformanceError,
     check_cotangent_lift,
@@ -19,6 +18,7 @@ from retrax.testing import (
     parametrize_with_checks,
     strategies,
 )
+
 from tests.support.numerics import norm
 
 SPHERE = Sphere(2)

@@ -12,6 +12,7 @@ from ..retractions import Retraction, default_retraction
 from .conventions import Conventions
 from .counterpart import Counterpart
 from .geometry import Geometry
+from .metrics import natural_metric
 from .peers import import_peer
 
 __all__ = ["Conventions", "Counterpart", "Geometry", "from_geomstats", "from_pymanopt", "to_geomstats", "to_pymanopt"]
@@ -26,8 +27,8 @@ def to_pymanopt(
     """A manifold with a retraction (default: ``default_retraction``) as a pymanopt manifold, for pymanopt's optimisers.
 
     Points, tangent vectors and arguments are pymanopt's: tangent vectors of SO(n) are skew factors, points of a product are
-    lists, flat however the product is nested. Gradients and Hessians are those of ``metric``; by default of the sum of products
-    of entries. ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
+    lists, flat however the product is nested. Gradients and Hessians are those of ``metric``, by default the one whose
+    geodesics the exponential map gives. ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
 
     Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
     """
@@ -55,8 +56,8 @@ def to_geomstats(
     """A manifold as a geomstats space with a metric, for geomstats' learning algorithms.
 
     Arguments come in geomstats' order, leading axes are batches, and a point of several arrays is one vector of their entries.
-    The metric is ``metric``, by default the sum of products of entries. Raises ``InvalidInputError`` if the retraction or the
-    metric belongs to another manifold.
+    ``metric`` is by default the one whose geodesics the exponential map gives. Raises ``InvalidInputError`` if the retraction or
+    the metric belongs to another manifold.
     """
     module = import_peer(".geomstats")
     return module.RetraxSpace(_geometry(manifold, retraction, metric, conventions, module.conventions_of))
@@ -82,7 +83,8 @@ def _geometry(
     if not isinstance(manifold, Manifold):
         raise InvalidInputError(f"expected a manifold of retrax, got {manifold!r}; try SO(3)")
     retraction = default_retraction(manifold) if retraction is None else retraction
+    metric = natural_metric(manifold) if metric is None else metric
     for name, given in (("retraction", retraction), ("metric", metric)):
-        if given is not None and not same_manifold(given.manifold, manifold):
+        if not same_manifold(given.manifold, manifold):
             raise InvalidInputError(f"the {name} acts on {given.manifold}, expected {manifold}")
     return Geometry(manifold, retraction, metric, conventions_of(manifold) if conventions is None else conventions)

@@ -10,7 +10,7 @@ from .conventions import Conventions
 class Counterpart(NamedTuple):
     """Our manifold, retraction and metric for a space of another library, and how that writes points and tangent vectors.
 
-    ``metric`` is None for the sum of products of entries of their tangent vectors, and where the metric is not known here.
+    ``metric`` is the embedded one where theirs is not known here.
 
     ``conventions.point(x)`` and ``conventions.tangent(x, v)`` take theirs to ours, ``conventions.lift(q)`` and
     ``conventions.coordinates(x, w)`` ours to theirs.
@@ -18,5 +18,5 @@ class Counterpart(NamedTuple):
 
     manifold: Manifold
     retraction: Retraction
-    metric: Metric | None
+    metric: Metric
     conventions: Conventions

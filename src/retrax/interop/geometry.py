@@ -7,44 +7,34 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..manifolds import SO, Euclidean, Manifold, Metric, Product, Sphere
+from ..manifolds import Manifold, Metric
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import Exponential, Retraction
 from .conventions import Conventions, Theirs
+from .metrics import has_exponential, is_symmetric
 
 _RESTORATIONS = 8
-_SYMMETRIC = (Euclidean, Sphere, SO)
-
-
-def _is_symmetric(manifold: Manifold) -> bool:
-    if isinstance(manifold, Product):
-        return all(map(_is_symmetric, manifold.factors))
-    return isinstance(manifold, _SYMMETRIC)
 
 
 @final
 class Geometry(eqx.Module):
-    """A manifold with a retraction and a metric, seen through conventions: ``x``, ``y``, ``v`` below are all theirs.
-
-    The metric of their coordinates is ours for ``metric``; None stands for the sum of products of entries of *their* tangent
-    vectors, which is the embedded metric wherever conventions are the same.
-    """
+    """A manifold with a retraction and a metric, seen through conventions: ``x``, ``y``, ``v`` below are all theirs."""
 
     manifold: Manifold
     retraction: Retraction
-    metric: Metric | None
+    metric: Metric
     conventions: Conventions
 
     @property
     def has_exponential(self) -> bool:
         """Whether a closed form of the exponential map is known."""
-        return Exponential.knows(self.manifold)
+        return has_exponential(self.metric)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the manifold is a symmetric space with a known exponential map."""
-        return self.has_exponential and _is_symmetric(self.manifold)
+        """Whether the manifold is known to be a symmetric space, with an exponential map in closed form."""
+        return self.has_exponential and is_symmetric(self.manifold)
 
     def random_point(self, key: Array) -> Theirs:
         """A random point."""
@@ -84,8 +74,6 @@ class Geometry(eqx.Module):
 
     def inner_product(self, x: Theirs, v: Theirs, w: Theirs) -> Array:
         """Riemannian inner product of two tangent vectors at ``x``."""
-        if self.metric is None:
-            return vec.pairing(v, w)
         ours = self.conventions.tangent(x, v), self.conventions.tangent(x, w)
         return self.metric.inner_product(self.conventions.point(x), *ours)
 
@@ -128,8 +116,7 @@ class Geometry(eqx.Module):
 
     def gradient(self, x: Theirs, g: Theirs) -> Theirs:
         """Riemannian gradient from the Euclidean one: partial derivatives in the entries of ``x``."""
-        slope = jax.grad(lambda v: vec.pairing(g, self._geodesic(x, v)))
-        return self._sharp(x, slope(vec.scale(0.0, x)))
+        return self._sharp(x, self._slope(x, g, vec.scale(0.0, x)))
 
     def hessian(self, x: Theirs, g: Theirs, h: Theirs, v: Theirs) -> Theirs:
         """Riemannian Hessian along ``v`` from the Euclidean gradient ``g`` and the Euclidean Hessian ``h`` along ``v``.
@@ -137,9 +124,12 @@ class Geometry(eqx.Module):
         The Hessian is the second derivative of the function along geodesics.
         """
         zero = vec.scale(0.0, x)
-        bend = jax.jvp(jax.grad(lambda u: vec.pairing(g, self._geodesic(x, u))), (zero,), (v,))[1]
-        _, pull = jax.vjp(lambda u: self._geodesic(x, u), zero)
-        return self._sharp(x, vec.add(bend, pull(h)[0]))
+        bend = jax.jvp(lambda u: self._slope(x, g, u), (zero,), (v,))[1]
+        return self._sharp(x, vec.add(bend, self._slope(x, h, zero)))
+
+    def _slope(self, x: Theirs, g: Theirs, v: Theirs) -> Theirs:
+        """Gradient at ``v`` of ``v -> <g, geodesic(x, v)>``, in their coordinates."""
+        return vec.gradient(lambda u: vec.pairing(g, self._geodesic(x, u)), v)
 
     def _along(self, retraction: Retraction, x: Theirs, v: Theirs) -> Theirs:
         y = retraction(self.conventions.point(x), self.conventions.tangent(x, v))
@@ -157,20 +147,17 @@ class Geometry(eqx.Module):
 
     def _acceleration(self, q: Ambient, w: Ambient) -> Ambient:
         """Ambient acceleration of the geodesic with velocity ``w``, from Hamilton's equations of its kinetic energy."""
-        if self.metric is None:
-            return jax.jvp(lambda y: self.manifold.projection(y, w), (q,), (w,))[1]
         energy, p = self.metric.kinetic_energy, self.metric.covector(q, w)
-        force = vec.scale(-1.0, jax.grad(energy)(q, p))
-        return jax.jvp(jax.grad(energy, argnums=1), (q, p), (w, force))[1]
+        force = vec.scale(-1.0, vec.gradient(lambda y: energy(y, p), q))
+        return jax.jvp(lambda y, a: vec.gradient(lambda b: energy(y, b), a), (q, p), (w, force))[1]
 
     def _sharp(self, x: Theirs, slope: Theirs) -> Theirs:
         """The tangent vector whose inner product with any other is that vector's pairing with ``slope``."""
-        if self.metric is None:
-            return self.tangential(x, slope)
         q = self.conventions.point(x)
 
         def coordinates(w: Ambient) -> Theirs:
             return self.conventions.coordinates(x, self.manifold.projection(q, w))
 
-        _, pull = jax.vjp(coordinates, vec.zeros(self.manifold.ambient))
-        return coordinates(jax.grad(self.metric.kinetic_energy, argnums=1)(q, pull(slope)[0]))
+        zero = vec.zeros(self.manifold.ambient)
+        covector = vec.gradient(lambda w: vec.pairing(slope, coordinates(w)), zero)
+        return coordinates(self.metric.vector(q, covector))

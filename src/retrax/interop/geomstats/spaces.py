@@ -6,15 +6,31 @@ from typing import Any, final
 
 import numpy as np
 from geomstats.geometry.euclidean import Euclidean as GeomstatsEuclidean
+from geomstats.geometry.hyperboloid import Hyperboloid
 from geomstats.geometry.hypersphere import _Hypersphere
 from geomstats.geometry.manifold import Manifold as GeomstatsManifold
+from geomstats.geometry.nfold_manifold import NFoldManifold
 from geomstats.geometry.product_manifold import ProductManifold
+from geomstats.geometry.spd_matrices import SPDMatrices
 from geomstats.geometry.special_orthogonal import _SpecialOrthogonalMatrices
 
-from ...manifolds import SO, Euclidean, InvalidInputError, Manifold, Product, Sphere
-from ...retractions import ProductRetraction, default_retraction
-from ..conventions import Conventions, Reshaped, Same
+from ...manifolds import (
+    SO,
+    SPD,
+    EmbeddedMetric,
+    Euclidean,
+    Hyperbolic,
+    InvalidInputError,
+    Manifold,
+    Metric,
+    Power,
+    Product,
+    Sphere,
+)
+from ...retractions import PowerRetraction, ProductRetraction, default_retraction
+from ..conventions import Conventions, Reshaped, Same, Stacked
 from ..counterpart import Counterpart
+from ..metrics import PowerMetric, ProductMetric, ScaledMetric, natural_metric
 from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .space import RetraxSpace
@@ -30,7 +46,8 @@ def counterpart(space: Any) -> Counterpart:
 def _(space: GeomstatsManifold) -> Counterpart:
     if not hasattr(space, "metric"):
         raise InvalidInputError(f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()")
-    return Counterpart(*wrap(GeomstatsHost(space), _name(space)), None, Same())
+    manifold, retraction = wrap(GeomstatsHost(space), _name(space))
+    return Counterpart(manifold, retraction, natural_metric(manifold), Same())
 
 
 @counterpart.register
@@ -53,18 +70,36 @@ def _(space: _Hypersphere) -> Counterpart:
 
 @counterpart.register
 def _(space: _SpecialOrthogonalMatrices) -> Counterpart:
-    return _native(SO(space.n))
+    manifold = SO(space.n)
+    return _native(manifold, ScaledMetric(EmbeddedMetric(manifold), 0.5))  # theirs is tr(A'B)/2 in the algebra
+
+
+@counterpart.register
+def _(space: SPDMatrices) -> Counterpart:
+    return _native(SPD(space.n))
+
+
+@counterpart.register
+def _(space: Hyperboloid) -> Counterpart:
+    if space.intrinsic:
+        raise InvalidInputError(f"{_name(space)} is in intrinsic coordinates, which are not an embedding; use intrinsic=False")
+    return _native(Hyperbolic(space.dim))
+
+
+@counterpart.register
+def _(space: NFoldManifold) -> Counterpart:
+    base = counterpart(space.base_manifold)
+    manifold, k = Power(base.manifold, space.n_copies), space.n_copies
+    return Counterpart(manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions))
 
 
 @counterpart.register
 def _(space: ProductManifold) -> Counterpart:
     factors = [counterpart(factor) for factor in space.factors]
-    for factor in factors:
-        if not isinstance(factor.conventions, Same | Reshaped):
-            raise InvalidInputError(f"{_name(space)} has a factor in other coordinates; make a product of its counterparts")
     manifold = Product(*(factor.manifold for factor in factors))
     retraction = ProductRetraction(*(factor.retraction for factor in factors))
-    return Counterpart(manifold, retraction, None, Reshaped(manifold.ambient, space.shape))
+    metric = ProductMetric(*(factor.metric for factor in factors))
+    return Counterpart(manifold, retraction, metric, Reshaped(manifold.ambient, space.shape))
 
 
 def conventions_of(manifold: Manifold) -> Conventions:
@@ -73,8 +108,9 @@ def conventions_of(manifold: Manifold) -> Conventions:
     return Same() if hasattr(ambient, "shape") else Reshaped(ambient)
 
 
-def _native(manifold: Manifold) -> Counterpart:
-    return Counterpart(manifold, default_retraction(manifold), None, Same())
+def _native(manifold: Manifold, metric: Metric | None = None) -> Counterpart:
+    metric = natural_metric(manifold) if metric is None else metric
+    return Counterpart(manifold, default_retraction(manifold), metric, Same())
 
 
 def _name(space: GeomstatsManifold) -> str:

@@ -6,8 +6,8 @@ from typing import Any
 
 import jax
 
-from ...manifolds import SO, Manifold, Product, Sphere
-from ..conventions import Conventions, Listed, Same, SkewFactors
+from ...manifolds import SO, Manifold, Power, Product, Sphere
+from ..conventions import Conventions, Listed, Same, SkewFactors, Stacked
 
 
 @singledispatch
@@ -25,6 +25,14 @@ def _(manifold: SO) -> Conventions:
 @conventions_of.register
 def _(manifold: Product) -> Conventions:
     return Listed(tuple(_nested(factor) for factor in manifold.factors))
+
+
+@conventions_of.register
+def _(manifold: Power) -> Conventions:
+    base = conventions_of(manifold.factor)
+    if isinstance(base, Listed):
+        return Listed(base.nest.unflatten([Stacked(part) for part in base.parts]))
+    return Stacked(base)
 
 
 def _nested(manifold: Manifold) -> Any:
@@ -51,3 +59,8 @@ def _(manifold: SO) -> float:
 @typical_distance.register
 def _(manifold: Product) -> float:
     return math.hypot(*map(typical_distance, manifold.factors))
+
+
+@typical_distance.register
+def _(manifold: Power) -> float:
+    return math.sqrt(manifold.k * typical_distance(manifold.factor) ** 2)

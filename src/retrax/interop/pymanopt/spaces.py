@@ -1,5 +1,6 @@
 """pymanopt's manifolds as ours."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, singledispatch
 from typing import Any, final
@@ -8,10 +9,20 @@ import numpy as np
 from pymanopt import manifolds as theirs
 from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 
-from ...manifolds import SO, Euclidean, InvalidInputError, Product, Sphere
-from ...retractions import QR, Exponential, Polar, ProductRetraction, Projection
-from ..conventions import Listed, Reshaped, Same, SkewFactors
+from ...manifolds import SO, SPD, Euclidean, InvalidInputError, Manifold, Power, Product, Sphere
+from ...retractions import (
+    QR,
+    Exponential,
+    Polar,
+    PowerRetraction,
+    ProductRetraction,
+    Projection,
+    Retraction,
+    SPDSecondOrder,
+)
+from ..conventions import Conventions, Listed, Reshaped, Same, SkewFactors, Stacked
 from ..counterpart import Counterpart
+from ..metrics import ProductMetric, natural_metric
 from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .manifold import RetraxManifold
@@ -32,7 +43,8 @@ def _(space: PymanoptManifold) -> Counterpart:
             f"{space} cannot be used: its points are made of {space.num_values} arrays whose tangent vectors are written in "
             "coordinates of their own; this door takes manifolds whose points are one array, and products of them"
         )
-    return Counterpart(*wrap(PymanoptHost(space), str(space)), None, Same())
+    manifold, retraction = wrap(PymanoptHost(space), str(space))
+    return _with_natural_metric(manifold, retraction, Same())
 
 
 @counterpart.register
@@ -43,33 +55,56 @@ def _(space: RetraxManifold) -> Counterpart:
 
 @counterpart.register
 def _(space: theirs.Euclidean) -> Counterpart:
-    manifold = Euclidean(np.shape(space.zero_vector(None)))
-    return Counterpart(manifold, Exponential(manifold), None, Same())
+    manifold = Euclidean(_shape(space))
+    return _with_natural_metric(manifold, Exponential(manifold), Same())
 
 
 @counterpart.register
 def _(space: theirs.Sphere) -> Counterpart:
     manifold = Sphere(int(space.dim))
-    return Counterpart(manifold, Projection(manifold), None, Reshaped(manifold.ambient, np.shape(space.zero_vector(None))))
+    return _with_natural_metric(manifold, Projection(manifold), Reshaped(manifold.ambient, _shape(space)))
 
 
 @counterpart.register
 def _(space: theirs.SpecialOrthogonalGroup) -> Counterpart:
-    manifold = SO(space.zero_vector(None).shape[-1])
-    return Counterpart(manifold, _named(space)(manifold), None, SkewFactors())
+    return _copies(space, lambda n, _: SO(n), _named(space), SkewFactors())
+
+
+@counterpart.register
+def _(space: theirs.SymmetricPositiveDefinite) -> Counterpart:
+    return _copies(space, lambda n, _: SPD(n), SPDSecondOrder, Same())
 
 
 @counterpart.register
 def _(space: theirs.Product) -> Counterpart:
-    factors = [counterpart(factor) for factor in space.manifolds]
-    manifold = Product(*(factor.manifold for factor in factors))
-    retraction = ProductRetraction(*(factor.retraction for factor in factors))
-    return Counterpart(manifold, retraction, None, Listed(tuple(factor.conventions for factor in factors)))
+    manifolds, retractions, metrics, conventions = zip(*map(counterpart, space.manifolds), strict=True)
+    return Counterpart(Product(*manifolds), ProductRetraction(*retractions), ProductMetric(*metrics), Listed(conventions))
+
+
+def _copies(
+    space: Any, make: Callable[..., Manifold], family: Callable[..., Retraction], conventions: Conventions
+) -> Counterpart:
+    """The counterpart of a manifold of matrices, or of the power that pymanopt makes of it with ``k > 1``."""
+    *copies, rows, columns = _shape(space)
+    manifold = make(rows, columns)
+    if not copies:
+        return _with_natural_metric(manifold, family(manifold), conventions)
+    power = Power(manifold, copies[0])
+    return _with_natural_metric(power, PowerRetraction(family(manifold), copies[0]), Stacked(conventions))
+
+
+def _with_natural_metric(manifold: Manifold, retraction: Retraction, conventions: Conventions) -> Counterpart:
+    return Counterpart(manifold, retraction, natural_metric(manifold), conventions)
 
 
 def _named(space: Any) -> Any:
     """The family of the retraction that a pymanopt manifold was made with."""
     return _RETRACTIONS[space._retraction.__name__]
+
+
+def _shape(space: Any) -> tuple[int, ...]:
+    with seeded(0):
+        return np.shape(space.random_point())
 
 
 @final
@@ -85,7 +120,7 @@ class PymanoptHost(HostSpace):
 
     @cached_property
     def shape(self) -> tuple[int, ...]:
-        return np.shape(self.random_point(0))
+        return _shape(self.space)
 
     def retract(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         return np.stack([self.space.retraction(xi, vi) for xi, vi in zip(x, v, strict=True)])
