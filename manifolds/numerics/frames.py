@@ -20,7 +20,8 @@ Matrix = Float[Array, "n n"]
 def qr_factor(a: Frame) -> Frame:
     """Orthonormal factor ``q`` of ``a = q r`` with a positive diagonal of the triangular ``r``."""
     q, r = jnp.linalg.qr(a)
-    return q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
+    d = jnp.diagonal(r)
+    return q * (d / jnp.abs(d) if jnp.iscomplexobj(d) else jnp.where(d < 0, -1.0, 1.0))
 
 
 @jax.custom_jvp
@@ -29,8 +30,9 @@ def polar_factor(a: Frame) -> Frame:
 
     Its derivative is ``y t + (I - yy') da s^-1`` with the skew ``t`` of ``s t + t s = y'da - da'y``.
     """
-    u, _, w = jnp.linalg.svd(a, full_matrices=False)
-    return u @ w
+    q, r = jnp.linalg.qr(a)
+    u, _, w = jnp.linalg.svd(r)
+    return q @ (u @ w)
 
 
 @polar_factor.defjvp

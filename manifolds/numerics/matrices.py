@@ -103,22 +103,37 @@ def _spd_log_jvp(primals: tuple[Matrix], tangents: tuple[Matrix]) -> tuple[Matri
 
 
 def symmetric_factor(a: Matrix, c: Matrix) -> Matrix:
-    """Symmetric ``t`` with ``a t + t a' = c`` for a symmetric ``c``, from one dense system for its upper triangle."""
-    i, j = np.triu_indices(a.shape[0])
-    t = jnp.linalg.solve(_images(a, i, j) + np.where(i == j, 0.0, 1.0) * _images(a, j, i), c[i, j])
-    return jnp.zeros_like(a).at[i, j].set(t).at[j, i].set(t)
+    """Symmetric ``t`` with ``a t + t a' = c`` for a symmetric ``c``; Hermitian both where ``a`` is complex."""
+    units = _triangular_units(a)
+    return _factor(a, c, units + units.conj().swapaxes(1, 2))
 
 
 def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
-    """Upper triangular ``t`` with ``a t + t'a' = c`` for a symmetric ``c``, from one dense system.
+    """Upper triangular ``t``, its diagonal real, with ``a t + t'a' = c`` for a symmetric (Hermitian) ``c``.
 
-    Its determinant is a power of two times the product of the leading principal minors of ``a``.
+    The determinant of the equations is that of the leading principal minors of ``a``, multiplied, up to a power of two.
     """
-    i, j = np.triu_indices(a.shape[0])
-    return jnp.zeros_like(a).at[i, j].set(jnp.linalg.solve(_images(a, i, j), c[i, j]))
+    return _factor(a, c, _triangular_units(a))
 
 
-def _images(a: Matrix, rows: np.ndarray, columns: np.ndarray) -> Float[Array, "k k"]:
-    """Upper triangles, by columns, of ``a t + (a t)'`` for each ``t`` with a one at ``(row, column)``, zero elsewhere."""
-    i, j = np.triu_indices(a.shape[0])
-    return a[np.ix_(i, rows)] * (j[:, None] == columns) + a[np.ix_(j, rows)] * (i[:, None] == columns)
+def _factor(a: Matrix, c: Matrix, units: np.ndarray) -> Matrix:
+    """``t`` in the real span of ``units`` with ``a t + (a t)' = c``, from one dense system."""
+    moved = a @ jnp.asarray(units, a.dtype)
+    equations = jax.vmap(_hermitian_entries)(moved + moved.conj().swapaxes(1, 2)).T
+    coordinates = jnp.linalg.solve(equations, _hermitian_entries(c))
+    return jnp.tensordot(coordinates.astype(a.dtype), jnp.asarray(units, a.dtype), 1)
+
+
+def _triangular_units(a: Matrix) -> np.ndarray:
+    """Real basis, shape ``(k, n, n)``, of the upper triangular matrices with real diagonal, complex if ``a`` is."""
+    n = a.shape[0]
+    units = np.eye(n * n).reshape(n, n, n, n)
+    real = units[np.triu_indices(n)]
+    return np.concatenate([real, 1j * units[np.triu_indices(n, 1)]]) if jnp.iscomplexobj(a) else real
+
+
+def _hermitian_entries(h: Matrix) -> Float[Array, " k"]:
+    """Real coordinates of a symmetric or Hermitian matrix: its upper triangle, real parts and then imaginary ones."""
+    n = h.shape[0]
+    real = h.real[np.triu_indices(n)]
+    return jnp.concatenate([real, h.imag[np.triu_indices(n, 1)]]) if jnp.iscomplexobj(h) else real

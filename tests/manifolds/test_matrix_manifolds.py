@@ -113,16 +113,32 @@ def _factors(a, c):
     return matrices.symmetric_factor(a, c), matrices.triangular_factor(a, c)
 
 
-@given(seed=SEEDS)
-def test_factors_solve_their_equations(seed):
+@given(seed=SEEDS, imaginary=st.booleans())
+def test_factors_solve_their_equations(seed, imaginary):
     rng = np.random.default_rng(seed)
-    a, c = np.eye(4) + 0.2 * rng.standard_normal((4, 4)), rng.standard_normal((4, 4))
-    c = c + c.T
+    a, c = rng.standard_normal((2, 3, 3)) + 1j * imaginary * rng.standard_normal((2, 3, 3))
+    a, c = (np.eye(3) + 0.2 * a, c + c.conj().T) if imaginary else (np.eye(3) + 0.2 * a.real, c.real + c.real.T)
     symmetric, triangular = _factors(a, c)
     for t in (symmetric, triangular):
-        np.testing.assert_allclose(a @ t + (a @ t).T, c, atol=1e-12)
-    np.testing.assert_array_equal(symmetric, symmetric.T)
+        np.testing.assert_allclose(a @ t + (a @ t).conj().T, c, atol=1e-12)
+    np.testing.assert_array_equal(symmetric, symmetric.conj().T)
     np.testing.assert_array_equal(triangular, np.triu(triangular))
+    np.testing.assert_array_equal(np.diag(triangular).imag, 0)
+
+
+@given(seed=SEEDS, imaginary=st.booleans())
+def test_the_qr_factor_has_a_positive_triangular_factor(seed, imaginary):
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((4, 3)) + (1j * rng.standard_normal((4, 3)) if imaginary else 0)
+    q = QR(a)
+    r = q.conj().T @ a
+    np.testing.assert_allclose(q.conj().T @ q, np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(np.tril(r, -1), 0, atol=1e-14)
+    np.testing.assert_allclose(np.diag(r).imag, 0, atol=1e-14)
+    assert np.all(np.diag(r).real > 0)
+
+
+QR = compiled(frames.qr_factor)
 
 
 def _derivatives(function):
