@@ -260,6 +260,11 @@ def test_inverses_on_subspaces_are_exact_up_to_the_edge_of_the_domain(name, gap)
 
 HALF = np.diag([-1.0, 1.0, 1.0, 1.0])[:, :2]
 OUTSIDE = {
+    "polar, beyond a right angle": (
+        Polar(Stiefel(4, 2)),
+        np.eye(4)[:, :2],
+        np.array([[-0.6, 0.0], [0.0, 1.0], [0.8, 0.0], [0.0, 0.0]]),
+    ),
     "polar, a half turn": (Polar(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
     "QR, a half turn": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
     "QR, a right angle": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], np.eye(4)[:, 1:3]),
@@ -282,6 +287,12 @@ OUTSIDE = {
         Projection(FixedRank(4, 3, 2)),
         np.eye(4, 3) @ np.diag([1.0, 1, 0]),
         np.eye(4, 3) @ np.diag([0.0, 1, 1]),
+    ),
+    # x + v has then a singular value larger than those of y, beyond them.
+    "a matrix turned too far": (
+        Projection(FixedRank(4, 3, 2)),
+        np.eye(4, 3) @ np.diag([1.0, 1, 0]),
+        np.eye(4, 3) @ (np.diag([1.0, 0, 0]) + np.outer([0, 0.6, 0.8], [0, 0.6, -0.8])),
     ),
 }
 
