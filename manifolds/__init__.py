@@ -7,7 +7,7 @@ if __package__ != "retrax.manifolds":
     )
 
 from .bundles import CotangentBundle, TangentBundle
-from .groups import SO, hat, vee
+from .groups import SE, SL, SO, SU, LeftInvariantMetric, MatrixLieGroup, U, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
 from .matrices import SPD, AffineInvariantMetric, CanonicalMetric, FixedRank, Grassmann, Oblique, Stiefel
@@ -44,8 +44,11 @@ from .symplectic import (
 from .vectors import Euclidean, Hyperbolic, LorentzMetric, Simplex, Sphere
 
 __all__ = [
+    "SE",
+    "SL",
     "SO",
     "SPD",
+    "SU",
     "AffineInvariantMetric",
     "CanonicalMetric",
     "ConvergenceError",
@@ -60,9 +63,11 @@ __all__ = [
     "Immersion",
     "InvalidInputError",
     "LagrangianVerdict",
+    "LeftInvariantMetric",
     "LevelSet",
     "LorentzMetric",
     "Manifold",
+    "MatrixLieGroup",
     "Metric",
     "NotOnManifoldError",
     "Oblique",
@@ -77,6 +82,7 @@ __all__ = [
     "Stiefel",
     "TangentBundle",
     "TulczyjewTriple",
+    "U",
     "UnknownRetractionError",
     "Verdict",
     "alpha",

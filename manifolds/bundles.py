@@ -39,7 +39,7 @@ class VectorBundle(Manifold):
         """The tangent ``(s, t)`` with ``<covector, lift(a, b)> = <s, a> + <t, b>`` for all ``a``, ``b`` tangent at ``x``."""
         x, v = z
         t = self.base.projection(x, covector[1])
-        _, tilt = jax.vjp(lambda y: self.base.projection(y, v), x)
+        _, tilt = vec.pullback(lambda y: self.base.projection(y, v), x)
         return self.base.projection(x, vec.add(covector[0], tilt(vec.subtract(covector[1], t))[0])), t
 
     def spanning_frame(self, z: Pair) -> Frame:

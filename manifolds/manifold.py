@@ -165,6 +165,11 @@ def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
     return jax.ShapeDtypeStruct(shape, working_precision())
 
 
+def complex_entries(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
+    """Complex array of a shape, in the precision that JAX is set to."""
+    return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(complex))
+
+
 def same_point(x: Ambient, y: Ambient, tolerance: float) -> Bool[Array, ""]:
     """Whether two points agree entry by entry, relative to ``1 + max |y|``."""
     return vec.size(vec.subtract(x, y)) <= tolerance * (1 + vec.size(y))

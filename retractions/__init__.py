@@ -11,7 +11,20 @@ from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
 from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
-from .groups import SOQR, SOCayley, SOExponential, SOPolar
+from .groups import (
+    SOQR,
+    UQR,
+    GroupCayley,
+    GroupExponential,
+    GroupRetraction,
+    SEDecoupled,
+    SOCayley,
+    SOExponential,
+    SOPolar,
+    SymmetricGroupRetraction,
+    Translated,
+    UPolar,
+)
 from .level_set import LevelSetProjection
 from .matrices import (
     Columnwise,
@@ -42,6 +55,7 @@ from .vectors import (
 __all__ = [
     "QR",
     "SOQR",
+    "UQR",
     "Addition",
     "Adjoint",
     "BundleRetraction",
@@ -57,6 +71,9 @@ __all__ = [
     "GrassmannCayley",
     "GrassmannExponential",
     "GrassmannPolar",
+    "GroupCayley",
+    "GroupExponential",
+    "GroupRetraction",
     "HyperbolicExponential",
     "HyperbolicProjection",
     "LevelSetProjection",
@@ -69,6 +86,7 @@ __all__ = [
     "Projection",
     "Retraction",
     "RetractionFamily",
+    "SEDecoupled",
     "SOCayley",
     "SOExponential",
     "SOPolar",
@@ -84,7 +102,10 @@ __all__ = [
     "StiefelExponential",
     "StiefelPolar",
     "StiefelQR",
+    "SymmetricGroupRetraction",
     "Theta",
+    "Translated",
+    "UPolar",
     "acceleration",
     "adjoint",
     "cotangent_lift",

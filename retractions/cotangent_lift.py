@@ -78,7 +78,7 @@ class CotangentLift(DiscretizationMap):
         ends, covector = Phi(x0, x1)
         base = self.discretization.manifold
         q, qdot = self.discretization.preimage(*ends)
-        _, pull = jax.vjp(self.discretization, q, qdot)
+        _, pull = vec.pullback(self.discretization, q, qdot)
         return TulczyjewTriple(base).alpha((q, qdot), pull(covector))
 
 

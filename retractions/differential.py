@@ -3,8 +3,8 @@
 from abc import abstractmethod
 
 import jax
-import jax.numpy as jnp
 
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from .retraction import Retraction
 
@@ -42,7 +42,5 @@ def adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambi
     """
     if isinstance(retraction, DifferentiatedRetraction):
         return retraction.fibre_adjoint(x, v, xi)
-    _, pull = jax.vjp(lambda u: retraction(x, u), v)
-    # JAX transposes without conjugation; the pairing is the real part of the Hermitian one.
-    (pulled,) = pull(jax.tree.map(jnp.conj, xi))
-    return retraction.manifold.projection(x, jax.tree.map(jnp.conj, pulled))
+    _, pull = vec.pullback(lambda u: retraction(x, u), v)
+    return retraction.manifold.projection(x, pull(xi)[0])

@@ -1,8 +1,10 @@
 """Retractions known by one name on several manifolds: ``Cayley(SO(3) * Euclidean(3))``."""
 
 from collections.abc import Callable
+from typing import Any
 
 from ..manifolds import (
+    SE,
     SO,
     SPD,
     Euclidean,
@@ -11,16 +13,28 @@ from ..manifolds import (
     Hyperbolic,
     LevelSet,
     Manifold,
+    MatrixLieGroup,
     Oblique,
     Power,
     Product,
     Simplex,
     Sphere,
     Stiefel,
+    U,
     UnknownRetractionError,
 )
 from .constructions import PowerRetraction, ProductRetraction
-from .groups import SOQR, SOCayley, SOExponential, SOPolar
+from .groups import (
+    SOQR,
+    UQR,
+    GroupCayley,
+    GroupExponential,
+    SEDecoupled,
+    SOCayley,
+    SOExponential,
+    SOPolar,
+    UPolar,
+)
 from .level_set import LevelSetProjection
 from .matrices import (
     Columnwise,
@@ -55,10 +69,22 @@ class RetractionFamily:
     def __init__(self, name: str, members: dict[type[Manifold], Callable[..., Retraction]]) -> None:
         self.name = name
         self._members = {Euclidean: Addition, **members}
+        self._conditions: dict[type[Manifold], Callable[[Any], bool]] = {}
 
-    def register(self, manifold: type[Manifold], retraction: Callable[..., Retraction]) -> None:
-        """Make ``retraction(m)`` the member of this family for a manifold ``m`` of the given class."""
-        self._members[manifold] = retraction
+    def register(
+        self,
+        manifold: type[Manifold],
+        retraction: Callable[..., Retraction],
+        where: Callable[[Any], bool] = lambda _: True,
+    ) -> None:
+        """Make ``retraction(m)`` the member of this family for those manifolds ``m`` of the given class with ``where(m)``."""
+        self._members[manifold], self._conditions[manifold] = retraction, where
+
+    def _member(self, manifold: Manifold) -> Callable[..., Retraction] | None:
+        kind = next((kind for kind in type(manifold).__mro__ if kind in self._members), None)
+        if kind is None or not self._conditions.get(kind, lambda _: True)(manifold):
+            return None
+        return self._members[kind]
 
     def knows(self, manifold: Manifold) -> bool:
         """Whether the family has a member for a manifold."""
@@ -66,16 +92,16 @@ class RetractionFamily:
             return all(self.knows(factor) for factor in manifold.factors)
         if isinstance(manifold, Power):
             return self.knows(manifold.factor)
-        return any(kind in self._members for kind in type(manifold).__mro__)
+        return self._member(manifold) is not None
 
     def __call__(self, manifold: Manifold) -> Retraction:
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
         if isinstance(manifold, Power):
             return PowerRetraction(self(manifold.factor), manifold.k)
-        for kind in type(manifold).__mro__:
-            if kind in self._members:
-                return self._members[kind](manifold)
+        member = self._member(manifold)
+        if member is not None:
+            return member(manifold)
         known = [family.name for family in FAMILIES if family.knows(manifold)]
         raise UnknownRetractionError(
             f"{self.name} is not known on {manifold}; known there: {', '.join(known) or 'none'}. "
@@ -86,6 +112,10 @@ class RetractionFamily:
         return self.name
 
 
+def _nearest_motion(group: SE) -> SEDecoupled:
+    return SEDecoupled(group, SOPolar(SO(group.n)))
+
+
 Exponential = RetractionFamily(
     "Exponential",
     {
@@ -94,20 +124,24 @@ Exponential = RetractionFamily(
         Simplex: SimplexExponential,
         SPD: SPDExponential,
         SO: SOExponential,
+        MatrixLieGroup: GroupExponential,
         Stiefel: StiefelExponential,
         Grassmann: GrassmannExponential,
         Oblique: lambda m: Columnwise(m, SphereExponential(m.column)),
     },
 )
 Cayley = RetractionFamily("Cayley", {SO: SOCayley, Stiefel: StiefelCayley, Grassmann: GrassmannCayley})
-Polar = RetractionFamily("Polar", {SO: SOPolar, Stiefel: StiefelPolar, Grassmann: GrassmannPolar})
-QR = RetractionFamily("QR", {SO: SOQR, Stiefel: StiefelQR, Grassmann: GrassmannPolar})
+Cayley.register(MatrixLieGroup, GroupCayley, where=GroupCayley.applies)
+Polar = RetractionFamily("Polar", {SO: SOPolar, U: UPolar, Stiefel: StiefelPolar, Grassmann: GrassmannPolar})
+QR = RetractionFamily("QR", {SO: SOQR, U: UQR, Stiefel: StiefelQR, Grassmann: GrassmannPolar})
 Projection = RetractionFamily(
     "Projection",
     {
         Sphere: SphereProjection,
         Hyperbolic: HyperbolicProjection,
         SO: SOPolar,
+        U: UPolar,
+        SE: _nearest_motion,
         LevelSet: LevelSetProjection,
         Stiefel: StiefelPolar,
         Oblique: lambda m: Columnwise(m, SphereProjection(m.column)),

@@ -112,9 +112,9 @@ class DiscreteTrajectory(eqx.Module):
         covector keeps the whole ambient gradient of Phi, whose normal part enters the Hessian.
         """
         last, frame = (jax.tree.map(lambda leaf: leaf[-1], tree) for tree in (nodes, frames))
-        derivative = jax.grad(self.terminal_cost)(last)
+        derivative = vec.gradient(self.terminal_cost, last)
         slope = vec.components(frame, derivative)
-        push = jax.vmap(lambda e: jax.jvp(jax.grad(self.terminal_cost), (last,), (e,))[1])(frame)
+        push = jax.vmap(lambda e: jax.jvp(lambda q: vec.gradient(self.terminal_cost, q), (last,), (e,))[1])(frame)
         curvature = jax.vmap(lambda image: vec.components(frame, image))(push)
         coordinates = jax.vmap(vec.components)(frames, costates)
         coordinates = coordinates.at[-1].add(slope)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...manifolds import SO, Manifold
+from ...manifolds import Manifold, MatrixLieGroup
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.product import homogeneous_factors
@@ -30,7 +30,7 @@ def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambie
     def at_stage(y: Any, p0: Ambient, p1: Ambient) -> tuple[Ambient, Array]:
         x, u = y
         _, v = stage.tangent(y)
-        _, pull = jax.vjp(lambda w: stage.discretization(x, w), v)
+        _, pull = vec.pullback(lambda w: stage.discretization(x, w), v)
         covector = stage.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])
         return covector, stage.problem.hamiltonian(x, covector, u)
 
@@ -42,11 +42,11 @@ def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambie
 
 
 def _group_frames(manifold: Manifold, q: Ambient, p: Ambient) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:
-    """Momenta of every factor on which a group acts; body and spatial covectors of the rotation groups among them."""
+    """Momenta of every factor on which a group acts; body and spatial covectors of the matrix groups among them."""
     momenta, body, spatial = {}, {}, {}
     points, covectors = homogeneous_factors(manifold, q), homogeneous_factors(manifold, p)
     for (name, factor, x), (_, _, covector) in zip(points, covectors, strict=True):
         momenta[name] = factor.momentum(x, covector)
-        if isinstance(factor, SO):
+        if isinstance(factor, MatrixLieGroup):
             body[name], spatial[name] = factor.body(x, covector), factor.spatial(x, covector)
     return momenta, body, spatial

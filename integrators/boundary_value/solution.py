@@ -52,7 +52,7 @@ class Solution:
 
     ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
     ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
-    factor that is a rotation group, the costate in the body and in the spatial frame. ``result`` says in words how the
+    factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how the
     computation ended, ``success`` whether the conditions are met.
     """
 

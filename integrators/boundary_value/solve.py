@@ -108,7 +108,8 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
             raise InvalidInputError(f"guess: {name} must have shapes {shapes}, got {got}")
         if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(given)):
             raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")
-    filled = jax.tree.map(lambda leaf: jnp.asarray(leaf, float), filled)
+    kinds = Guess(problem.manifold.ambient, problem.controls.ambient, problem.manifold.ambient)
+    filled = jax.tree.map(lambda kind, leaf: jnp.asarray(leaf, kind.dtype), kinds, filled)
     for name, value in jax.device_get(_worst_violations(problem.manifold, filled.states)).items():
         if not value <= default_tolerance():
             raise InvalidInputError(f"guess: states are not on {problem.manifold}: {name} reaches {value:.3g}, expected 0")

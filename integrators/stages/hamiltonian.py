@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import Any, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
@@ -56,7 +55,7 @@ class HamiltonianStage(Stage):
 
     def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
         fibre = self.manifold.projection
-        velocity = fibre(q0, vec.scale(self.step, jax.grad(self.hamiltonian, argnums=1)(q0, p0)))
+        velocity = fibre(q0, vec.scale(self.step, vec.gradient(lambda p: self.hamiltonian(q0, p), p0)))
         x = self.discretization.retraction(q0, vec.scale(self.discretization.theta, velocity))
         return x, fibre(x, velocity), fibre(x, p0)
 

@@ -1,5 +1,10 @@
 """Matrix Lie groups."""
 
+from .matrix_lie_group import MatrixLieGroup
+from .metric import LeftInvariantMetric
+from .special_euclidean import SE
+from .special_linear import SL
 from .special_orthogonal import SO, hat, skew_basis, vee
+from .unitary import SU, U
 
-__all__ = ["SO", "hat", "skew_basis", "vee"]
+__all__ = ["SE", "SL", "SO", "SU", "LeftInvariantMetric", "MatrixLieGroup", "U", "hat", "skew_basis", "vee"]

@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifold import HomogeneousSpace, real
-from ..numerics import ambient as vec
+from .matrix_lie_group import MatrixLieGroup, require_size
 
 
 def skew_basis(n: int) -> np.ndarray:
@@ -33,58 +32,52 @@ def vee(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
 
 
 @final
-class SO(HomogeneousSpace):
+class SO(MatrixLieGroup):
     """Rotations ``SO(n) = {x : x'x = I, det x = 1}``; points have shape ``(n, n)``, tangent vectors are ``x Omega``, Omega skew.
 
     The group acts by multiplication from the left. With ``e_i`` the basis of skew matrices (``hat`` of the axes for
-    n = 3), ``body_i = <p, x e_i>`` is the left-trivialised covector, ``spatial_i = <p, e_i x>`` the momentum of the action.
+    n = 3), ``body_i = <p, x e_i>`` is the left-trivialised covector, ``spatial_i = <p, e_i x>`` the momentum of the action:
+    for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
     """
 
     n: int = eqx.field(static=True)
 
-    @property
-    def dimension(self) -> int:
-        return self.n * (self.n - 1) // 2
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 2)
 
     @property
-    def ambient(self) -> jax.ShapeDtypeStruct:
-        return real((self.n, self.n))
+    def algebra(self) -> np.ndarray:
+        return skew_basis(self.n)
 
-    def skew(self, x: Array, v: Array) -> Array:
-        """Left-trivialised tangent vector ``Omega = skew(x'v)``, exactly skew for any ambient ``v``."""
-        a = x.T @ v
+    def algebra_part(self, a: Array) -> Array:
         return (a - a.T) / 2
 
-    def projection(self, x: Array, a: Array) -> Array:
-        return x @ self.skew(x, a)
-
-    def basis(self, x: Array) -> Array:
-        return x @ jnp.asarray(skew_basis(self.n) / np.sqrt(2), x.dtype)
+    def inverse(self, x: Array) -> Array:
+        return x.T
 
     def restore(self, x: Array) -> Array:
-        # Newton-Schulz: the polar factor to second order.
-        return x @ (3 * jnp.eye(self.n, dtype=x.dtype) - x.T @ x) / 2
+        return nearly_orthogonal(x)
 
     def violations(self, x: Array) -> dict[str, Array]:
-        gram = jnp.max(jnp.abs(x.T @ x - jnp.eye(self.n, dtype=x.dtype)))
-        return {"max |x'x - I|": gram, "|det x - 1|": jnp.abs(jnp.linalg.det(x) - 1)}
-
-    def generators(self, x: Array) -> Array:
-        return jnp.asarray(skew_basis(self.n), x.dtype) @ x
-
-    def body(self, x: Array, p: Array) -> Array:
-        """Body covector ``<p, x e_i>``; for n = 3 the vector ``mu`` with ``<p, x hat(w)> = mu . w``."""
-        return vec.components(x @ jnp.asarray(skew_basis(self.n), x.dtype), p)
-
-    def spatial(self, x: Array, p: Array) -> Array:
-        """Spatial covector ``<p, e_i x>``: the momentum of left multiplication, ``x mu`` for n = 3."""
-        return self.momentum(x, p)
-
-    def covector(self, x: Array, mu: Array) -> Array:
-        """Ambient covector at ``x`` whose body covector is ``mu``, shape ``(dimension,)``."""
-        return x @ jnp.tensordot(mu, jnp.asarray(skew_basis(self.n), x.dtype), 1) / 2
+        return rotation_violations("x", x)
 
     def random_point(self, key: Array) -> Array:
-        q, r = jnp.linalg.qr(jax.random.normal(key, (self.n, self.n)))
-        q = q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
-        return q.at[:, 0].multiply(jnp.where(jnp.linalg.det(q) < 0, -1.0, 1.0))
+        return random_rotation(key, self.n)
+
+
+def nearly_orthogonal(x: Array) -> Array:
+    """The polar factor of a nearly orthogonal or unitary matrix, to second order in its error (Newton-Schulz)."""
+    return x @ (3 * jnp.eye(x.shape[0], dtype=x.dtype) - x.conj().T @ x) / 2
+
+
+def rotation_violations(name: str, x: Array) -> dict[str, Array]:
+    """The equations of rotations in words, and how much ``x`` violates them."""
+    gram = jnp.max(jnp.abs(x.T @ x - jnp.eye(x.shape[0], dtype=x.dtype)))
+    return {f"max |{name}'{name} - I|": gram, f"|det {name} - 1|": jnp.abs(jnp.linalg.det(x) - 1)}
+
+
+def random_rotation(key: Array, n: int) -> Array:
+    """A rotation drawn from the uniform distribution."""
+    q, r = jnp.linalg.qr(jax.random.normal(key, (n, n)))
+    q = q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
+    return q.at[:, 0].multiply(jnp.where(jnp.linalg.det(q) < 0, -1.0, 1.0))

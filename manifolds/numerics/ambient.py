@@ -34,8 +34,22 @@ def pairing(a: Ambient, b: Ambient) -> Array:
 
 
 def gradient(function: Callable[[Ambient], Array], x: Ambient) -> Ambient:
-    """Gradient for the pairing: ``<gradient, a>`` is the derivative of a real function along ``a``."""
-    return jax.tree.map(jnp.conj, jax.grad(function)(x))
+    """Gradient for the pairing: ``<gradient, a>`` is the derivative of a real function along ``a``.
+
+    JAX's own gradient is its complex conjugate.
+    """
+    return conjugate(jax.grad(function)(x))
+
+
+def pullback(function: Callable, *points: Ambient) -> tuple[Ambient, Callable[[Ambient], tuple[Ambient, ...]]]:
+    """Value of ``function``, and the map of covectors there to those at the arguments: ``<pull(p), d> = <p, Df d>``."""
+    value, pull = jax.vjp(function, *points)
+    return value, lambda p: conjugate(pull(conjugate(p)))
+
+
+def conjugate(a: Ambient) -> Ambient:
+    """Complex conjugate, entry by entry."""
+    return jax.tree.map(jnp.conj, a)
 
 
 def add(a: Ambient, b: Ambient) -> Ambient:

@@ -9,9 +9,12 @@ from collections.abc import Callable
 from math import factorial
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
+from scipy.special import zeta
 
 _TERMS = 11
+_BERNOULLI = tuple(2 * zeta(2.0 * k) / (2 * np.pi) ** (2 * k) for k in range(1, _TERMS + 1))  # |B_2k| / (2k)!
 _ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240, 6435 / 557056)
 
 
@@ -55,6 +58,21 @@ def arsinhc(s: Array) -> Array:
     """``arsinh(sqrt(s)) / sqrt(s)``."""
     coefficients = tuple((-1.0) ** k * c for k, c in enumerate(_ARCSINE))
     return _switch(s, 1e-2, coefficients, lambda s: jnp.arcsinh(jnp.sqrt(s)) / jnp.sqrt(s))
+
+
+def sine_remainder(s: Array) -> Array:
+    """``(sqrt(s) - sin(sqrt(s))) / sqrt(s)^3``."""
+    return _switch(s, 1.0, _entire(3), lambda s: (1 - jnp.sin(jnp.sqrt(s)) / jnp.sqrt(s)) / s)
+
+
+def cotangent_remainder(s: Array) -> Array:
+    """``(1 - (t/2) cot(t/2)) / t^2`` with ``t = sqrt(s)`` below ``2 pi``."""
+
+    def closed(s: Array) -> Array:
+        half = jnp.sqrt(s) / 2
+        return (1 - half / jnp.tan(half)) / s
+
+    return _switch(s, 1.0, _BERNOULLI, closed)
 
 
 def angle_over_sine(s: Array, cosine_of_angle: Array) -> Array:

@@ -1,5 +1,22 @@
 """Retractions of matrix Lie groups."""
 
+from .group_map import GroupRetraction, SymmetricGroupRetraction, Translated
+from .matrix_group import GroupCayley, GroupExponential
+from .special_euclidean import SEDecoupled
 from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
+from .unitary import UQR, UPolar
 
-__all__ = ["SOQR", "SOCayley", "SOExponential", "SOPolar"]
+__all__ = [
+    "SOQR",
+    "UQR",
+    "GroupCayley",
+    "GroupExponential",
+    "GroupRetraction",
+    "SEDecoupled",
+    "SOCayley",
+    "SOExponential",
+    "SOPolar",
+    "SymmetricGroupRetraction",
+    "Translated",
+    "UPolar",
+]

@@ -1,0 +1,77 @@
+"""What a matrix group leaves fixed, found from its Lie algebra, and the equations that say so.
+
+A connected group of matrices that is cut out by the tensors it fixes is found here from those of lowest degree: vectors ``b``
+and covectors ``c``, Hermitian forms ``x^H J x = J`` and ``x K x^H = K``, and the volume ``det x = 1``. That covers orthogonal,
+unitary, special linear, symplectic, Euclidean, Galilean and unitriangular groups.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+_ROUNDING = 1e-10
+
+
+class Invariants(NamedTuple):
+    """Bases of the fixed tensors of each kind, and whether volume is one of them."""
+
+    vectors: np.ndarray  # (k, n), A b = 0
+    covectors: np.ndarray  # (k, n), c A = 0
+    forms: np.ndarray  # (k, n, n), A^H J + J A = 0
+    coforms: np.ndarray  # (k, n, n), A K + K A^H = 0
+    volume: bool  # tr A = 0
+
+
+def find_invariants(basis: np.ndarray) -> Invariants:
+    """The tensors that every element of a Lie algebra with this basis, shape ``(d, n, n)``, annihilates."""
+    n, eye = basis.shape[1], np.eye(basis.shape[1])
+    on_forms = [np.kron(a.conj().T, eye) + np.kron(eye, a.T) for a in basis]
+    on_coforms = [np.kron(a, eye) + np.kron(eye, a.conj()) for a in basis]
+    return Invariants(
+        _null_space(np.concatenate(list(basis))),
+        _null_space(np.concatenate([a.T for a in basis])),
+        _null_space(np.concatenate(on_forms)).reshape(-1, n, n),
+        _null_space(np.concatenate(on_coforms)).reshape(-1, n, n),
+        bool(np.max(np.abs(np.trace(basis, axis1=1, axis2=2))) <= _ROUNDING * np.max(np.abs(basis))),
+    )
+
+
+def invariant_dimension(found: Invariants, n: int, is_complex: bool) -> int:
+    """Real dimension of the largest algebra of ``n x n`` matrices that annihilates all of these."""
+    units = np.eye(n * n).reshape(-1, n, n)
+    units = np.concatenate([units, 1j * units]) if is_complex else units
+    rows = []
+    for b in units:
+        parts = (
+            b @ found.vectors.T,
+            found.covectors @ b,
+            b.conj().T @ found.forms + found.forms @ b,
+            b @ found.coforms + found.coforms @ b.conj().T,
+            np.atleast_1d(np.trace(b) * found.volume),
+        )
+        flat = np.concatenate([part.ravel() for part in parts])
+        rows.append(np.concatenate([flat.real, flat.imag]))
+    return len(units) - int(np.linalg.matrix_rank(np.array(rows), tol=_ROUNDING))
+
+
+def equations(found: Invariants, x: Array) -> Array:
+    """The equations ``x b = b``, ``c x = c``, ``x^H J x = J``, ``x K x^H = K``, ``det x = 1`` as one real vector."""
+    adjoint = x.conj().T
+    parts = (
+        x @ found.vectors.T - found.vectors.T,
+        found.covectors @ x - found.covectors,
+        adjoint @ found.forms @ x - found.forms,
+        x @ found.coforms @ adjoint - found.coforms,
+        jnp.atleast_1d(jnp.linalg.det(x) - 1) if found.volume else jnp.zeros(0, x.dtype),
+    )
+    flat = jnp.concatenate([jnp.ravel(part) for part in parts])
+    return jnp.concatenate([flat.real, flat.imag]) if jnp.iscomplexobj(flat) else flat
+
+
+def _null_space(matrix: np.ndarray) -> np.ndarray:
+    """Orthonormal basis, by rows, of the vectors that a matrix takes to zero."""
+    _, s, vh = np.linalg.svd(matrix)
+    rank = int(np.sum(s > _ROUNDING * max(s[0], 1e-300)))
+    return vh[rank:].conj()

@@ -1,0 +1,162 @@
+"""The abstract matrix Lie group: a manifold and a group from a basis of its Lie algebra."""
+
+from abc import abstractmethod
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve, expm, solve_triangular
+from jaxtyping import Array, Float
+
+from ..manifold import HomogeneousSpace, complex_entries, real
+from ..numerics import ambient as vec
+from ..numerics.errors import InvalidInputError
+from . import invariants
+from .lie_algebra import LieAlgebra, lie_algebra
+
+Coordinates = Float[Array, " d"]
+
+
+class MatrixLieGroup(HomogeneousSpace):
+    """A connected Lie group of real or complex matrices; points have shape ``(n, n)``.
+
+    Subclass it with ``algebra``, a basis ``A_i`` of the Lie algebra; everything else follows. Tangent vectors at ``x`` are
+    ``x A`` with ``A`` in the algebra (left trivialisation); vectors ``c`` of ``d`` real coordinates stand for
+    ``A = sum_i c_i A_i``. Pairings are real parts, ``<a, b> = Re tr(a^H b)``. The group acts on itself from the left.
+
+    ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` have derived defaults; a
+    class that knows closed forms writes them in their place.
+    """
+
+    @property
+    @abstractmethod
+    def algebra(self) -> np.ndarray:
+        """Basis ``A_i`` of the Lie algebra, shape ``(d, n, n)``, real or complex: independent, closed under commutators."""
+
+    def __check_init__(self) -> None:
+        lie_algebra(self.algebra)
+
+    @property
+    def lie_algebra(self) -> LieAlgebra:
+        """The Lie algebra with its dual and orthonormal bases."""
+        return lie_algebra(self.algebra)
+
+    @property
+    def dimension(self) -> int:
+        return len(self.algebra)
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        shape = self.algebra.shape[1:]
+        return complex_entries(shape) if np.iscomplexobj(self.algebra) else real(shape)
+
+    @property
+    def identity(self) -> Array:
+        """The neutral element."""
+        return jnp.eye(self.ambient.shape[0], dtype=self.ambient.dtype)
+
+    def compose(self, x: Array, y: Array) -> Array:
+        """Product ``x y``."""
+        return x @ y
+
+    def inverse(self, x: Array) -> Array:
+        """Inverse ``x^-1``."""
+        return jnp.linalg.inv(x)
+
+    def algebra_part(self, a: Array) -> Array:
+        """Orthogonal projection of a matrix on the Lie algebra."""
+        e = _constant(self.lie_algebra.orthonormal, a)
+        return vec.combine(e, vec.components(e, a))
+
+    def hat(self, c: Coordinates) -> Array:
+        """Element ``sum_i c_i A_i`` of the algebra with coordinates ``c``, shape ``(d,)``."""
+        return vec.combine(_constant(self.algebra, c), c)
+
+    def vee(self, a: Array) -> Coordinates:
+        """Coordinates ``c``, shape ``(d,)``, of the part of a matrix in the algebra: ``vee(hat(c)) = c``."""
+        return vec.components(_constant(self.lie_algebra.dual, a), a)
+
+    def left_trivialise(self, x: Array, v: Array) -> Array:
+        """The ``A`` with ``v = x A``, exactly in the algebra for any ambient ``v``."""
+        return self.algebra_part(self.inverse(x) @ v)
+
+    def projection(self, x: Array, a: Array) -> Array:
+        # The adjoint of A -> x A takes a to the algebra's part of x^H a; it is the inverse where lengths are kept.
+        part = self.algebra_part(x.conj().T @ a)
+        if self.lie_algebra.acts_unitarily:
+            return x @ part
+        e = _constant(self.lie_algebra.orthonormal, x)
+        c = cho_solve((self._translated_factor(x), True), vec.components(e, part))
+        return x @ vec.combine(e, c)
+
+    def basis(self, x: Array) -> Array:
+        e = _constant(self.lie_algebra.orthonormal, x)
+        if self.lie_algebra.acts_unitarily:
+            return x @ e
+        translated = (x @ e).reshape(self.dimension, -1)
+        return solve_triangular(self._translated_factor(x).astype(x.dtype), translated, lower=True).reshape(e.shape)
+
+    def _translated_factor(self, x: Array) -> Float[Array, "d d"]:
+        """Cholesky factor of the Gram matrix ``<x E_i, x E_j>`` of the translated orthonormal basis ``E_i``."""
+        rows = vec.flatten_frame(x @ _constant(self.lie_algebra.orthonormal, x))
+        return jnp.linalg.cholesky(rows @ rows.T)
+
+    def equations(self, x: Array) -> Float[Array, " m"]:
+        """Equations of the group as a real vector, zero on it: that ``x`` fixes the tensors that the algebra annihilates."""
+        return invariants.equations(self.lie_algebra.invariants, x)
+
+    def restore(self, x: Array) -> Array:
+        units = jnp.eye(x.size, dtype=x.dtype).reshape(-1, *x.shape)
+        units = jnp.concatenate([units, 1j * units]) if jnp.iscomplexobj(x) else units
+        slopes = jax.vmap(lambda e: jax.jvp(self.equations, (x,), (e,))[1])(units)
+        # The equations are dependent, as x'x = I is by symmetry: the step of least norm that solves them.
+        return x - vec.combine(units, jnp.linalg.pinv(slopes.T, rtol=1e-8) @ self.equations(x))
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        return {"max |equations of the group|": jnp.max(jnp.abs(self.equations(x)))}
+
+    def random_point(self, key: Array) -> Array:
+        """The exponential of a random element of the algebra whose squared norm is 1 on average."""
+        c = jax.random.normal(key, (self.dimension,)) / np.sqrt(self.dimension)
+        return expm(vec.combine(_constant(self.lie_algebra.orthonormal, c), c))
+
+    def generators(self, x: Array) -> Array:
+        return _constant(self.algebra, x) @ x
+
+    def body(self, x: Array, p: Array) -> Coordinates:
+        """Body covector ``mu_i = <p, x A_i>``: ``<p, x hat(c)> = mu . c``."""
+        return vec.components(x @ _constant(self.algebra, x), p)
+
+    def spatial(self, x: Array, p: Array) -> Coordinates:
+        """Spatial covector ``<p, A_i x>``: the momentum of left multiplication, ``Ad(x)^-T mu`` for the body covector ``mu``."""
+        return self.momentum(x, p)
+
+    def covector(self, x: Array, mu: Coordinates) -> Array:
+        """Ambient covector at ``x`` whose body covector is ``mu``, shape ``(d,)``."""
+        if self.lie_algebra.acts_unitarily:
+            return x @ vec.combine(_constant(self.lie_algebra.dual, x), mu)
+        # In the translated orthonormal basis E: p = sum_k c_k E_k with sum_k c_k <E_k, x A_i> = mu_i.
+        e, frame = self.basis(x), x @ _constant(self.algebra, x)
+        return vec.combine(e, jnp.linalg.solve(jax.vmap(lambda a: vec.components(e, a))(frame), mu))
+
+    def Ad(self, x: Array) -> Float[Array, "d d"]:
+        """Adjoint action ``A -> x A x^-1`` on coordinates. Body and spatial velocity: ``c_spatial = Ad(x) c_body``."""
+        moved = x @ _constant(self.algebra, x) @ self.inverse(x)
+        return jax.vmap(self.vee, out_axes=1)(moved)
+
+    def ad(self, c: Coordinates) -> Float[Array, "d d"]:
+        """Derivative of ``Ad`` at the identity: ``ad(c) b`` are the coordinates of ``[hat(c), hat(b)]``."""
+        a, basis = self.hat(c), _constant(self.algebra, c)
+        return jax.vmap(self.vee, out_axes=1)(a @ basis - basis @ a)
+
+
+def require_size(group: MatrixLieGroup, n: Any, least: int) -> None:
+    """Raise ``InvalidInputError`` unless ``n`` is a whole number of at least ``least``."""
+    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < least:
+        raise InvalidInputError(f"{type(group).__name__}(n) takes a whole number n of at least {least}, got {n!r}")
+
+
+def _constant(a: np.ndarray, like: Any) -> Array:
+    """Constant matrices in the precision of an array, complex if they are."""
+    return jnp.asarray(a, jnp.result_type(like.dtype, jnp.complex64) if np.iscomplexobj(a) else like.dtype)

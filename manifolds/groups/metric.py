@@ -1,0 +1,49 @@
+"""Left-invariant metrics: an inner product of the Lie algebra carried to every point of the group."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from ..metric import Metric
+from ..numerics.ambient import is_traced
+from ..numerics.errors import InvalidInputError
+from .matrix_lie_group import MatrixLieGroup
+
+
+@final
+class LeftInvariantMetric(Metric):
+    """The metric ``g_x(x A, x B) = a . I b`` on a group, ``a``, ``b`` the coordinates of ``A``, ``B`` in its algebra's basis.
+
+    ``inertia`` is the symmetric positive definite matrix ``I``, shape ``(d, d)``, or its diagonal, shape ``(d,)``: for a rigid
+    body on SO(3) the inertia tensor in the body frame. Raises ``InvalidInputError`` for anything else.
+    """
+
+    manifold: MatrixLieGroup
+    inertia: Array
+
+    def __init__(self, manifold: MatrixLieGroup, inertia: ArrayLike) -> None:
+        if not isinstance(manifold, MatrixLieGroup):
+            raise InvalidInputError(f"LeftInvariantMetric takes a MatrixLieGroup, got {manifold!r}; try SO(3)")
+        self.manifold, self.inertia = manifold, jnp.asarray(inertia, float)
+        d = manifold.dimension
+        if self.inertia.shape not in ((d,), (d, d)):
+            raise InvalidInputError(f"the inertia on {manifold} has shape {(d,)} or {(d, d)}, got {self.inertia.shape}")
+        if not is_traced(self.inertia):
+            matrix = np.asarray(self.inertia)
+            matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
+            if not (np.allclose(matrix, matrix.T, rtol=1e-6) and np.all(np.linalg.eigvalsh(matrix) > 0)):
+                raise InvalidInputError(f"the inertia must be symmetric and positive definite, got {matrix.tolist()}")
+
+    def inner_product(self, x: Array, v: Array, w: Array) -> Array:
+        a, b = (self.manifold.vee(self.manifold.left_trivialise(x, u)) for u in (v, w))
+        return a @ (self.inertia * b if self.inertia.ndim == 1 else self.inertia @ b)
+
+    def kinetic_energy(self, x: Array, p: Array) -> Array:
+        """``mu . I^-1 mu / 2`` with the body covector ``mu`` of ``p``: its flow conserves spatial covectors."""
+        mu = self.manifold.body(x, p)
+        if self.inertia.ndim == 1:
+            return mu @ (mu / self.inertia) / 2
+        return mu @ jax.scipy.linalg.solve(self.inertia, mu, assume_a="pos") / 2

@@ -1,0 +1,75 @@
+"""The group of rigid motions."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .matrix_lie_group import MatrixLieGroup, require_size
+from .special_orthogonal import nearly_orthogonal, random_rotation, rotation_violations, skew_basis
+
+
+@final
+class SE(MatrixLieGroup):
+    """Rigid motions ``SE(n)`` of n-space: homogeneous matrices ``[[R, t], [0, 1]]``, ``R`` in SO(n), shape ``(n + 1, n + 1)``.
+
+    ``x`` takes body to spatial coordinates: ``y -> R y + t``. Tangent vectors are ``x [[Omega, v], [0, 0]]``. Coordinates are
+    twists ``(omega, v)``, angular part first [Lynch, Park, "Modern Robotics", 3.3]: for n = 3 ``hat((omega, v)) =
+    [[hat(omega), v], [0, 0]]`` with angular and linear velocity in body coordinates, for n = 2 ``omega`` is one number.
+    Body and spatial covectors are wrenches ``(moment, force)``.
+    """
+
+    n: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 2)
+
+    @property
+    def algebra(self) -> np.ndarray:
+        n, rotations = self.n, skew_basis(self.n)
+        out = np.zeros((len(rotations) + n, n + 1, n + 1))
+        out[: len(rotations), :n, :n] = rotations
+        out[len(rotations) :, :n, n] = np.eye(n)
+        return out
+
+    def pose(self, rotation: Float[Array, "n n"], translation: Float[Array, " n"]) -> Array:
+        """The motion ``y -> R y + t``."""
+        return _stack(jnp.asarray(rotation), jnp.asarray(translation), 1.0)
+
+    def tangent(self, turn: Float[Array, "n n"], shift: Float[Array, " n"]) -> Array:
+        """``[[turn, shift], [0, 0]]``: the tangent vector ``(R Omega, R v)`` or the element ``(Omega, v)`` of the algebra."""
+        return _stack(jnp.asarray(turn), jnp.asarray(shift), 0.0)
+
+    def parts(self, x: Array) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
+        """The blocks ``(R, t)`` of a motion, or those of a tangent vector."""
+        return x[:-1, :-1], x[:-1, -1]
+
+    def algebra_part(self, a: Array) -> Array:
+        block, v = self.parts(a)
+        return _stack((block - block.T) / 2, v, 0.0)
+
+    def inverse(self, x: Array) -> Array:
+        rotation, translation = self.parts(x)
+        return _stack(rotation.T, -rotation.T @ translation, 1.0)
+
+    def restore(self, x: Array) -> Array:
+        rotation, translation = self.parts(x)
+        return _stack(nearly_orthogonal(rotation), translation, 1.0)
+
+    def violations(self, x: Array) -> dict[str, Array]:
+        last = jnp.max(jnp.abs(x[-1] - jnp.eye(self.n + 1, dtype=x.dtype)[-1]))
+        return {**rotation_violations("R", self.parts(x)[0]), "max |last row - (0, ..., 0, 1)|": last}
+
+    def random_point(self, key: Array) -> Array:
+        """A uniformly distributed rotation and a normally distributed translation."""
+        turn, shift = jax.random.split(key)
+        return _stack(random_rotation(turn, self.n), jax.random.normal(shift, (self.n,)), 1.0)
+
+
+def _stack(block: Array, column: Array, corner: float) -> Array:
+    """``[[block, column], [0, corner]]``."""
+    last = jnp.zeros((1, block.shape[0] + 1), block.dtype).at[0, -1].set(corner)
+    return jnp.concatenate([jnp.concatenate([block, column[:, None]], axis=1), last])

@@ -1,0 +1,32 @@
+"""The special linear group."""
+
+from typing import final
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from .matrix_lie_group import MatrixLieGroup, require_size
+
+
+@final
+class SL(MatrixLieGroup):
+    """Matrices of determinant one, ``SL(n)``, of dimension ``n^2 - 1``; points have shape ``(n, n)``.
+
+    The basis of the algebra is ``E_ij`` with ``i != j``, row by row, then ``E_ii - E_(i+1)(i+1)``.
+    """
+
+    n: int = eqx.field(static=True)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 2)
+
+    @property
+    def algebra(self) -> np.ndarray:
+        units = np.eye(self.n * self.n).reshape(self.n, self.n, self.n, self.n)
+        mixed = [units[i, j] for i in range(self.n) for j in range(self.n) if i != j]
+        return np.stack(mixed + [units[i, i] - units[i + 1, i + 1] for i in range(self.n - 1)])
+
+    def algebra_part(self, a: Array) -> Array:
+        return a - jnp.trace(a) / self.n * jnp.eye(self.n, dtype=a.dtype)

@@ -1,0 +1,74 @@
+"""Functions of matrices without further structure: the exponential, its inverse, and the Cayley transform."""
+
+import jax
+import jax.numpy as jnp
+from jax.scipy.linalg import expm
+from jaxtyping import Array, Bool, Shaped
+
+from ....manifolds.manifold import default_tolerance, same_point
+
+Matrix = Shaped[Array, "n n"]
+
+_HALVINGS = 5
+_FIRST, _LATER = 30, 8  # iterations of the first square root, up to 1e-8 from the negative axis, and of those after it
+_ROUNDING = 1e-12  # largest remainder that is taken for rounding
+_GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
+
+exponential = expm
+
+
+def logarithm(a: Matrix) -> Matrix:
+    """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN or infinite on it.
+
+    Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10.
+    """
+    root = _product_root(a, _FIRST)
+    for _ in range(_HALVINGS - 1):
+        root = _product_root(root, _LATER)
+    log = 2.0**_HALVINGS * gregory(root)
+    # The rounding of the roots comes 2^5-fold; what is left of a short logarithm commutes with it, almost.
+    left = jax.lax.stop_gradient(expm(-log) @ a - jnp.eye(a.shape[0], dtype=a.dtype))
+    return log + jnp.where(jnp.max(jnp.abs(left)) < _ROUNDING, left, 0.0)
+
+
+def gregory(a: Matrix) -> Matrix:
+    """``log a = 2 artanh c`` with ``c = (a - I)(a + I)^-1`` for a matrix near the identity: to rounding for ``|c| < 0.2``."""
+    c = cayley_inverse(a) / 2
+    total, power, square = jnp.zeros_like(c), c, c @ c
+    for coefficient in _GREGORY:
+        total, power = total + coefficient * power, power @ square
+    return total
+
+
+def square_root(a: Matrix) -> Matrix:
+    """Principal square root of a matrix without eigenvalues on the closed negative axis."""
+    return _product_root(a, _FIRST)
+
+
+def _product_root(a: Matrix, iterations: int) -> Matrix:
+    """Principal square root by the product form of the Denman-Beavers iteration [Higham 2008, (6.29)]."""
+    eye = jnp.eye(a.shape[0], dtype=a.dtype)
+
+    def step(pair: tuple[Matrix, Matrix], _: None) -> tuple[tuple[Matrix, Matrix], None]:
+        x, m = pair
+        inverse = jnp.linalg.inv(m)
+        return (x @ (eye + inverse) / 2, (2 * eye + m + inverse) / 4), None
+
+    return jax.lax.scan(step, (a, a), length=iterations)[0][0]
+
+
+def injective(a: Matrix) -> Bool[Array, ""]:
+    """Whether the logarithm of the exponential comes back."""
+    return same_point(logarithm(exponential(a)), a, default_tolerance())
+
+
+def cayley(a: Matrix) -> Matrix:
+    """Cayley transform ``(I - A/2)^-1 (I + A/2)``."""
+    eye = jnp.eye(a.shape[0], dtype=a.dtype)
+    return jnp.linalg.solve(eye - a / 2, eye + a / 2)
+
+
+def cayley_inverse(a: Matrix) -> Matrix:
+    """``2 (a + I)^-1 (a - I)`` for a matrix without the eigenvalue -1."""
+    eye = jnp.eye(a.shape[0], dtype=a.dtype)
+    return 2 * jnp.linalg.solve(a + eye, a - eye)

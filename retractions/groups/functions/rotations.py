@@ -1,0 +1,99 @@
+"""Functions of skew and orthogonal matrices, with derivatives that are right everywhere, the identity included.
+
+In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omega``, and every function of it is a quadratic
+polynomial.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ....manifolds import hat, vee
+from ....manifolds.numerics import series
+from . import general, unitary
+
+Matrix = Float[Array, "n n"]
+
+
+def rotation_sqrt(a: Matrix) -> Matrix:
+    """Square root of a rotation without the eigenvalue -1: the polar factor of ``I + a``."""
+    return unitary.polar(a)
+
+
+def squared_angle(omega: Matrix) -> Array:
+    """Square of the one angle of a skew matrix, n = 2 or 3: ``|w|^2`` of ``omega = hat(w)``."""
+    return jnp.sum(omega * omega) / 2
+
+
+def smallest_cosine(a: Matrix) -> Array:
+    """Cosine of the largest angle of a rotation."""
+    n = a.shape[0]
+    return (jnp.trace(a) - (n - 2)) / 2 if n <= 3 else jnp.linalg.eigvalsh((a + a.T) / 2)[0]
+
+
+def exponential(omega: Matrix) -> Matrix:
+    """Matrix exponential of a skew matrix; Rodrigues' formula for n = 2 and 3."""
+    if omega.shape[0] <= 3:
+        s = squared_angle(omega)
+        return jnp.eye(omega.shape[0], dtype=omega.dtype) + series.sinc(s) * omega + series.cosc(s) * (omega @ omega)
+    return jax.scipy.linalg.expm(omega)
+
+
+def logarithm(a: Matrix) -> Matrix:
+    """Principal logarithm of a rotation without the eigenvalue -1, NaN for one with it."""
+    if a.shape[0] == 2:
+        angle = jnp.arctan2(a[1, 0] - a[0, 1], a[0, 0] + a[1, 1])
+        return jnp.where(a[0, 0] + a[1, 1] > -2, angle, jnp.nan) * jnp.array([[0.0, -1.0], [1.0, 0.0]], a.dtype)
+    if a.shape[0] == 3:
+        return jnp.where(smallest_cosine(a) > -1, hat(rotation_vector(a)), jnp.nan)
+    return unitary.logarithm(a)
+
+
+def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
+    """Rotation vector, angle below pi: axis times angle.
+
+    Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew part
+    of ``a`` has lost its digits.
+    """
+    sine, cosine = vee(a), (jnp.trace(a) - 1) / 2
+    s = sine @ sine
+    far = cosine < -0.5
+    direct = series.angle_over_sine(jnp.where(far, 0.75, s), jnp.where(far, -0.5, cosine)) * sine
+    outer = (a + a.T) / 2 - cosine * jnp.eye(3, dtype=a.dtype)  # (1 - cos) n n'
+    column = outer[:, jnp.argmax(jnp.where(far, jnp.diagonal(outer), jnp.ones(3, a.dtype)))]
+    safe = jnp.where(far, column, jnp.ones(3, a.dtype))
+    axis = safe / jnp.sqrt(safe @ safe)
+    axis = axis * jnp.where(axis @ sine < 0, -1.0, 1.0)
+    turned = jnp.arctan2(axis @ sine, jnp.where(far, cosine, -0.5)) * axis
+    return jnp.where(far, turned, direct)
+
+
+def cayley(omega: Matrix) -> Matrix:
+    """Cayley transform ``(I - omega/2)^-1 (I + omega/2)`` of a skew matrix."""
+    if omega.shape[0] > 3:
+        return general.cayley(omega)
+    eye = jnp.eye(omega.shape[0], dtype=omega.dtype)
+    return eye + (omega + omega @ omega / 2) / (1 + squared_angle(omega) / 4)
+
+
+def cayley_inverse(a: Matrix) -> Matrix:
+    """``2 (a - I)(a + I)^-1``, skew, for a rotation without the eigenvalue -1."""
+    n = a.shape[0]
+    if n <= 3:
+        return 2 * (a - a.T) / (4 - n + jnp.trace(a))
+    omega = general.cayley_inverse(a)
+    return (omega - omega.T) / 2
+
+
+def polar(omega: Matrix) -> Matrix:
+    """Orthogonal polar factor of ``I + omega`` for a skew matrix."""
+    if omega.shape[0] > 3:
+        return unitary.polar(omega)
+    r = jnp.sqrt(1 + squared_angle(omega))
+    return jnp.eye(omega.shape[0], dtype=omega.dtype) + omega / r + omega @ omega / (r * (r + 1))
+
+
+def polar_inverse(a: Matrix) -> Matrix:
+    """Skew ``omega`` whose ``I + omega`` has the polar factor ``a``, for angles below pi/2."""
+    n = a.shape[0]
+    return (a - a.T) / (jnp.trace(a) - (n - 2)) if n <= 3 else unitary.polar_inverse(a)

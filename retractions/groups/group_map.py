@@ -1,0 +1,107 @@
+"""Retractions of matrix Lie groups from maps of the algebra to the group."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Shaped
+
+from ...manifolds import InvalidInputError, MatrixLieGroup
+from ...manifolds.manifold import default_tolerance, same_point
+from ...manifolds.numerics import ambient as vec
+from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_preimage
+
+Matrix = Shaped[Array, "n n"]
+GroupMap = Callable[[Matrix], Matrix]
+
+
+class GroupRetraction(Retraction):
+    """A retraction ``R(x, x A) = x g(A)`` by a map ``g`` from the algebra to the group with ``g(0) = I``, ``Dg(0) = Id``.
+
+    It commutes with left translations, so integrators made from it conserve the momenta of left-invariant Hamiltonians.
+    ``A`` is made exactly an element of the algebra before use: a part outside it, lost to rounding, makes long products drift
+    off the group.
+    """
+
+    manifold: eqx.AbstractVar[MatrixLieGroup]
+
+    @abstractmethod
+    def group_map(self, a: Matrix) -> Matrix:
+        """``g(A)``."""
+
+    @abstractmethod
+    def group_map_inverse(self, b: Matrix) -> Matrix:
+        """The ``A`` with ``g(A) = b``; entries are NaN where there is none."""
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        return x @ self.group_map(self.manifold.left_trivialise(x, v))
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        return x @ self.group_map_inverse(self.manifold.inverse(x) @ y)
+
+
+class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
+    """One with ``g(-A) = g(A)^-1``: two points are symmetric about the square root of the group element between them."""
+
+    @abstractmethod
+    def square_root(self, b: Matrix) -> Matrix:
+        """The group element near the identity whose square is ``b``."""
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        return x0 @ self.square_root(self.manifold.inverse(x0) @ x1)
+
+
+@final
+class Translated(Retraction):
+    """Any map ``g`` from the algebra to the group, translated: ``R(x, x A) = x g(A)``, on the right ``R(x, A x) = g(A) x``.
+
+    ``group_map`` takes a matrix of the algebra to one of the group, with ``g(0) = I`` and ``Dg(0) = Id``; ``inverse_map``, if
+    given, takes it back, otherwise Newton's method does. Raises ``InvalidInputError`` if ``g`` breaks these rules.
+    """
+
+    manifold: MatrixLieGroup
+    group_map: GroupMap
+    inverse_map: GroupMap | None
+    side: str = eqx.field(static=True)
+
+    def __init__(
+        self, manifold: MatrixLieGroup, group_map: GroupMap, inverse_map: GroupMap | None = None, side: str = "left"
+    ) -> None:
+        if not isinstance(manifold, MatrixLieGroup):
+            raise InvalidInputError(f"Translated takes a MatrixLieGroup, got {manifold!r}; try SE(3)")
+        if not callable(group_map) or not (inverse_map is None or callable(inverse_map)):
+            raise InvalidInputError(f"Translated takes functions of matrices, got {group_map!r} and {inverse_map!r}")
+        if side not in ("left", "right"):
+            raise InvalidInputError(f"side must be 'left' or 'right', got {side!r}")
+        _check_axioms(manifold, group_map)
+        self.manifold, self.group_map, self.inverse_map, self.side = manifold, group_map, inverse_map, side
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        if self.side == "left":
+            return x @ self.group_map(self.manifold.left_trivialise(x, v))
+        return self.group_map(self.manifold.algebra_part(v @ self.manifold.inverse(x))) @ x
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        if self.inverse_map is None:
+            return newton_preimage(self, x, y)
+        inverse = self.manifold.inverse(x)
+        v = x @ self.inverse_map(inverse @ y) if self.side == "left" else self.inverse_map(y @ inverse) @ x
+        return nan_unless(same_point(self(x, v), y, default_tolerance()), v)
+
+
+def _check_axioms(group: MatrixLieGroup, group_map: GroupMap) -> None:
+    """Raise unless ``g(0) = I`` and ``Dg(0) = Id`` on the algebra."""
+    expected, zero = group.ambient, vec.zeros(group.ambient)
+    value = jax.eval_shape(group_map, zero)
+    if getattr(value, "shape", None) != expected.shape or value.dtype != expected.dtype:
+        raise InvalidInputError(f"the group map must return an array of {expected.shape} {expected.dtype}, got {value}")
+    basis = jnp.asarray(group.algebra, expected.dtype)
+    start, slopes = jax.vmap(lambda a: jax.jvp(group_map, (zero,), (a,)))(basis)
+    if vec.is_traced(start):
+        return
+    for words, gap in (("g(0) = I", vec.size(start - group.identity)), ("Dg(0) = Id", vec.size(slopes - basis))):
+        if not gap <= default_tolerance():
+            raise InvalidInputError(f"the group map must have {words}, it misses it by {float(gap):.3g}")

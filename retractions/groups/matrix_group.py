@@ -1,0 +1,96 @@
+"""The exponential and the Cayley transform of every matrix Lie group that has them."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+from jaxtyping import Array, Bool, Shaped
+
+from ...manifolds import SE, SU, MatrixLieGroup, U, UnknownRetractionError
+from ...manifolds.manifold import default_tolerance, same_point
+from ..retraction import nan_unless
+from .functions import general, rigid_motions, unitary
+from .group_map import SymmetricGroupRetraction
+
+Matrix = Shaped[Array, "n n"]
+
+
+class _MatrixFunctions(NamedTuple):
+    """Functions between the algebra and the group; ``injective``: where the logarithm inverts the exponential."""
+
+    exponential: Callable[[Matrix], Matrix] = general.exponential
+    logarithm: Callable[[Matrix], Matrix] = general.logarithm
+    square_root: Callable[[Matrix], Matrix] = general.square_root
+    injective: Callable[[Matrix], Any] = general.injective
+    cayley: Callable[[Matrix], Matrix] = general.cayley
+    cayley_inverse: Callable[[Matrix], Matrix] = general.cayley_inverse
+
+
+_UNITARY = _MatrixFunctions(unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective)
+_RIGID = _MatrixFunctions(
+    rigid_motions.exponential,
+    rigid_motions.logarithm,
+    rigid_motions.square_root,
+    rigid_motions.injective,
+    rigid_motions.cayley,
+    rigid_motions.cayley_inverse,
+)
+_CLOSED_FORMS = {U: _UNITARY, SU: _UNITARY._replace(logarithm=unitary.special_logarithm), SE: _RIGID}
+
+
+def _functions(group: MatrixLieGroup) -> _MatrixFunctions:
+    return _CLOSED_FORMS.get(type(group), _MatrixFunctions())
+
+
+@final
+class GroupExponential(SymmetricGroupRetraction):
+    """``R(x, x A) = x exp(A)``: translated one-parameter subgroups, not in general the geodesics of a metric.
+
+    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SE, U and SU all angles
+    of ``A`` below pi, elsewhere where the logarithm comes back.
+    """
+
+    manifold: MatrixLieGroup
+
+    def group_map(self, a: Matrix) -> Matrix:
+        return _functions(self.manifold).exponential(a)
+
+    def group_map_inverse(self, b: Matrix) -> Matrix:
+        return self.manifold.algebra_part(_functions(self.manifold).logarithm(b))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return _functions(self.manifold).injective(self.manifold.left_trivialise(x, v))
+
+    def square_root(self, b: Matrix) -> Matrix:
+        return _functions(self.manifold).square_root(b)
+
+
+@final
+class GroupCayley(SymmetricGroupRetraction):
+    """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``.
+
+    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n > 2:
+    there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``.
+    """
+
+    manifold: MatrixLieGroup
+
+    def __check_init__(self) -> None:
+        if not self.applies(self.manifold):
+            raise UnknownRetractionError(
+                f"the Cayley transform leads from the algebra of {self.manifold} out of the group; try Exponential"
+            )
+
+    @staticmethod
+    def applies(group: MatrixLieGroup) -> bool:
+        """Whether the Cayley transform takes the algebra to the group."""
+        return group.lie_algebra.closed_under_cubes
+
+    def group_map(self, a: Matrix) -> Matrix:
+        return _functions(self.manifold).cayley(a)
+
+    def group_map_inverse(self, b: Matrix) -> Matrix:
+        a = self.manifold.algebra_part(_functions(self.manifold).cayley_inverse(b))
+        return nan_unless(same_point(self.group_map(a), b, default_tolerance()), a)
+
+    def square_root(self, b: Matrix) -> Matrix:
+        return _functions(self.manifold).square_root(b)

@@ -1,0 +1,46 @@
+"""A retraction of rigid motions that moves rotation and translation apart."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import SE, SO, InvalidInputError
+from ..retraction import MidpointRetraction
+from .special_orthogonal import SOExponential
+
+
+@final
+class SEDecoupled(MidpointRetraction):
+    """``((R, t), (R Omega, R v)) -> (rho(R, R Omega), t + R v)`` with a retraction ``rho`` of rotations, by default exponential.
+
+    With the exponential these are the geodesics of the metric ``|Omega|^2 + |v|^2``, that of the ambient space: straight lines
+    turned at a constant rate. With ``SOPolar`` it is the nearest motion to ``x + v``.
+    """
+
+    manifold: SE
+    rotations: MidpointRetraction
+
+    def __init__(self, manifold: SE, rotations: MidpointRetraction | None = None) -> None:
+        if not isinstance(manifold, SE):
+            raise InvalidInputError(f"SEDecoupled takes a group SE(n), got {manifold!r}")
+        chosen = SOExponential(SO(manifold.n)) if rotations is None else rotations
+        if not isinstance(chosen, MidpointRetraction) or chosen.manifold != SO(manifold.n):
+            raise InvalidInputError(f"SEDecoupled takes a symmetric retraction of SO({manifold.n}), got {rotations!r}")
+        self.manifold, self.rotations = manifold, chosen
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        (rotation, translation), (turn, shift) = self.manifold.parts(x), self.manifold.parts(v)
+        return self.manifold.pose(self.rotations(rotation, turn), translation + shift)
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        (here, start), (there, end) = self.manifold.parts(x), self.manifold.parts(y)
+        return self.manifold.tangent(self.rotations.preimage(here, there), end - start)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        (rotation, _), (turn, shift) = self.manifold.parts(x), self.manifold.parts(v)
+        return self.rotations.domain(rotation, turn) & jnp.all(jnp.isfinite(shift))
+
+    def midpoint(self, x0: Array, x1: Array) -> Array:
+        (here, start), (there, end) = self.manifold.parts(x0), self.manifold.parts(x1)
+        return self.manifold.pose(self.rotations.midpoint(here, there), (start + end) / 2)

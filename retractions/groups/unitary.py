@@ -1,0 +1,53 @@
+"""Retractions of the unitary group by factorisations."""
+
+from typing import final
+
+import jax.numpy as jnp
+from jaxtyping import Array, Bool
+
+from ...manifolds import U
+from ..retraction import nan_unless
+from .functions import unitary
+from .group_map import GroupRetraction, SymmetricGroupRetraction
+
+
+@final
+class UPolar(SymmetricGroupRetraction):
+    """``R(x, v)`` = unitary polar factor of ``x + v``: the nearest unitary matrix.
+
+    Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: the whole tangent space.
+    """
+
+    manifold: U
+
+    def group_map(self, a: Array) -> Array:
+        return unitary.polar(a)
+
+    def group_map_inverse(self, b: Array) -> Array:
+        return nan_unless(jnp.linalg.eigvalsh((b + b.conj().T) / 2)[0] > 0, unitary.polar_inverse(b))
+
+    def square_root(self, b: Array) -> Array:
+        return unitary.square_root(b)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
+
+
+@final
+class UQR(GroupRetraction):
+    """``R(x, v)`` = unitary factor of the QR factorisation of ``x + v`` with positive diagonal: first order.
+
+    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: the whole tangent space.
+    """
+
+    manifold: U
+
+    def group_map(self, a: Array) -> Array:
+        return unitary.qr_factor(a)
+
+    def group_map_inverse(self, b: Array) -> Array:
+        skew, triangle = unitary.qr_inverse(b)
+        return nan_unless(jnp.all(jnp.diagonal(triangle).real > 0), skew)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.all(jnp.isfinite(v))
