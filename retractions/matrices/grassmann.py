@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool
 from ...manifolds import Grassmann
 from ...manifolds.numerics.frames import adapted_frame, polar_factor
 from ...manifolds.numerics.matrices import exponential
-from ..groups import rotations
+from ..groups.functions import rotations
 from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
 from .stiefel import EDGE
 

@@ -62,6 +62,14 @@ def test_angle_over_sine(t):
     np.testing.assert_allclose(_arc(t), t / np.sin(t) if t > 0 else 1.0, rtol=2e-15)
 
 
+@compiled
+def _remainders(s):
+    functions = {"sine": series.sine_remainder, "cotangent": series.cotangent_remainder}
+    derivatives = {f"d {name}": jax.grad(f)(s) for name, f in functions.items()}
+    twice = {f"dd {name}": jax.jacfwd(jax.grad(f))(s) for name, f in functions.items()}
+    return {**{name: f(s) for name, f in functions.items()}, **derivatives, **twice}
+
+
 def _cubic(c, a):
     """``c_i^3 + c_i + (sum c) / 10 = a_i``: one root for each ``a``."""
     return c**3 + c + jnp.sum(c) / 10 - a
@@ -126,6 +134,41 @@ def test_orthonormalise_keeps_the_span(seed):
     before, after = np.asarray(vec.flatten_frame(frame)), np.asarray(vec.flatten_frame(vec.orthonormalise(frame)))
     np.testing.assert_allclose(after @ after.T, np.eye(3), atol=1e-13)
     np.testing.assert_allclose(before @ after.T @ after, before, atol=1e-12)
+
+
+@given(seed=SEEDS)
+def test_gradients_and_pullbacks_of_complex_arrays_are_covectors_in_the_real_pairing(seed):
+    # The convention of JAX is the complex conjugate: <gradient, d> = Df d fails with it.
+    a, d, p, weight = (jnp.asarray(w) for w in np.random.default_rng(seed).standard_normal((4, 3, 2)) @ np.array([1, 1j]))
+
+    def height(z):
+        return jnp.sum(jnp.real(weight * z * z) + jnp.abs(z) ** 4)
+
+    def square(z):
+        return weight * z * jnp.conj(z) + z * z
+
+    slope = jax.jvp(height, (a,), (d,))[1]
+    np.testing.assert_allclose(vec.pairing(vec.gradient(height, a), d), slope, rtol=1e-12, atol=1e-12)
+    value, pull = vec.pullback(square, a)
+    np.testing.assert_allclose(value, square(a), rtol=1e-15)
+    pushed = jax.jvp(square, (a,), (d,))[1]
+    np.testing.assert_allclose(vec.pairing(pull(p)[0], d), vec.pairing(p, pushed), rtol=1e-12, atol=1e-12)
+
+
+@given(t=ANGLES)
+def test_remainders_of_the_sine_and_of_the_cotangent(t):
+    s, f = t * t, _remainders(t * t)
+    np.testing.assert_allclose(f["sine"] * s, 1 - np.sinc(t / np.pi), atol=3e-16)
+    half = t / 2
+    np.testing.assert_allclose(f["cotangent"] * s, 1 - (half / np.tan(half) if half > 1e-100 else 1.0), atol=3e-16)
+
+
+def test_remainders_have_their_values_and_derivatives_at_zero():
+    f = _remainders(0.0)
+    expected = {"sine": 1 / 6, "d sine": -1 / 120, "dd sine": 1 / 2520}
+    expected |= {"cotangent": 1 / 12, "d cotangent": 1 / 720, "dd cotangent": 1 / 15120}
+    for name, value in expected.items():
+        np.testing.assert_allclose(f[name], value, rtol=1e-15)
 
 
 @given(seed=SEEDS)

@@ -3,10 +3,14 @@
 from typing import final
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 from retrax.manifolds import (
+    SE,
+    SL,
     SO,
     SPD,
+    SU,
     AffineInvariantMetric,
     CanonicalMetric,
     CotangentBundle,
@@ -17,6 +21,7 @@ from retrax.manifolds import (
     LevelSet,
     LorentzMetric,
     Manifold,
+    MatrixLieGroup,
     Metric,
     Oblique,
     Power,
@@ -25,6 +30,7 @@ from retrax.manifolds import (
     Sphere,
     Stiefel,
     TangentBundle,
+    U,
 )
 from retrax.retractions import (
     QR,
@@ -66,6 +72,17 @@ class Intersection(LevelSet):
         return jnp.stack([jnp.sum(x * x) - 1, jnp.array([1.0, -1.0]) @ (x * x) @ jnp.array([1.0, 2.0])])
 
 
+@final
+class Heisenberg(MatrixLieGroup):
+    """Upper triangular 3 x 3 matrices with ones on the diagonal, by a basis that is not orthogonal."""
+
+    @property
+    def algebra(self) -> np.ndarray:
+        basis = np.zeros((3, 3, 3))
+        basis[0, 0, 1] = basis[1, 1, 2] = basis[1, 0, 1] = basis[2, 0, 2] = 1
+        return basis
+
+
 NESTED = Product(SO(3) * Euclidean(3), Sphere(2))
 
 MANIFOLDS: dict[str, Manifold] = {
@@ -75,6 +92,11 @@ MANIFOLDS: dict[str, Manifold] = {
     "SO2": SO(2),
     "SO3": SO(3),
     "SO4": SO(4),
+    "SE3": SE(3),
+    "U2": U(2),
+    "SU2": SU(2),
+    "SL2": SL(2),
+    "heisenberg": Heisenberg(),
     "ellipsoid": Ellipsoid(),
     "intersection": Intersection(),
     "SO3*R3": SO(3) * Euclidean(3),
@@ -112,6 +134,9 @@ RETRACTIONS: dict[str, Retraction] = {
     "qr-SO2": QR(SO(2)),
     "qr-SO3": QR(SO(3)),
     "qr-SO4": QR(SO(4)),
+    "exponential-SE2": Exponential(SE(2)),
+    "decoupled-SE2": Projection(SE(2)),
+    "cayley-SU2": Cayley(SU(2)),
     "nearest-ellipsoid": Projection(Ellipsoid()),
     "nearest-intersection": Projection(Intersection()),
     "cayley-SO3*R3": Cayley(SO(3) * Euclidean(3)),

@@ -5,6 +5,7 @@ from functools import lru_cache
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from hypothesis import strategies as st
 from jax.flatten_util import ravel_pytree
@@ -41,19 +42,29 @@ def compiled(function: Callable) -> Callable:
     return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
 
 
+def _real_parts(leaf: jax.Array) -> tuple[jax.Array, ...]:
+    return (jnp.real(leaf), jnp.imag(leaf)) if jnp.iscomplexobj(leaf) else (leaf,)
+
+
 def flat(a: Any) -> jax.Array:
-    """The entries of an ambient vector, or of several, as one vector."""
-    return ravel_pytree(a)[0]
+    """The entries of an ambient vector, or of several, as one real vector: complex arrays by real and imaginary parts."""
+    return ravel_pytree(jax.tree.map(_real_parts, a))[0]
 
 
 def unflat(manifold: Manifold) -> Callable:
-    """The map from vectors to ambient vectors of a manifold."""
-    return ravel_pytree(vec.zeros(manifold.ambient))[1]
+    """The map from real vectors to ambient vectors of a manifold."""
+    leaves, structure = jax.tree.flatten(vec.zeros(manifold.ambient))
+    split = ravel_pytree([_real_parts(leaf) for leaf in leaves])[1]
+
+    def unravel(a: jax.Array) -> Any:
+        return jax.tree.unflatten(structure, [p[0] + 1j * p[1] if len(p) == 2 else p[0] for p in split(a)])
+
+    return unravel
 
 
 def ambient_size(manifold: Manifold) -> int:
-    """Dimension of the ambient space."""
-    return sum(leaf.size for leaf in jax.tree.leaves(manifold.ambient))
+    """Real dimension of the ambient space."""
+    return flat(vec.zeros(manifold.ambient)).size
 
 
 def norm(a: Any) -> float:

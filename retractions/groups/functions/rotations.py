@@ -42,15 +42,16 @@ def exponential(omega: Matrix) -> Matrix:
 def logarithm(a: Matrix) -> Matrix:
     """Principal logarithm of a rotation without the eigenvalue -1, NaN for one with it."""
     if a.shape[0] == 2:
-        angle = jnp.arctan2(a[1, 0] - a[0, 1], a[0, 0] + a[1, 1])
-        return jnp.where(a[0, 0] + a[1, 1] > -2, angle, jnp.nan) * jnp.array([[0.0, -1.0], [1.0, 0.0]], a.dtype)
+        sine, cosine = a[1, 0] - a[0, 1], a[0, 0] + a[1, 1]
+        angle = jnp.where((sine != 0) | (cosine > 0), jnp.arctan2(sine, cosine), jnp.nan)
+        return angle * jnp.array([[0.0, -1.0], [1.0, 0.0]], a.dtype)
     if a.shape[0] == 3:
-        return jnp.where(smallest_cosine(a) > -1, hat(rotation_vector(a)), jnp.nan)
+        return hat(rotation_vector(a))
     return unitary.logarithm(a)
 
 
 def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Rotation vector, angle below pi: axis times angle.
+    """Rotation vector, angle below pi: axis times angle; NaN for a half turn.
 
     Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew part
     of ``a`` has lost its digits.
@@ -65,7 +66,7 @@ def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
     axis = safe / jnp.sqrt(safe @ safe)
     axis = axis * jnp.where(axis @ sine < 0, -1.0, 1.0)
     turned = jnp.arctan2(axis @ sine, jnp.where(far, cosine, -0.5)) * axis
-    return jnp.where(far, turned, direct)
+    return jnp.where(far & (s == 0), jnp.nan, jnp.where(far, turned, direct))
 
 
 def cayley(omega: Matrix) -> Matrix:

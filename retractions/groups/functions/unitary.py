@@ -69,6 +69,7 @@ def unitary_logarithm(a: Matrix) -> Matrix:
     adjoint = a.conj().T
     cosines, vectors = jnp.linalg.eigh((a + adjoint) / 2)
     sine = vectors.conj().T @ ((a - adjoint) / 2) @ vectors
+    sine = (sine - sine.conj().T) / 2
     sines = jnp.linalg.norm(sine, axis=1)
     angles = jnp.arctan2(sines, cosines)
     ratios = jnp.where(sines > 0, angles / jnp.where(sines > 0, sines, 1.0), 1.0)

@@ -1,0 +1,239 @@
+"""Exponentials, logarithms and Cayley transforms of matrix Lie groups, and retractions from any map of the algebra."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import scipy.linalg
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from retrax.manifolds import SE, SL, SO, SU, DomainError, Euclidean, InvalidInputError, MatrixLieGroup, U, UnknownRetractionError
+from retrax.retractions import SOQR, Cayley, Exponential, GroupCayley, Polar, SEDecoupled, SOPolar, Translated
+from retrax.retractions.groups.functions import rigid_motions, rotations, unitary
+
+from tests.support.cases import Heisenberg
+from tests.support.numerics import SEEDS, compiled, draw_point
+
+GROUPS: dict[str, MatrixLieGroup] = {"SO4": SO(4), "SE2": SE(2), "SE3": SE(3), "SU2": SU(2), "SU3": SU(3), "SL2": SL(2)}
+WITH_ANGLES = ["SO4", "SE2", "SE3", "SU2", "SU3"]
+PLANES = {"SO4": 2, "SU3": 1}  # how many eigenvalues share the largest angle, where there are others
+
+LENGTHS = st.one_of(st.floats(0.0, 3.0), st.sampled_from([0.0, 1e-12, 1e-8, 1e-4]))
+
+
+@lru_cache
+def _exponential(name: str):
+    group, retraction = GROUPS[name], Exponential(GROUPS[name])
+
+    def facts(c):
+        a = group.hat(c)
+        x = retraction(group.identity, a)
+        back = retraction.preimage(group.identity, x)
+        return {"a": a, "exp": x, "log": back, "root": retraction.square_root(x), "inside": retraction.domain(group.identity, a)}
+
+    return compiled(facts)
+
+
+def facts_at(name: str, seed: int, length: float) -> dict:
+    """Exponential and logarithm of an element of the algebra of this Frobenius norm."""
+    c = np.random.default_rng(seed).standard_normal(GROUPS[name].dimension)
+    norm = np.linalg.norm(GROUPS[name].hat(jnp.asarray(c)))
+    return _exponential(name)(length * c / norm)
+
+
+@pytest.mark.parametrize("name", GROUPS)
+@given(seed=SEEDS, length=LENGTHS)
+def test_exponential_and_logarithm_are_those_of_scipy(name, seed, length):
+    facts = facts_at(name, seed, length)
+    np.testing.assert_allclose(facts["exp"], scipy.linalg.expm(facts["a"]), atol=1e-13)
+    if length > 1e-3:
+        np.testing.assert_allclose(facts["log"], scipy.linalg.logm(facts["exp"]), atol=2e-12)
+
+
+@pytest.mark.parametrize("name", GROUPS)
+@given(seed=SEEDS, length=LENGTHS)
+def test_the_logarithm_inverts_the_exponential_and_halves_are_square_roots(name, seed, length):
+    facts = facts_at(name, seed, length)
+    assert facts["inside"]
+    np.testing.assert_allclose(facts["log"], facts["a"], atol=1e-13 if name != "SL2" else 1e-12)
+    np.testing.assert_allclose(facts["root"] @ facts["root"], facts["exp"], atol=1e-13 if name != "SL2" else 1e-12)
+
+
+@pytest.mark.parametrize("name", WITH_ANGLES)
+@given(seed=SEEDS, gap=st.sampled_from([1e-2, 1e-4, 1e-6, 1e-8]))
+def test_the_logarithm_is_accurate_to_the_edge_of_its_domain(name, seed, gap):
+    # A vector whose largest angle is pi - gap. Planes that reach the half turn together are told apart to 1e-16 / gap only.
+    a = facts_at(name, seed, 1.0)["a"]
+    angles = np.sort(np.abs(np.linalg.eigvals(a).imag))
+    largest = angles[-1]
+    assume(largest > 0.2)
+    assume(name not in PLANES or largest - angles[-1 - PLANES[name]] > 0.1 * largest)
+    facts = facts_at(name, seed, (np.pi - gap) / largest)
+    assert facts["inside"]
+    np.testing.assert_allclose(facts["log"], facts["a"], rtol=0, atol=1e-13 * (1 + np.max(np.abs(facts["a"]))))
+
+
+def test_a_published_screw_motion():
+    # [Lynch, Park 2017, Example 3.26]: S = (0, 0, 1, 3.37, -3.37, 0), theta = 30 degrees, three digits.
+    def planar(degrees, x, y):
+        c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        return jnp.array([[c, -s, 0, x], [s, c, 0, y], [0, 0, 1, 0], [0, 0, 0, 1]])
+
+    group = SE(3)
+    moved = planar(60, 2, 1) @ group.inverse(planar(30, 1, 2))
+    twist = group.vee(Exponential(group).inverse(group.identity, moved))
+    np.testing.assert_allclose(twist / (np.pi / 6), [0, 0, 1, 3.37, -3.37, 0], atol=5e-3)
+
+
+@compiled
+def _log_of_motions(a, b):
+    def along(s):
+        return rigid_motions.logarithm(rigid_motions.exponential(s[0] * a) @ rigid_motions.exponential(s[1] * b))
+
+    zero = jnp.zeros(2)
+    return jax.jacfwd(along)(zero), jax.jacrev(along)(zero), jax.jacfwd(jax.jacrev(along))(zero)
+
+
+@given(seed=SEEDS)
+def test_the_logarithm_of_motions_has_the_derivatives_of_baker_campbell_hausdorff_at_the_identity(seed):
+    # log(exp(s a) exp(t b)) = s a + t b + s t [a, b]/2 + ...
+    a, b = (np.asarray(SE(3).hat(jnp.asarray(c))) for c in np.random.default_rng(seed).standard_normal((2, 6)))
+    forward, reverse, twice = _log_of_motions(a, b)
+    for first in (forward, reverse):
+        np.testing.assert_allclose(first, np.stack([a, b], axis=-1), atol=1e-14)
+    bracket = (a @ b - b @ a) / 2
+    np.testing.assert_allclose(twice, np.stack([0 * a, bracket, bracket, 0 * a], axis=-1).reshape(4, 4, 2, 2), atol=1e-13)
+
+
+@compiled
+def _logarithm_derivatives(a, b):
+    def curve(s):
+        return unitary.unitary_logarithm(jax.scipy.linalg.expm(s[0] * a + s[1] * b))
+
+    zero = jnp.zeros(2)
+    return jax.jvp(curve, (zero,), (jnp.ones(2),))[1], jax.jacrev(curve)(zero)
+
+
+@given(seed=SEEDS)
+def test_the_logarithm_of_rotations_has_its_derivatives_at_the_identity(seed):
+    # Where all eigenvalues are equal: log(exp(s a + t b)) = s a + t b is linear.
+    a, b = (np.asarray(SO(4).hat(jnp.asarray(c))) for c in np.random.default_rng(seed).standard_normal((2, 6)))
+    along, reverse = _logarithm_derivatives(a, b)
+    np.testing.assert_allclose(along, a + b, atol=1e-13)
+    np.testing.assert_allclose(reverse, np.stack([a, b], axis=-1), atol=1e-13)
+
+
+NOWHERE = {
+    "SE3": (SE(3), SE(3).pose(jnp.diag(jnp.array([-1.0, -1.0, 1.0])), jnp.ones(3))),
+    "U2": (U(2), jnp.diag(jnp.array([1.0, -1.0 + 0j]))),
+    "SU2": (SU(2), -jnp.eye(2, dtype=complex)),
+    "SO4, two planes": (SO(4), -jnp.eye(4)),
+    "SU3, angles that sum to a full turn": (SU(3), jnp.exp(2j * jnp.pi / 3) * jnp.eye(3)),
+    "SL2": (SL(2), -jnp.eye(2)),
+}
+
+
+@pytest.mark.parametrize("name", NOWHERE)
+def test_what_has_no_logarithm_is_refused(name):
+    group, y = NOWHERE[name]
+    assert group.contains(y)
+    with pytest.raises(DomainError, match="outside the image of"):
+        Exponential(group).inverse(group.identity, y)
+
+
+def test_the_cayley_transform_is_known_where_it_stays_in_the_group():
+    assert all(Cayley.knows(group) for group in (SE(3), U(3), SU(2), SL(2), Heisenberg()))
+    for group in (SU(3), SL(3)):
+        assert not Cayley.knows(group)
+        with pytest.raises(UnknownRetractionError, match=r"Cayley is not known on .*known there: Exponential"):
+            Cayley(group)
+        with pytest.raises(UnknownRetractionError, match=r"leads from the algebra of .* out of the group"):
+            GroupCayley(group)
+    with pytest.raises(UnknownRetractionError, match="known there: Exponential, Projection, Cayley"):
+        Polar(SE(3))
+
+
+def _apart(a):
+    """Turn and shift apart: a map that conjugations do not commute with."""
+    return SE(2).pose(rotations.exponential(a[:2, :2]), a[:2, 2])
+
+
+def _apart_inverse(y):
+    return SE(2).tangent(rotations.logarithm(y[:2, :2]), y[:2, 2])
+
+
+@compiled
+def _translated(x, z, v):
+    out = {}
+    for side in ("left", "right"):
+        mine, known = Translated(SE(2), _apart, side=side), Translated(SE(2), _apart, _apart_inverse, side)
+        y = mine(x, v)
+        moved = mine(z @ x, z @ v) - z @ y if side == "left" else mine(x @ z, v @ z) - y @ z
+        out[side] = {"y": y, "newton": mine.preimage(x, y), "closed": known.preimage(x, y), "moved": moved}
+    return out
+
+
+@given(seed=SEEDS)
+def test_a_map_of_the_algebra_translated_is_a_retraction(seed):
+    x, v, _ = (np.asarray(a) for a in draw_point(SE(2), seed))
+    z = draw_point(SE(2), seed + 1)[0]
+    x, v, z = x.reshape(3, 3), 0.3 * v.reshape(3, 3), z.reshape(3, 3)
+    facts = _translated(x, z, v)
+    assert np.max(np.abs(facts["left"]["y"] - facts["right"]["y"])) > 1e-9
+    for side in ("left", "right"):
+        assert SE(2).contains(facts[side]["y"], 1e-13)
+        np.testing.assert_allclose(facts[side]["newton"], v, atol=1e-12)
+        np.testing.assert_allclose(facts[side]["closed"], v, atol=1e-13)
+        np.testing.assert_allclose(facts[side]["moved"], 0, atol=1e-13)
+
+
+@compiled
+def _factorisations(x, v):
+    values = {"polar": Polar(U(2)), "qr": QR(U(2))}
+    return {name: (r(x, v), r.preimage(x, r(x, v)), r.domain(x, v)) for name, r in values.items()}
+
+
+@given(seed=SEEDS)
+def test_the_factorisations_of_unitary_matrices_are_those_of_numpy_and_have_inverses(seed):
+    key = jax.random.key(seed)
+    x = U(2).random_point(key)
+    v = U(2).random_tangent(key, x)
+    q, r = np.linalg.qr(x + v)
+    expected = {"polar": scipy.linalg.polar(np.asarray(x + v))[0], "qr": q * (np.diag(r) / np.abs(np.diag(r)))}
+    for name, (y, back, inside) in _factorisations(x, v).items():
+        np.testing.assert_allclose(y, expected[name], atol=1e-13)
+        np.testing.assert_allclose(back, v, atol=1e-11)
+        assert inside
+
+
+BAD_MAPS = {
+    "no group": ((Euclidean(3), rigid_motions.cayley), "takes a MatrixLieGroup"),
+    "no function": ((SE(2), "cayley"), "takes functions of matrices"),
+    "side": ((SE(2), rigid_motions.cayley, None, "both"), "side must be 'left' or 'right'"),
+    "shape": ((SE(2), lambda a: a[:2]), "must return an array of"),
+    "scale": ((SE(2), lambda a: rigid_motions.exponential(1.01 * a)), r"must have Dg\(0\) = Id, it misses it by 0\.01"),
+    "origin": ((SE(2), lambda a: a), r"must have g\(0\) = I"),
+}
+
+
+@pytest.mark.parametrize("kind", BAD_MAPS)
+def test_a_wrong_group_map_is_refused(kind):
+    arguments, words = BAD_MAPS[kind]
+    with pytest.raises(InvalidInputError, match=words):
+        Translated(*arguments)
+
+
+@pytest.mark.parametrize("arguments", [(SO(3),), (SE(3), SOQR(SO(3))), (SE(3), SOPolar(SO(2)))], ids=["SO", "QR", "size"])
+def test_a_wrong_decoupled_retraction_is_refused(arguments):
+    with pytest.raises(InvalidInputError, match="SEDecoupled takes a"):
+        SEDecoupled(*arguments)
+
+
+def test_the_decoupled_exponential_turns_and_shifts():
+    group, (w, v) = SE(3), np.random.default_rng(0).standard_normal((2, 3))
+    a = group.hat(jnp.concatenate([jnp.asarray(w), jnp.asarray(v)]))
+    y = SEDecoupled(group)(group.identity, a)
+    np.testing.assert_allclose(y[:3, :3], scipy.linalg.expm(np.asarray(a)[:3, :3]), atol=1e-14)
+    np.testing.assert_allclose(y[:3, 3], v, atol=1e-15)
