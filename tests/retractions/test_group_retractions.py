@@ -10,7 +10,7 @@ import scipy.linalg
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from retrax.manifolds import SE, SL, SO, SU, DomainError, Euclidean, InvalidInputError, MatrixLieGroup, U, UnknownRetractionError
-from retrax.retractions import SOQR, Cayley, Exponential, GroupCayley, Polar, SEDecoupled, SOPolar, Translated
+from retrax.retractions import QR, SOQR, Cayley, Exponential, GroupCayley, Polar, SEDecoupled, SOPolar, Translated
 from retrax.retractions.groups.functions import rigid_motions, rotations, unitary
 
 from tests.support.cases import Heisenberg
