@@ -22,32 +22,50 @@ class StepResult(NamedTuple):
     converged: Bool[Array, ""]
 
 
+class StepEquations:
+    """The equations ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` of a step from near ``(q0, p0)``, in a chart around a prediction.
+
+    Their unknowns are the coordinates ``c`` of the stage's unknowns ``y`` and of ``p1``, both in one frame.
+    """
+
+    def __init__(self, stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> None:
+        frozen = jax.lax.stop_gradient
+        self.stage = stage
+        self._guess = frozen(stage.predict(q0, p0, previous))
+        self._frame = stage.manifold.basis(stage.tangent(self._guess)[0])
+        costate = frozen(vec.components(self._frame, p0))
+        self.first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
+        self.sizes = jnp.concatenate([stage.sizes(self._guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
+
+    def residual(self, c: Array, q0: Ambient, p0: Ambient) -> Array:
+        """The equations for a step from ``(q0, p0)``, zero at a solution ``c``."""
+        size = self.stage.dimension
+
+        def generating(d: Array, p1: Ambient) -> tuple[Array, Ambient]:
+            y = self.stage.move(self._guess, d)
+            r1, r2 = self.stage.ends(y)
+            return vec.pairing(p1, r2) - vec.pairing(p0, r1) - self.stage.cost(y), r1
+
+        stationarity, r1 = jax.grad(generating, has_aux=True)(c[:size], vec.combine(self._frame, c[size:]))
+        return jnp.concatenate([vec.components(self._frame, vec.subtract(r1, q0)), stationarity])
+
+    def end(self, c: Array) -> tuple[Ambient, Ambient, Any]:
+        """``(q1, p1)`` and the stage's unknowns."""
+        y = self.stage.move(self._guess, c[: self.stage.dimension])
+        q1 = self.stage.ends(y)[1]
+        return q1, self.stage.manifold.projection(q1, vec.combine(self._frame, c[self.stage.dimension :])), y
+
+
 def lifted_step(stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> StepResult:
     """Step ``(q0, p0) -> (q1, p1)``: a stationary point of the stage's generating function that starts at ``q0``.
 
-    Solves ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` for the unknowns ``y`` and ``p1`` in a chart around the stage's prediction,
-    where both are coordinates in one frame; then ``q1 = R2``. Differentiable by the implicit function theorem.
+    Solves ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` for the unknowns ``y`` and ``p1``; then ``q1 = R2``. Differentiable by the
+    implicit function theorem.
     """
-    frozen = jax.lax.stop_gradient
-    guess = frozen(stage.predict(q0, p0, previous))
-    frame = stage.manifold.basis(stage.tangent(guess)[0])
-    size = stage.dimension
-
-    def generating(d: Array, p1: Ambient) -> tuple[Array, Ambient]:
-        y = stage.move(guess, d)
-        r1, r2 = stage.ends(y)
-        return vec.pairing(p1, r2) - vec.pairing(p0, r1) - stage.cost(y), r1
-
-    def residual(c: Array) -> Array:
-        stationarity, r1 = jax.grad(generating, has_aux=True)(c[:size], vec.combine(frame, c[size:]))
-        return jnp.concatenate([vec.components(frame, vec.subtract(r1, q0)), stationarity])
-
-    costate = frozen(vec.components(frame, p0))
-    first = jnp.concatenate([jnp.zeros(size, costate.dtype), costate])
-    scale = jnp.concatenate([stage.sizes(guess), jnp.broadcast_to(positive(vec.size(p0)), costate.shape)])
-    c, converged = find_root(residual, first, scale, stage.small_step_inverse())
-    y = stage.move(guess, c[:size])
-    q1 = stage.ends(y)[1]
-    p1 = stage.manifold.projection(q1, vec.combine(frame, c[size:]))
+    equations = StepEquations(stage, q0, p0, previous)
+    c, converged = find_root(
+        lambda c: equations.residual(c, q0, p0), equations.first, equations.sizes, stage.small_step_inverse()
+    )
+    q1, p1, y = equations.end(c)
     finite = jnp.isfinite(vec.size((q1, p1)))
     return StepResult(q1, p1, y, converged & finite)

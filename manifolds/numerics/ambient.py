@@ -100,7 +100,7 @@ def components(frame: Frame, a: Ambient) -> Coordinates:
     """Pairings ``<E_k, a>``, shape ``(k,)``: the coordinates of ``a`` if the frame is orthonormal."""
 
     def one(e: Array, leaf: Array) -> Array:
-        return jnp.real(jnp.conj(e.reshape(e.shape[0], -1)) @ leaf.reshape(-1))
+        return jnp.real(jnp.conj(e.reshape(e.shape[0], leaf.size)) @ leaf.reshape(leaf.size))
 
     terms = jax.tree.map(one, frame, a)
     return sum(jax.tree.leaves(terms), start=jnp.zeros(()))

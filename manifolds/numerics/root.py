@@ -40,6 +40,8 @@ def find_root(
     of the unknowns, shape ``(k,)`` or one number. Derivatives with respect to anything that ``residual`` closes over come
     from the implicit function theorem, in every autodiff mode.
     """
+    if not start.size:
+        return start, jnp.array(True)
     unit = jax.lax.stop_gradient(jnp.broadcast_to(jnp.asarray(scale, start.dtype), start.shape))
 
     def scaled(c: Vector) -> Vector:
