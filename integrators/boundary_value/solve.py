@@ -176,24 +176,24 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
 
 def _record(output: _Output, theta: float, horizon: float, compiling: float, running: float) -> Solution:
     """The solution from the kernel's output, and the seconds that it took to compile and to run."""
-    output = to_numpy(output)
-    diagnostics = output.diagnostics
+    found: Any = to_numpy(output)
+    diagnostics = found.diagnostics
     steps = len(diagnostics.hamiltonians)
     checks = Checks(
-        gap=float(output.gap),
-        stationarity=float(output.stationarity),
+        gap=float(found.gap),
+        stationarity=float(found.stationarity),
         violations={name: float(value) for name, value in diagnostics.violations.items()},
         hamiltonian=float(diagnostics.hamiltonians[0]),
         hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
         momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
-        strict_minimum=bool(output.strict_minimum),
+        strict_minimum=bool(found.strict_minimum),
     )
-    stage_states, controls = output.unknowns
+    stage_states, controls = found.unknowns
     times = np.linspace(0.0, horizon, steps + 1)
     return Solution(
         times=times,
-        states=output.states,
-        costates=output.costates,
+        states=found.states,
+        costates=found.costates,
         stage_times=times[:-1] + theta * horizon / steps,
         stage_states=stage_states,
         stage_costates=diagnostics.stage_costates,
@@ -202,9 +202,9 @@ def _record(output: _Output, theta: float, horizon: float, compiling: float, run
         momenta=diagnostics.momenta,
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
-        cost=float(output.cost),
-        success=bool(output.success),
-        result=Result[output.result],
+        cost=float(found.cost),
+        success=bool(found.success),
+        result=Result[found.result],
         checks=checks,
-        statistics=Statistics(int(output.iterations), compiling, running),
+        statistics=Statistics(int(found.iterations), compiling, running),
     )
