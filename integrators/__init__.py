@@ -24,15 +24,19 @@ from .initial_value import (
 )
 from .problem import OptimalControlProblem
 from .results import Result
+from .singular import L_H, S_H, Classification, MorseTest, Stratum, classify
 from .stages import ControlStage, HamiltonianStage, Stage
 
 __all__ = [
     "KAHAN_LI_6",
     "KAHAN_LI_8",
+    "L_H",
     "SUZUKI",
+    "S_H",
     "TRIPLE_JUMP",
     "YOSHIDA_6",
     "Checks",
+    "Classification",
     "Composition",
     "ControlStage",
     "GeodesicRetraction",
@@ -40,14 +44,17 @@ __all__ = [
     "HamiltonianStage",
     "Integrator",
     "LiftedIntegrator",
+    "MorseTest",
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",
     "Solution",
     "Stage",
     "Statistics",
+    "Stratum",
     "SymplecticIntegrator",
     "Trajectory",
+    "classify",
     "default_guess",
     "integrate",
     "load_solution",

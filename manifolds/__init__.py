@@ -22,6 +22,7 @@ from .numerics.errors import (
 )
 from .power import Power
 from .product import Product
+from .submanifold import Submanifold
 from .symplectic import (
     Immersion,
     LagrangianVerdict,
@@ -80,6 +81,7 @@ __all__ = [
     "Simplex",
     "Sphere",
     "Stiefel",
+    "Submanifold",
     "TangentBundle",
     "TulczyjewTriple",
     "U",

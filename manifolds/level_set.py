@@ -1,6 +1,7 @@
 """A manifold from one constraint function."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from math import prod
 
 import equinox as eqx
@@ -9,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .manifold import Manifold, default_tolerance, real
+from .numerics.ambient import Ambient
 from .numerics.root import solve_small
 
 RANDOM_STARTS = 20
@@ -65,17 +67,27 @@ class LevelSet(Manifold):
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""
 
-        def draw(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-            key, _, tries = state
-            key, sub = jax.random.split(key)
-            start = jax.random.normal(sub, self.shape)
-            return key, jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, x: self.restore(x), start), tries + 1
+        def draw(key: Array) -> Array:
+            start = jax.random.normal(key, self.shape)
+            return jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, x: self.restore(x), start)
 
-        def off(state: tuple[Array, Array, Array]) -> Array:
-            _, x, tries = state
-            return (tries < RANDOM_STARTS) & ~(jnp.max(jnp.abs(self.equations(x))) <= default_tolerance())
+        return point_from_random_starts(self, key, draw)
 
-        nowhere = jnp.full(self.shape, jnp.nan, self.ambient.dtype)
-        state = jax.lax.while_loop(off, draw, (key, nowhere, jnp.zeros((), int)))
-        message = f"no point of {self} was found from {RANDOM_STARTS} random starts; check the constraint"
-        return eqx.error_if(state[1], off((state[0], state[1], jnp.zeros((), int))), message)
+
+def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Array], Ambient]) -> Ambient:
+    """The first of 20 draws that satisfies the manifold's equations; an error if none does."""
+
+    def off(x: Ambient) -> Array:
+        return ~(jnp.max(jnp.stack(jax.tree.leaves(manifold.violations(x)))) <= default_tolerance())
+
+    def again(state: tuple[Array, Ambient, Array]) -> tuple[Array, Ambient, Array]:
+        key, sub = jax.random.split(state[0])
+        return key, draw(sub), state[2] + 1
+
+    def unfinished(state: tuple[Array, Ambient, Array]) -> Array:
+        return (state[2] < RANDOM_STARTS) & off(state[1])
+
+    nowhere = jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.nan, leaf.dtype), manifold.ambient)
+    _, found, _ = jax.lax.while_loop(unfinished, again, (key, nowhere, jnp.zeros((), int)))
+    message = f"no point of {manifold} was found from {RANDOM_STARTS} random starts; check its equations"
+    return eqx.error_if(found, off(found), message)

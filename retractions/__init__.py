@@ -43,6 +43,7 @@ from .matrices import (
 )
 from .order import MeasuredOrder, order
 from .retraction import MidpointRetraction, Retraction
+from .submanifold import Orthographic
 from .vectors import (
     Addition,
     HyperbolicExponential,
@@ -80,6 +81,7 @@ __all__ = [
     "MeasuredOrder",
     "Midpoint",
     "MidpointRetraction",
+    "Orthographic",
     "Polar",
     "PowerRetraction",
     "ProductRetraction",

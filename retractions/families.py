@@ -20,10 +20,13 @@ from ..manifolds import (
     Simplex,
     Sphere,
     Stiefel,
+    Submanifold,
     U,
     UnknownRetractionError,
 )
+from ..manifolds.bundles import VectorBundle
 from .constructions import PowerRetraction, ProductRetraction
+from .cotangent_lift import BundleRetraction
 from .groups import (
     SOQR,
     UQR,
@@ -49,6 +52,7 @@ from .matrices import (
     StiefelQR,
 )
 from .retraction import Retraction
+from .submanifold import Orthographic
 from .vectors import (
     Addition,
     HyperbolicExponential,
@@ -146,6 +150,8 @@ Projection = RetractionFamily(
         Stiefel: StiefelPolar,
         Oblique: lambda m: Columnwise(m, SphereProjection(m.column)),
         FixedRank: FixedRankProjection,
+        Submanifold: lambda m: Orthographic(m, default_retraction(m.parent)),
+        VectorBundle: lambda m: BundleRetraction(default_retraction(m.base)),
     },
 )
 FAMILIES = (Exponential, Projection, Cayley, Polar, QR)

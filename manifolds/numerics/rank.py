@@ -15,19 +15,19 @@ class Rank(NamedTuple):
     gap: float
 
 
-def numerical_rank(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> Rank:
-    """Number of singular values above ``tolerance`` times the largest."""
+def numerical_rank(matrix: np.ndarray, unit: float = 0.0) -> Rank:
+    """Number of singular values above the tolerance times the largest of them, or times ``unit`` if that is larger."""
     if not matrix.size:
         return Rank(0, np.zeros(0), np.inf)
     values = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.sum(values > tolerance * values[0]))
+    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], unit)))
     dropped = values[rank] if 0 < rank < len(values) else 0.0
     return Rank(rank, values, float(values[rank - 1] / dropped) if dropped else np.inf)
 
 
-def null_space(matrix: np.ndarray, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
+def null_space(matrix: np.ndarray, unit: float = 0.0) -> np.ndarray:
     """Orthonormal basis of the null space, one column each."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, _, directions = np.linalg.svd(matrix)
-    return directions[numerical_rank(matrix, tolerance).rank :].T
+    return directions[numerical_rank(matrix, unit).rank :].T

@@ -85,7 +85,7 @@ def lagrangian_subspace(form: np.ndarray, vectors: np.ndarray) -> LagrangianVerd
     dimension, span = numerical_rank(vectors).rank, _orthonormal_rows(vectors)
     size = np.max(np.abs(form), initial=0.0)
     isotropy = np.max(np.abs(span @ form @ span.T), initial=0.0) / size if size else 0.0
-    seen = numerical_rank(span @ form / (size or 1.0)).rank
+    seen = numerical_rank(span @ form / (size or 1.0), unit=1.0).rank
     return LagrangianVerdict(float(isotropy), dimension, numerical_rank(form).rank, dimension - seen)
 
 

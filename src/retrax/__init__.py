@@ -1,6 +1,6 @@
 """Geometric integration and optimal control on manifolds: a manifold and a retraction are all a user has to supply."""
 
-from . import integrators, manifolds, retractions
+from . import integrators, manifolds, problems, retractions
 from ._version import __version__
 
-__all__ = ["__version__", "integrators", "manifolds", "retractions"]
+__all__ = ["__version__", "integrators", "manifolds", "problems", "retractions"]

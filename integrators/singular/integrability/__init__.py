@@ -1,0 +1,20 @@
+"""The integrability algorithm: classification of optimal control problems, and the final manifold P_f."""
+
+from .classification import Classification, MorseTest, Stratum
+from .classify import classify
+from .final import FinalEquations
+from .lagrangian import L_H, S_H, critical_set
+from .levels import Level, Signature
+
+__all__ = [
+    "L_H",
+    "S_H",
+    "Classification",
+    "FinalEquations",
+    "Level",
+    "MorseTest",
+    "Signature",
+    "Stratum",
+    "classify",
+    "critical_set",
+]

@@ -1,0 +1,197 @@
+"""The immutable record of a classified optimal control problem."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import ArrayLike
+
+from ....manifolds import CotangentBundle, Euclidean, Immersion, InvalidInputError, Manifold, Submanifold
+from ....manifolds.numerics.ambient import Ambient
+from ...problem import OptimalControlProblem
+from .final import FinalEquations
+from .lagrangian import immersed_dynamics
+from .levels import Level, Signature
+
+
+@dataclass(frozen=True)
+class MorseTest:
+    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``points`` with ``dH/du = 0``.
+
+    ``family``: ``D(dH/du)`` has rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the
+    point where the smallest is smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the
+    first one not counted.
+    """
+
+    points: int
+    family: bool
+    family_singular_values: np.ndarray
+    regular: bool
+    hessian_singular_values: np.ndarray
+    gap: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stratum:
+    """A piece of ``P_f`` of constant ranks, seen at ``count`` of the points.
+
+    ``signature``: codimension, free controls, rank of the form. ``k_f`` and ``k_f_base``: the levels at which ``S`` and
+    ``P`` stop changing there. ``determined_at``: for each component of the control the level that determines it, None if it
+    is free. ``q``, ``p``, ``u``: a point of it and a control there. ``kernel``: basis of the kernel of
+    ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``. ``states``: all its points, leaves ``(count,
+    *leaf)`` of pairs ``(q, p)``.
+    """
+
+    signature: Signature
+    count: int
+    k_f: int
+    k_f_base: int
+    determined_at: tuple[int | None, ...]
+    q: Ambient
+    p: Ambient
+    u: Ambient
+    kernel: Ambient
+    states: Ambient
+    equations: FinalEquations
+    feedback: FinalEquations
+
+
+@dataclass(frozen=True, eq=False)
+class Classification:
+    """What the integrability algorithm found.
+
+    ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties below speak of the
+    first. ``levels`` holds the evidence, level by level.
+    """
+
+    problem: OptimalControlProblem
+    morse: MorseTest | None
+    levels: tuple[Level, ...]
+    strata: tuple[Stratum, ...]
+    excluded: int
+    zero_costate_excluded: bool
+    seconds: float
+
+    @property
+    def empty(self) -> bool:
+        """Whether ``P_f`` is empty: no extremal of the kind that was asked for, with controls in the interior, exists."""
+        return not self.strata
+
+    @property
+    def regular(self) -> bool:
+        """Whether ``dH/du = 0`` determines every control: then ``P_f = T*Q``."""
+        return self.morse is not None and self.morse.regular
+
+    @property
+    def stratified(self) -> bool:
+        """Whether ranks differ between the points found, so that ``P_f`` is not one manifold."""
+        return len(self.strata) > 1
+
+    @property
+    def irregular(self) -> bool:
+        """Whether Gauss-Newton was slow: the differentials of the equations vanish or become dependent on their zero set."""
+        return any(level.slow for level in self.levels)
+
+    @property
+    def stratum(self) -> Stratum:
+        """The piece of largest dimension. Raises ``InvalidInputError`` if ``P_f`` is empty."""
+        if self.empty:
+            raise InvalidInputError(f"P_f is empty, so it has no dimension, form or controls\n{self}")
+        return self.strata[0]
+
+    @property
+    def k_f(self) -> int:
+        """Level at which ``S^k`` stops changing."""
+        return self.stratum.k_f
+
+    @property
+    def k_f_base(self) -> int:
+        """Level at which ``P^k`` stops changing; the controls may be determined later."""
+        return self.stratum.k_f_base
+
+    @property
+    def codimension(self) -> int:
+        """Number of independent equations of ``P_f`` in ``T*Q``."""
+        return self.stratum.signature.codimension
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of ``P_f``."""
+        return 2 * self.problem.manifold.dimension - self.codimension
+
+    @property
+    def rank(self) -> int:
+        """Rank of ``omega_f``."""
+        return self.stratum.signature.form_rank
+
+    @property
+    def first_class(self) -> int:
+        """Number of first-class equations: the dimension of the kernel of ``omega_f``."""
+        return self.dimension - self.rank
+
+    @property
+    def second_class(self) -> int:
+        """Number of second-class equations."""
+        return self.codimension - self.first_class
+
+    @property
+    def gauge_controls(self) -> int:
+        """Number of controls that the necessary conditions leave free."""
+        return self.stratum.signature.free_controls
+
+    @property
+    def determined_controls(self) -> int:
+        """Number of controls that are functions of state and costate."""
+        return self.problem.controls.dimension - self.gauge_controls
+
+    @property
+    def gauge_components(self) -> tuple[int, ...]:
+        """Components of the control that can be given freely; the others follow from them and the state."""
+        return self.stratum.feedback.pivots.free
+
+    @property
+    def equations(self) -> FinalEquations:
+        """Equations of ``P_f``, a JAX function of ``z = (q, p)`` with values of shape ``(codimension,)``."""
+        return self.stratum.equations
+
+    @cached_property
+    def manifold(self) -> Manifold:
+        """``P_f`` as an embedded manifold; ``Projection(P_f)`` is a retraction of it, ``P_f.nearby(z)`` a point of it near ``z``.
+
+        Valid around the point of the stratum, as far as the elimination of the controls reaches. Raises
+        ``InvalidInputError`` if the equations are irregular there.
+        """
+        if len(self.equations.names) != self.codimension:
+            raise InvalidInputError(
+                "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so they do not "
+                f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
+            )
+        bundle = CotangentBundle(self.problem.manifold)
+        return Submanifold(bundle, self.equations) if self.codimension else bundle
+
+    def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
+        """The control at a point of ``P_f``, a JAX function.
+
+        ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point of the
+        stratum. Entries are NaN where the equations cannot be solved for the others.
+        """
+        return self.stratum.feedback.control((q, p), gauge)
+
+    @property
+    def dynamics(self) -> Immersion:
+        """``S_f`` in ``(TP_f, d_T omega_f)``, immersed from ``P_f`` times the space of gauge controls."""
+        control = self.stratum.feedback.control
+        return immersed_dynamics(self.problem, self.manifold, Euclidean(self.gauge_controls), control)
+
+    def report(self) -> None:
+        """Print the classification."""
+        print(self)
+
+    def __str__(self) -> str:
+        from .report import report_text
+
+        return report_text(self)
+
+    def __repr__(self) -> str:
+        kind = "empty" if self.empty else f"dim P_f = {self.dimension}, k_f = {self.k_f}"
+        return f"Classification({kind})"

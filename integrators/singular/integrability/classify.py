@@ -1,0 +1,145 @@
+"""Classification of an optimal control problem: regular or singular, and where its singular extremals live."""
+
+import time
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ....manifolds import InvalidInputError
+from ....manifolds.numerics.rank import numerical_rank
+from ...problem import OptimalControlProblem
+from ...results import warn_about_precision
+from .classification import Classification, MorseTest, Stratum
+from .final import final_equations
+from .levels import Level, PointRanks, Signature, point_ranks, summarise
+from .points import Points, make_consistent, random_starts, select, with_order
+
+ORDERS = (3, 5, 9, 15)  # of the derivative array: each is compiled only if the one before did not suffice
+VANISHING_COSTATE = 1e-6
+
+
+def classify(
+    problem: OptimalControlProblem, *, starts: int = 20, seed: int = 0, exclude_zero_costate: bool | None = None
+) -> Classification:
+    """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
+
+    ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise, from
+    the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones (drawn with
+    ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where Pontryagin's principle
+    excludes them: in abnormal problems, and in those with a terminal cost and no running cost.
+
+    A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
+    agree, and every stratum seen.
+    """
+    began = time.perf_counter()
+    _check(problem, starts)
+    warn_about_precision()
+    first = random_starts(problem, ORDERS[0], starts, seed)
+    homogeneous = problem.abnormal or bool(np.all(first.at.cost_rate == 0))
+    exclude = exclude_zero_costate
+    if exclude is None:
+        exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
+    levels, morse, points = _run(first, unit_costate=exclude and homogeneous)
+    found = select(points, points.consistent)
+    trivial = np.max(np.abs(found.at.costate[:, 1:]), axis=1, initial=0.0) <= VANISHING_COSTATE
+    excluded = int(np.sum(trivial)) if exclude else 0
+    strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
+    seconds = time.perf_counter() - began
+    return Classification(problem, morse, tuple(levels), strata, excluded, bool(exclude), seconds)
+
+
+def _check(problem: OptimalControlProblem, starts: int) -> None:
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"classify takes an OptimalControlProblem, got {problem!r}")
+    if not isinstance(starts, int) or starts < 1:
+        raise InvalidInputError(f"starts must be a positive number of random starts, got {starts!r}; try 20")
+    if problem.controls.dimension == 0:
+        raise InvalidInputError(f"the problem has no controls: U is {problem.controls}; give it at least one")
+
+
+def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
+    """The levels until nothing changes or no point is consistent, and the points at the last of them.
+
+    The batch keeps its size, so that one kernel serves all levels up to the order of the array.
+    """
+    points, levels, morse = first, [], None
+    while True:
+        level = len(levels)
+        if level > points.array.order:
+            points = _lengthened(points, first, levels)
+        points = make_consistent(points, level, unit_costate)
+        ranks = [point_ranks(points, i, level) for i in np.flatnonzero(points.consistent)]
+        levels.append(summarise(points, level, ranks))
+        if level == 0 and ranks:
+            morse = _morse(select(points, points.consistent))
+        settled = level > 0 and set(levels[-1].strata) == set(levels[-2].strata)
+        if not ranks or settled:
+            return levels, morse, points
+
+
+def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
+    """The points with an array of the next order, in the units that it has at the starts."""
+    higher = [order for order in ORDERS if order >= len(levels)]
+    if not higher:
+        raise InvalidInputError(
+            f"the integrability algorithm still finds new conditions after {len(levels)} levels: "
+            f"{[level.strata for level in levels]}; check that the functions of the problem are smooth"
+        )
+    return replace(with_order(points, higher[0]), units=with_order(first, higher[0]).units)
+
+
+def _morse(points: Points) -> MorseTest:
+    """The Morse family test and the test of regularity, at points with ``dH/du = 0``."""
+    by_state, by_jet = points.matrices(0)
+    size = by_jet.shape[1]
+    family = [numerical_rank(np.concatenate(pair, axis=1), unit=1.0) for pair in zip(by_state, by_jet, strict=True)]
+    hessian = [numerical_rank(matrix, unit=1.0) for matrix in by_jet]
+    worst = [min(ranks, key=lambda rank: rank.singular_values[-1]).singular_values for ranks in (family, hessian)]
+    return MorseTest(
+        points=len(by_jet),
+        family=all(rank.rank == size for rank in family),
+        family_singular_values=worst[0],
+        regular=all(rank.rank == size for rank in hessian),
+        hessian_singular_values=worst[1],
+        gap=min(rank.gap for rank in [*family, *hessian]),
+    )
+
+
+def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
+    """Points clustered by their ranks at every level, each cluster with the equations through its best conditioned point."""
+    final = [point_ranks(points, i, last) for i in range(len(points.residuals))]
+    groups: dict[Signature, list[int]] = {}
+    for i, ranks in enumerate(final):
+        groups.setdefault(ranks.signature, []).append(i)
+    made = [_stratum(points, members, final, last) for members in groups.values()]
+    return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
+
+
+def _stratum(points: Points, members: list[int], final: list[PointRanks], last: int) -> Stratum:
+    index = max(members, key=lambda i: final[i].gap)
+    history = [point_ranks(points, index, level) for level in range(last + 1)]
+    ranks, signature = history[-1], history[-1].signature
+    k_f = next(k for k, r in enumerate(history) if r.signature == signature)
+    base = next(k for k, r in enumerate(history) if r.signature.codimension == signature.codimension)
+    point = select(points, index)
+    z = jax.tree.map(jnp.asarray, point.at.z)
+    return Stratum(
+        signature=signature,
+        count=len(members),
+        k_f=k_f,
+        k_f_base=base,
+        determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(point.at.jet.shape[-1])),
+        q=z[0],
+        p=z[1],
+        u=jax.tree.map(jnp.asarray, point.at.control),
+        kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), point.at.frame),
+        states=select(points, np.array(members)).at.z,
+        equations=final_equations(points, index, base, history[base]),
+        feedback=final_equations(points, index, k_f, history[k_f]),
+    )
+
+
+def _first_level(determined: list[bool]) -> int | None:
+    return determined.index(True) if any(determined) else None

@@ -1,0 +1,156 @@
+"""The final manifold ``P_f`` by its equations, and the controls that they determine.
+
+At a consistent point the derivative array ``F(z, U) = 0`` is split by pivoting: some of its rows are solved for as many of
+the unknowns ``U = (u, u', ...)``, which leaves equations in ``z`` alone. ``P_f`` is their zero set, and the unknowns that
+were solved for are functions of ``z`` (and of the free controls) by the implicit function theorem.
+"""
+
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, ArrayLike, Float
+
+from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.root import find_root
+from .jets import DerivativeArray, Pair, steer
+from .levels import PointRanks
+from .points import Points
+
+Indices = tuple[int, ...]
+ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
+EXPLICIT = 1e-10  # largest derivative by a control of a row that does not involve it, in units
+INDEPENDENT = 1e-6  # smallest remainder of a row that is independent of those before it, in units
+
+
+class Pivots(NamedTuple):
+    """Indices into the raveled array and its unknowns.
+
+    Rows ``solved`` for the unknowns ``eliminated``; rows ``kept`` as equations; ``free`` components of the control, which
+    parametrise the undetermined ones.
+    """
+
+    solved: Indices
+    eliminated: Indices
+    kept: Indices
+    free: Indices
+
+
+@final
+class FinalEquations(eqx.Module):
+    """A derivative array with some of its rows solved for the control and its derivatives.
+
+    ``jet``: the consistent value of ``(u, u', ...)`` that the elimination starts from; ``rows`` and ``columns``: units of the
+    array and of the jet, raveled; ``explicit``: whether the rows kept as equations involve no control, so that nothing has to
+    be solved for them.
+    """
+
+    array: DerivativeArray
+    center: Ambient
+    jet: Array
+    rows: Array
+    columns: Array
+    pivots: Pivots = eqx.field(static=True)
+    explicit: bool = eqx.field(static=True)
+
+    def values(self, z: Pair, jet: Array) -> Float[Array, " rows"]:
+        """The array in units, raveled, at a raveled jet."""
+        return self.array(z, self.center, jet.reshape(self.jet.shape)).reshape(-1) / self.rows
+
+    def eliminate(self, z: Pair, gauge: ArrayLike | None = None) -> Array:
+        """The raveled jet with which the solved rows vanish; entries are NaN where Newton's method fails."""
+        jet = self.jet.reshape(-1)
+        if gauge is not None and self.pivots.free:
+            jet = jet.at[jnp.array(self.pivots.free)].set(jnp.ravel(jnp.asarray(gauge)))
+        if not self.pivots.solved:
+            return jet
+        unknown, solved = jnp.array(self.pivots.eliminated), jnp.array(self.pivots.solved)
+        root, found = find_root(lambda y: self.values(z, jet.at[unknown].set(y))[solved], jet[unknown], self.columns[unknown])
+        return jet.at[unknown].set(jnp.where(found, root, jnp.nan))
+
+    def __call__(self, z: Pair) -> Float[Array, " codimension"]:
+        """Values of the equations, of order one near ``P_f``, lower levels first."""
+        jet = self.jet.reshape(-1) if self.explicit else self.eliminate(z)
+        return self.values(z, jet)[jnp.array(self.pivots.kept, int)]
+
+    def control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
+        """The control at a point of ``P_f``; ``gauge`` gives the free components, shape ``(free controls,)``."""
+        return steer(self.array.problem, self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the equations by the level at which they appear."""
+        levels = (row // self.jet.shape[-1] for row in self.pivots.kept)
+        return tuple(ORDINALS[level] if level < len(ORDINALS) else f"level {level}" for level in levels)
+
+
+def final_equations(points: Points, index: int, level: int, ranks: PointRanks) -> FinalEquations:
+    """The equations of the stratum through one point of a batch that is consistent to ``level``."""
+    by_state, by_jet = points.matrices(level)
+    pivots = _pivots(by_state[index], by_jet[index], ranks.directions, points.at.jet.shape[-1])
+    kept = by_jet[:, pivots.kept]
+    return FinalEquations(
+        array=DerivativeArray(points.array.problem, level),
+        center=jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), points.centers),
+        jet=jnp.asarray(points.at.jet[index, : level + 1]),
+        rows=jnp.asarray(points.units.rows[: level + 1].reshape(-1)),
+        columns=jnp.asarray(points.units.jet[: level + 1].reshape(-1)),
+        pivots=pivots,
+        explicit=bool(np.max(np.abs(kept), initial=0.0) <= EXPLICIT),
+    )
+
+
+def _pivots(by_state: np.ndarray, by_jet: np.ndarray, directions: np.ndarray, size: int) -> Pivots:
+    free = sorted(_leading(directions.T, directions.shape[1]))
+    determined = [i for i in range(size) if i not in free]
+    higher = by_jet[:, size:]
+    rest = higher - _onto(by_jet[:, determined]) @ higher
+    eliminated = sorted(determined + [size + i for i in _independent(rest)])
+    solved = sorted(_independent_rows(by_jet[:, eliminated], size))
+    block = np.linalg.solve(by_jet[np.ix_(solved, eliminated)], by_state[solved])
+    reduced = by_state - by_jet[:, eliminated] @ block
+    reduced[solved] = 0.0
+    return Pivots(tuple(solved), tuple(eliminated), tuple(sorted(_independent_rows(reduced, size))), tuple(free))
+
+
+def _leading(matrix: np.ndarray, count: int) -> list[int]:
+    """The first ``count`` columns that pivoting picks."""
+    return [int(i) for i in _pivoted(matrix)[1][:count]] if count else []
+
+
+def _independent(matrix: np.ndarray) -> list[int]:
+    """A maximal set of independent columns, picked by pivoting."""
+    if not matrix.size:
+        return []
+    r, order = _pivoted(matrix)
+    return [int(i) for i in order[: int(np.sum(np.abs(np.diagonal(r)) > INDEPENDENT))]]
+
+
+def _independent_rows(matrix: np.ndarray, size: int) -> list[int]:
+    """A maximal set of independent rows: earlier levels, of ``size`` rows each, first, and within a level the largest."""
+    chosen: list[int] = []
+    basis = np.zeros((0, matrix.shape[1]))
+    for start in range(0, len(matrix), size):
+        rest = matrix[start : start + size]
+        for _ in range(size):
+            rest = rest - (rest @ basis.T) @ basis
+            norms = np.linalg.norm(rest, axis=1)
+            largest = int(np.argmax(norms))
+            if norms[largest] <= INDEPENDENT:
+                break
+            chosen.append(start + largest)
+            basis = np.concatenate([basis, rest[largest : largest + 1] / norms[largest]])
+    return chosen
+
+
+def _pivoted(matrix: np.ndarray) -> Any:
+    """Triangular factor and order of the columns of a QR factorisation with pivoting."""
+    return scipy.linalg.qr(matrix, mode="r", pivoting=True)
+
+
+def _onto(columns: np.ndarray) -> np.ndarray:
+    """Orthogonal projection on the span of columns."""
+    return columns @ np.linalg.pinv(columns)

@@ -1,0 +1,259 @@
+"""Consistent points of the derivative array: batched, damped, minimum-norm Gauss-Newton from random starts."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import CotangentBundle, Euclidean
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient, Frame
+from ....manifolds.symplectic import form_matrix
+from ....retractions import BundleRetraction, default_retraction
+from ...compilation import compiler_options
+from ...problem import OptimalControlProblem
+from .jets import DerivativeArray, Pair, hamiltonian_field, steer
+
+CONVERGED = 1e-10  # largest entry of the array, in its units
+ITERATIONS = 60
+SMALLEST_DAMPING = 1e-3
+PSEUDO_INVERSE_CUTOFF = 1e-9
+NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
+SLOW_RATIO, SLOW_STEPS = 0.1, 8  # residuals that shrink slower than this, this often: an irregular constraint
+
+
+class Linearised(NamedTuple):
+    """What the kernel returns at one point of the jet space over ``T*Q``."""
+
+    z: Pair
+    control: Ambient
+    frame: Frame  # of T_z T*Q: horizontal, then vertical vectors, so that its scale does not depend on that of p
+    jet: Array  # (order + 1, m): the control and its derivatives
+    array: Array  # (order + 1, m): F_0 ... F_order
+    by_state: Array  # (order + 1, m, 2n): derivatives along that frame
+    by_jet: Array  # (order + 1, m, order + 1, m)
+    velocity: Array  # (2n,): X_H in that frame
+    omega: Array  # (2n, 2n): the canonical form in that frame
+    costate: Array  # (1 + 2n,): (|p|^2 - 1) / 2 and its derivative along that frame
+    cost_rate: Array
+
+
+def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> Linearised:
+    bundle = CotangentBundle(array.problem.manifold)
+    frame, count = bundle.spanning_frame(z), bundle.dimension
+    function = jax.jit(lambda z, u: array(z, center, u))
+    along = jnp.concatenate([jnp.zeros((count, jet.size)), jnp.eye(jet.size)]).reshape(-1, *jet.shape)
+    moved = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.zeros((jet.size, *leaf.shape[1:]))]), frame)
+    value, slopes = jax.vmap(lambda a, b: jax.jvp(function, (z, jet), (a, b)), out_axes=(None, 0))(moved, along)
+    slopes = jnp.moveaxis(slopes, 0, -1)
+    size, slope = jax.vmap(lambda a: jax.jvp(lambda y: (vec.pairing(y[1], y[1]) - 1) / 2, (z,), (a,)), out_axes=(None, 0))(frame)
+    base, control = array.problem.manifold.basis(z[0]), steer(array.problem, center, jet[0])
+    return Linearised(
+        z=z,
+        control=control,
+        frame=frame,
+        jet=jet,
+        array=value,
+        by_state=slopes[..., :count],
+        by_jet=slopes[..., count:].reshape(*jet.shape, *jet.shape),
+        velocity=jnp.concatenate([vec.components(base, part) for part in hamiltonian_field(array.problem, z, control)]),
+        omega=form_matrix(bundle.two_form, z, frame),
+        costate=jnp.concatenate([size[None], slope]),
+        cost_rate=array.problem.cost_rate(z[0], control),
+    )
+
+
+def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    options: dict[str, Any] = {"compiler_options": compiler_options()}
+    return eqx.filter_jit(function, **options)
+
+
+@lru_cache
+def _kernel() -> Callable[..., Linearised]:
+    """Moves a batch of points by coordinates ``d`` of shape ``(batch, 2n + jet)`` and linearises the array there."""
+
+    def batch(array: DerivativeArray, z: Pair, centers: Ambient, jets: Array, d: Array) -> Linearised:
+        bundle = CotangentBundle(array.problem.manifold)
+        move = BundleRetraction(default_retraction(array.problem.manifold))
+
+        def one(arguments: tuple[Pair, Ambient, Array, Array]) -> Linearised:
+            z, center, jet, d = arguments
+            near = move(z, vec.combine(bundle.spanning_frame(z), d[: bundle.dimension]))
+            return _linearise(array, near, center, jet + d[bundle.dimension :].reshape(jet.shape))
+
+        return jax.lax.map(one, (z, centers, jets, d))
+
+    return _compiled(batch)
+
+
+@dataclass(frozen=True)
+class Units:
+    """Typical sizes of the array, ``(order + 1, m)``, and of the coordinates of state, ``(2n,)``, and jet, ``(order + 1, m)``."""
+
+    rows: np.ndarray
+    state: np.ndarray
+    jet: np.ndarray
+
+
+@dataclass(frozen=True)
+class Points:
+    """A batch of points of the jet space, with the array linearised there, and how the search for them ended."""
+
+    array: DerivativeArray
+    centers: Ambient
+    at: Linearised
+    units: Units
+    residuals: np.ndarray
+    iterations: np.ndarray
+    slow: np.ndarray
+
+    @property
+    def consistent(self) -> np.ndarray:
+        """Which points satisfy the equations they were moved to."""
+        return self.residuals <= CONVERGED
+
+    def matrices(self, level: int) -> tuple[Any, Any]:
+        """``F_z`` and ``F_U`` of the levels up to this one in units: ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
+        batch, rows = len(self.residuals), (level + 1) * self.at.jet.shape[-1]
+        scale = self.units.rows[: level + 1].reshape(-1, 1)
+        by_state = self.at.by_state[:, : level + 1].reshape(batch, rows, -1) / scale * self.units.state
+        by_jet = self.at.by_jet[:, : level + 1, :, : level + 1].reshape(batch, rows, rows)
+        return by_state, by_jet / scale * self.units.jet[: level + 1].reshape(-1)
+
+
+def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: int) -> Points:
+    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control."""
+    keys = jax.random.split(jax.random.key(seed), count)
+    (q, p), centers, first, (speed, cost) = jax.tree.map(np.asarray, _draw()(problem, keys))
+    # Costates of the size at which <p, X> and the cost are comparable.
+    size = np.mean(cost) / np.mean(speed) if np.mean(cost) > 0 and np.mean(speed) > 0 else 1.0
+    z = q, jax.tree.map(lambda leaf: size * leaf, p)
+    jets = np.zeros((count, order + 1, problem.controls.dimension))
+    jets[:, 0] = first
+    return _evaluated(DerivativeArray(problem, order), z, centers, jets)
+
+
+@lru_cache
+def _draw() -> Callable[..., Any]:
+    """Points of ``T*Q``, centers of charts of U and coordinates in them, and sizes of the velocity and the cost there.
+
+    A Euclidean U has one chart, around zero.
+    """
+
+    def one(problem: OptimalControlProblem, key: Array) -> Any:
+        first, second = jax.random.split(key)
+        u = problem.controls.random_point(second)
+        z = CotangentBundle(problem.manifold).random_point(first)
+        if isinstance(problem.controls, Euclidean):
+            center, first = vec.zeros(problem.controls.ambient), jnp.ravel(u)
+        else:
+            center, first = u, jnp.zeros(problem.controls.dimension)
+        return z, center, first, (vec.size(problem.velocity(z[0], u)), jnp.abs(problem.cost_rate(z[0], u)))
+
+    def batch(problem: OptimalControlProblem, keys: Array) -> Any:
+        return jax.lax.map(lambda key: one(problem, key), keys)
+
+    return _compiled(batch)
+
+
+def with_order(points: Points, order: int) -> Points:
+    """The same points with an array of this order, and no knowledge of units yet."""
+    more = order - points.array.order
+    jets = np.concatenate([points.at.jet, np.zeros((len(points.residuals), more, points.at.jet.shape[-1]))], axis=1)
+    return _evaluated(DerivativeArray(points.array.problem, order), points.at.z, points.centers, jets)
+
+
+def _evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray) -> Points:
+    count = len(jets)
+    still = np.zeros((count, CotangentBundle(array.problem.manifold).dimension + jets[0].size))
+    at = _host(_kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(still)))
+    never = np.full(count, np.inf)
+    return Points(array, centers, at, _units(at), never, np.zeros(count, int), np.zeros(count, bool))
+
+
+def _host(at: Linearised) -> Linearised:
+    return jax.tree.map(np.asarray, at)
+
+
+def _units(at: Linearised) -> Units:
+    """Rows by their largest entry over the batch, unless it is rounding of the terms they sum; then columns likewise."""
+    by_state, by_jet = np.abs(at.by_state), np.abs(at.by_jet)
+    largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
+    rows = np.max(np.maximum(largest, np.abs(at.array)), axis=0)
+    shifted = np.concatenate([np.abs(at.jet[:, 1:]), np.zeros_like(at.jet[:, :1])], axis=1)
+    terms = np.einsum("bkms,bs->bkm", by_state, np.abs(at.velocity)) + np.einsum("bkmln,bln->bkm", by_jet, shifted)
+    summed = np.max(terms, axis=(0, 2))
+    floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], summed[:-1]])
+    rows = np.maximum(rows, floor[:, None])
+    rows = np.where(rows > 0, rows, 1.0)
+    state = np.max(by_state / rows[:, :, None], axis=(0, 1, 2))
+    jet = np.max(by_jet / rows[:, :, None, None], axis=(0, 1, 2))
+    return Units(rows, _reciprocal(state), _reciprocal(jet))
+
+
+def _reciprocal(sizes: np.ndarray) -> np.ndarray:
+    largest = np.max(sizes)
+    return 1 / np.where(sizes > NEGLIGIBLE * largest, sizes, largest) if largest > 0 else np.ones_like(sizes)
+
+
+def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
+    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped Gauss-Newton steps of least norm."""
+    count = len(points.residuals)
+    at, damping, iterations = points.at, np.ones(count), np.zeros(count, int)
+    slow = np.zeros(count, int)
+    residual = _residuals(points, at, level, unit_costate)
+    for _ in range(ITERATIONS):
+        active = (residual > CONVERGED * 1e-3) & (damping > SMALLEST_DAMPING)
+        if not active.any():
+            break
+        d = np.where(active, damping, 0.0)[:, None] * _directions(replace(points, at=at), level, unit_costate)
+        tried = _host(_kernel()(points.array, at.z, points.centers, jnp.asarray(at.jet), jnp.asarray(d)))
+        now = _residuals(points, tried, level, unit_costate)
+        better = active & (now < (1 - 1e-4 * damping) * residual)
+        at = jax.tree.map(lambda a, b, better=better: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), tried, at)
+        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < 1e-2)
+        residual, iterations = np.where(better, now, residual), iterations + active
+        damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
+    return replace(points, at=at, residuals=residual, iterations=iterations, slow=slow >= SLOW_STEPS)
+
+
+def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:
+    """Largest entry of the equations in units; infinite where one is not finite."""
+    entries = np.abs(at.array / points.units.rows)[:, : level + 1].reshape(len(at.array), -1)
+    if unit_costate:
+        entries = np.concatenate([entries, np.abs(at.costate[:, :1])], axis=1)
+    return np.nan_to_num(np.max(entries, axis=1), nan=np.inf)
+
+
+def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
+    """Gauss-Newton steps, zero for the derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
+    at, units = points.at, points.units
+    by_state, by_jet = points.matrices(level)
+    batch, rows, count = by_state.shape
+    matrix = np.concatenate([by_state, by_jet], axis=2)
+    values = (at.array / units.rows)[:, : level + 1].reshape(batch, rows)
+    if unit_costate:
+        extra = np.concatenate([at.costate[:, 1:] * units.state, np.zeros((batch, by_jet.shape[2]))], axis=1)
+        matrix = np.concatenate([matrix, extra[:, None]], axis=1)
+        values = np.concatenate([values, at.costate[:, :1]], axis=1)
+    finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1))
+    matrix = np.where(finite[:, None, None], matrix, 0.0)
+    values = np.where(finite[:, None], values, 0.0)
+    step = -np.einsum("bij,bj->bi", np.linalg.pinv(matrix, rcond=PSEUDO_INVERSE_CUTOFF), values)
+    scale = np.concatenate([units.state, units.jet[: level + 1].reshape(-1)])
+    full = np.zeros((batch, count + at.jet[0].size))
+    full[:, : len(scale)] = step * scale
+    return full
+
+
+def select(points: Points, which: Any) -> Points:
+    """A part of a batch."""
+    part = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
+    evidence = points.residuals[which], points.iterations[which], points.slow[which]
+    return Points(points.array, part[0], part[1], points.units, *evidence)

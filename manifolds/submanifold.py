@@ -1,0 +1,87 @@
+"""Submanifolds of a manifold from equations on it."""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .level_set import GAUSS_NEWTON_STEPS, point_from_random_starts
+from .manifold import Manifold
+from .numerics import ambient as vec
+from .numerics.ambient import Ambient, Frame
+from .numerics.root import solve_small, tolerance
+
+
+@final
+class Submanifold(Manifold):
+    """``{x in M : c(x) = 0}`` for a smooth function of points of ``M`` with values in ``R^m``, in the ambient space of ``M``.
+
+    The equations must be independent: the differentials of the ``m`` components along ``M`` have rank ``m`` on the set.
+    """
+
+    parent: Manifold
+    equations: Callable[[Any], Any]
+
+    @property
+    def dimension(self) -> int:
+        return self.parent.dimension - jax.eval_shape(self.equations, self.parent.ambient).size
+
+    @property
+    def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
+        return self.parent.ambient
+
+    def normals(self, x: Ambient) -> Frame:
+        """Gradients along ``M`` of the ``m`` equations: leaves of shape ``(m, *leaf)``."""
+        gradients = jax.jacrev(self.equations)(x)
+        return jax.vmap(lambda gradient: self.parent.projection(x, gradient))(gradients)
+
+    def values(self, x: Ambient) -> tuple[Float[Array, " m"], Frame]:
+        """Values of the equations at ``x``, and their gradients along ``M``."""
+        return self.equations(x), self.normals(x)
+
+    def projection(self, x: Ambient, a: Ambient) -> Ambient:
+        normals, along = self.normals(x), self.parent.projection(x, a)
+        return vec.subtract(along, _combination(normals, vec.components(normals, along)))
+
+    def basis(self, x: Ambient) -> Frame:
+        frame = self.parent.basis(x)
+        rows = jax.vmap(lambda normal: vec.components(frame, normal))(self.normals(x))
+        directions = jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :]
+        return vec.combine_each(frame, directions)
+
+    def restore(self, x: Ambient) -> Ambient:
+        near = self.parent.restore(x)
+        values, normals = self.values(near)
+        return vec.subtract(near, _combination(normals, values))
+
+    def nearby(self, x: Ambient) -> Ambient:
+        """A point of the submanifold near ``x``, by Newton steps along the normals until they are rounding.
+
+        Where they do not converge the last iterate is returned: ``contains`` tells.
+        """
+
+        def step(state: tuple[Ambient, Array, Array]) -> tuple[Ambient, Array, Array]:
+            y, _, count = state
+            z = self.restore(y)
+            return z, vec.size(vec.subtract(z, y)) / (1 + vec.size(z)), count + 1
+
+        def moving(state: tuple[Ambient, Array, Array]) -> Array:
+            return (state[2] < GAUSS_NEWTON_STEPS) & (state[1] > tolerance(state[1], 0.95))
+
+        return jax.lax.while_loop(moving, step, (x, jnp.asarray(jnp.inf), jnp.zeros((), int)))[0]
+
+    def violations(self, x: Ambient) -> dict[str, Array]:
+        values = jnp.max(jnp.abs(self.equations(x)), initial=0.0)
+        return {**self.parent.violations(x), "max |equation|": values}
+
+    def random_point(self, key: Array) -> Ambient:
+        """A random point of ``M`` moved to the submanifold; an error if 20 draws find none."""
+        return point_from_random_starts(self, key, lambda k: self.nearby(self.parent.random_point(k)))
+
+
+def _combination(normals: Frame, coefficients: Float[Array, " m"]) -> Ambient:
+    """The vector in the span of the normals with these pairings with them."""
+    gram = jax.vmap(lambda normal: vec.components(normals, normal))(normals)
+    return vec.combine(normals, solve_small(gram, coefficients))

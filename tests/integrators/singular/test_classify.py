@@ -1,0 +1,129 @@
+"""The integrability algorithm: its answers, that they depend on no start and no scale, and what it says in words."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, classify
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.problems import SINGULAR
+
+from tests.integrators.singular.cases import ONE, classified, known
+
+SCALES = [ONE, (1e3, 1.0), (1e-3, 1.0), (1e3, 1e-3), (1e-3, 1e3)]
+EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
+REGULAR_EQUATIONS = [name for name in SINGULAR if known(name).empty_at is None and known(name).regular_equations]
+
+
+@pytest.mark.parametrize("name", REGULAR_EQUATIONS)
+def test_known_answers_from_every_start_and_at_every_scale(name):
+    answer = known(name)
+    for factors in SCALES if name != "chain of 4" else [ONE]:
+        c = classified(name, factors)
+        assert not c.stratified, c
+        assert c.levels[-1].consistent >= 18, c
+        found = (c.k_f, c.k_f_base), c.dimension, c.rank, c.gauge_controls
+        assert found == (answer.levels, answer.dimension, answer.rank, answer.gauge), (factors, str(c))
+        assert c.levels[-1].gap > 1e4
+        assert not c.irregular
+
+
+@pytest.mark.parametrize("name", EMPTY)
+def test_contradictory_conditions_are_said_to_be_empty(name):
+    for factors in SCALES:
+        c = classified(name, factors)
+        assert c.empty
+        assert c.levels[-1].index == known(name).empty_at
+        assert c.levels[-1].residual > 1e-3
+        assert "contradict each other at every point tried" in str(c)
+        with pytest.raises(InvalidInputError, match="P_f is empty"):
+            _ = c.dimension
+
+
+def test_every_stratum_is_seen_where_a_vanishing_costate_is_admitted():
+    # Without its terminal cost nothing excludes p = 0 from the Mayer form of Aly and Chan's problem.
+    problem = known("aly-chan, Mayer").problem
+    free = OptimalControlProblem(problem.manifold, problem.dynamics, problem.running_cost, 1)
+    c = classify(free)
+    assert c.stratified
+    assert "P_f is not one manifold" in str(c)
+    seen = {(s.signature.codimension, s.signature.form_rank, s.signature.free_controls) for s in c.strata}
+    assert seen == {(2, 4, 0), (3, 0, 1)}
+    assert all(np.max(np.abs(s.p)) < 1e-9 for s in c.strata if s.signature.codimension == 3)
+    assert c.dimension == 4
+
+
+def test_a_vanishing_costate_can_be_excluded():
+    c = classify(known("gauge").problem, exclude_zero_costate=True)
+    assert c.empty
+    assert "p = 0 is excluded" in str(c)
+
+
+def test_abnormal_extremals_of_the_flat_martinet_distribution():
+    # H = p1 u1 + p2 u2 + p3 x^2 u2 / 2: abnormal curves lie in x = 0 with u1 = 0, the others stand still.
+    def dynamics(q, u):
+        return jnp.stack([u[0], u[1], q[0] ** 2 * u[1] / 2])
+
+    problem = OptimalControlProblem(Euclidean(3), dynamics, lambda q, u: u @ u / 2, 2, abnormal=True)
+    c = classify(problem)
+    assert c.zero_costate_excluded
+    seen = {(s.signature.codimension, s.signature.form_rank, s.signature.free_controls) for s in c.strata}
+    assert (3, 2, 1) in seen
+    curves = next(s for s in c.strata if s.signature == (3, 1, 2))
+    assert abs(curves.q[0]) < 1e-4
+    assert abs(curves.u[0]) < 1e-4
+    assert "abnormal (p_0 = 0)" in str(c)
+
+
+def test_irregular_equations_are_flagged():
+    c = classified("irregular")
+    assert c.irregular
+    assert "ranks not reliable" in str(c)
+    with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
+        _ = c.manifold
+
+
+def test_first_and_second_class_equations():
+    counts = {name: (classified(name).first_class, classified(name).second_class) for name in ("academic", "gauge", "brown")}
+    assert counts == {"academic": (1, 0), "gauge": (2, 0), "brown": (2, 2)}
+    assert classified("brown").equations.names == ("primary", "primary", "secondary", "secondary")
+
+
+def test_the_morse_family_is_told_from_a_dummy_control():
+    dummy, regular, singular = (classified(name).morse for name in ("dummy control", "regular", "aly-chan"))
+    assert not dummy.family
+    assert not dummy.regular
+    assert regular.family
+    assert regular.regular
+    assert singular.family
+    assert not singular.regular
+    assert singular.points == 20
+    assert classified("regular").regular
+
+
+def test_the_paper_s_example_is_reported_as_published():
+    c = classified("academic")
+    assert c.determined_controls == c.gauge_controls == 1
+    assert c.gauge_components == (1,)
+    assert c.stratum.determined_at == (0, None)
+    np.testing.assert_allclose(np.abs(np.concatenate(c.stratum.kernel, axis=1)), [[0, 0, 0, 1]], atol=1e-12)
+    for line in (
+        "dimension 3 in T*Q of dimension 4: 1 primary",
+        "rank 2, kernel of dimension 1",
+        "1 first class, 0 second class",
+    ):
+        assert line in str(c)
+    assert "1 determined (u[0] by level 0), 1 free (gauge; parametrised by u[1])" in str(c)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"problem": None}, "classify takes an OptimalControlProblem"),
+        ({"starts": 0}, "starts must be a positive number"),
+        ({"problem": OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0], 0)}, "the problem has no controls"),
+    ],
+)
+def test_wrong_input_is_refused_in_words(arguments, message):
+    arguments = {"problem": known("regular").problem, **arguments}
+    with pytest.raises(InvalidInputError, match=message):
+        classify(arguments.pop("problem"), **arguments)
