@@ -108,8 +108,9 @@ def _pivots(by_state: np.ndarray, by_jet: np.ndarray, directions: np.ndarray, si
     determined = [i for i in range(size) if i not in free]
     higher = by_jet[:, size:]
     rest = higher - _onto(by_jet[:, determined]) @ higher
-    eliminated = sorted(determined + [size + i for i in _independent(rest)])
-    solved = sorted(_independent_rows(by_jet[:, eliminated], size))
+    candidates = determined + [size + i for i in _independent(rest)]
+    solved = sorted(_independent_rows(by_jet[:, candidates], size))
+    eliminated = sorted(candidates[i] for i in _leading(by_jet[np.ix_(solved, candidates)], len(solved)))
     block = np.linalg.solve(by_jet[np.ix_(solved, eliminated)], by_state[solved])
     reduced = by_state - by_jet[:, eliminated] @ block
     reduced[solved] = 0.0
