@@ -11,13 +11,16 @@ from tests.integrators.singular.cases import ONE, classified, known
 
 SCALES = [ONE, (1e3, 1.0), (1e-3, 1.0), (1e3, 1e-3), (1e-3, 1e3)]
 EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
-REGULAR_EQUATIONS = [name for name in SINGULAR if known(name).empty_at is None and known(name).regular_equations]
+# The longer chains repeat the fact at the cost of arrays of order 9: one of them is enough.
+REGULAR_EQUATIONS = [
+    name for name in SINGULAR if known(name).empty_at is None and known(name).regular_equations and name != "chain of 3"
+]
 
 
 @pytest.mark.parametrize("name", REGULAR_EQUATIONS)
 def test_known_answers_from_every_start_and_at_every_scale(name):
     answer = known(name)
-    for factors in SCALES if name != "chain of 4" else [ONE]:
+    for factors in SCALES:
         c = classified(name, factors)
         assert not c.stratified, c
         assert c.levels[-1].consistent >= 18, c

@@ -13,7 +13,7 @@ from retrax.retractions import Projection
 from tests.integrators.singular.cases import classified, known
 from tests.support.numerics import slope
 
-CASES = ["academic", "sphere"]
+CASES = ["academic", "massless particle"]
 
 
 @eqx.filter_jit
