@@ -2,10 +2,7 @@
 
 from typing import final
 
-import jax
-import numpy as np
 import pytest
-from hypothesis import given
 from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, LevelSet, Sphere, UnknownRetractionError
 from retrax.retractions import (
     QR,
@@ -26,9 +23,7 @@ from retrax.retractions import (
     default_retraction,
 )
 
-from tests.support.cases import MANIFOLDS, NESTED, RETRACTIONS
-from tests.support.numerics import SEEDS, compiled, draw_point
-from tests.support.retractions import flat_retraction
+from tests.support.cases import MANIFOLDS, NESTED
 
 MEMBERS = {
     "Exponential": (Exponential, {"R2x3": Addition, "S2": SphereExponential, "SO3": SOExponential}),
@@ -104,18 +99,3 @@ def test_a_manifold_without_retractions_has_no_default():
 def test_a_product_retraction_of_other_things_is_refused(factors):
     with pytest.raises(InvalidInputError, match="ProductRetraction takes one or more retractions, got"):
         ProductRetraction(*factors)
-
-
-BATCHES = {
-    name: (compiled(flat_retraction(RETRACTIONS[name])), compiled(jax.vmap(flat_retraction(RETRACTIONS[name]))))
-    for name in ("exponential-S2", "polar-SO4", "nearest-ellipsoid", "cayley-SO3*R3")
-}
-
-
-@pytest.mark.parametrize("name", BATCHES)
-@given(seed=SEEDS)
-def test_a_batch_is_the_values_one_by_one(name, seed):
-    single, batch = BATCHES[name]
-    draws = [draw_point(RETRACTIONS[name].manifold, seed + i) for i in range(3)]
-    x, v = np.stack([x for x, _, _ in draws]), 0.2 * np.stack([v for _, v, _ in draws])
-    np.testing.assert_allclose(batch(x, v), [single(*pair) for pair in zip(x, v, strict=True)], atol=1e-14)

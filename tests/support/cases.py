@@ -186,46 +186,47 @@ METRICS: dict[str, Metric] = {
     "cayley-St42": CanonicalMetric(Stiefel(4, 2)),
 }
 
-# Maps made of two different retractions of one manifold, tested with the maps of the first.
-PARTNERS: dict[str, Retraction] = {
-    "exponential-S2": Projection(Sphere(2)),
-    "cayley-SO3": QR(SO(3)),
-    "polar-SO4": Cayley(SO(4)),
+# One retraction for each closed form of an inverse. Newton's method is compared with them, and their discretization maps are
+# lifted: a lift does not know from which closed form a retraction comes.
+REPRESENTATIVES = (
+    "addition-R2x3",
+    "exponential-S2",
+    "projection-S4",
+    "cayley-SO2",
+    "exponential-SO3",
+    "cayley-SO4",
+    "polar-SO3",
+    "qr-SO4",
+    "nearest-ellipsoid",
+    "exponential-(SO3*R3)*S2",
+    "projection-H2",
+    "softmax-simplex3",
+    "quadratic-SPD2",
+    "polar-St42",
+    "cayley-Gr42",
+)
+
+LIFTED_MAPS: dict[str, DiscretizationMap] = {
+    **{f"theta=0.3, {name}": Theta(RETRACTIONS[name], 0.3) for name in REPRESENTATIVES},
+    **{f"theta={theta}, {name}": Theta(RETRACTIONS[name], theta) for name in REPRESENTATIVES[:2] for theta in (0.0, 0.5, 1.0)},
+    "two, cayley-SO3": Theta(Cayley(SO(3)), 0.4, QR(SO(3))),
+    "adjoint, exponential-S2": Adjoint(Theta(Exponential(Sphere(2)), 0.3, Projection(Sphere(2)))),
 }
 
-# One retraction for each closed form of an inverse, and the maps whose inverses are tested, where these are not all.
-INVERTED: dict[str, tuple[str, ...]] = {
-    "addition-R2x3": (),
-    "exponential-S2": (),
-    "projection-S4": (),
-    "cayley-SO2": (),
-    "exponential-SO3": (),
-    "cayley-SO4": (),
-    "polar-SO3": (),
-    "qr-SO4": (),
-    "nearest-ellipsoid": ("theta=0.0", "theta=0.3"),
-    "polar-St42": ("theta=0.5",),
-    "cayley-Gr42": ("theta=0.5",),
-    "exponential-(SO3*R3)*S2": ("theta=0.3", "theta=0.5"),
+MAPS: dict[str, DiscretizationMap] = {
+    **{f"theta=0.3, {name}": Theta(retraction, 0.3) for name, retraction in RETRACTIONS.items()},
+    **{f"theta=0.5, {name}": Theta(RETRACTIONS[name], 0.5) for name in REPRESENTATIVES},
+    **LIFTED_MAPS,
 }
 
 
 def reach(name: str) -> float:
-    """Longest tangent vector for the facts about a retraction's inverse."""
+    """Longest tangent vector, at least, of a retraction's domain; ``name`` may be that of a map made of it."""
+    name = name.split(", ")[-1]
     return REACH.get(name, REACH.get(name.split("-")[0], 3.0))
 
 
-def discretization_maps(name: str) -> dict[str, DiscretizationMap]:
-    """The discretization maps that are made of one retraction, and of it and its partner."""
-    retraction = RETRACTIONS[name]
-    maps: dict[str, DiscretizationMap] = {f"theta={theta}": Theta(retraction, theta) for theta in (0.0, 0.3, 0.5, 1.0)}
-    if name in PARTNERS:
-        maps["adjoint(0.3)"] = Adjoint(Theta(retraction, 0.3))
-        maps["two retractions"] = Theta(retraction, 0.4, PARTNERS[name])
-    return maps
-
-
-def inverted_maps(name: str) -> dict[str, DiscretizationMap]:
-    """Those of the maps whose inverses are tested."""
-    maps = discretization_maps(name)
-    return {key: maps[key] for key in INVERTED[name] or maps}
+def order(name: str) -> int:
+    """Order of a retraction, for its metric in ``METRICS`` or that of the ambient space."""
+    # One-parameter subgroups of rigid motions are screws, not geodesics.
+    return 1 if name == "exponential-SE2" or name.split("-")[0] in FIRST_ORDER else 2
