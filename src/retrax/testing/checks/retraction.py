@@ -67,7 +67,7 @@ class RetractionFacts(Facts):
         }[kind]
         c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
         y = self.sampler.near(x, rng, NEAR * min(1.0, edge, self.reach))
-        step = STEP * min(1.0, edge)
+        step = STEP * min(1.0, max(edge, self.reach))
         drawn = {"x": x, "v": length * u, "u": u, "w": w, "frame": frame, "edge": edge, "step": step, "y": y, "c": c}
         return {**drawn, "d": np.stack(directions[:2]), "e": np.stack(directions[2:])}
 
@@ -161,7 +161,7 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
 
 @fact
 def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -> Comparison:
-    """``|R(x, t u) - x - t u| = O(t^2)`` by values alone: the slope of its logarithm."""
+    """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of ``t``."""
     f = facts.measure(_values, "zero")
     errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
     floor = 1e3 * np.finfo(float).eps * (1 + largest_entries(f["x"]))
