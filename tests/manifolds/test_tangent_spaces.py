@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 from retrax.manifolds import Manifold
-
 from retrax.testing import check_manifold
+
 from tests.support.cases import MANIFOLDS
 from tests.support.numerics import draw_point, unflat
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere
 from retrax.retractions import BundleRetraction, CotangentLift, Exponential, Midpoint, SphereExponential, Theta
 from retrax.retractions.discretization import newton_preimage
-
 from retrax.testing import check_cotangent_lift
 from retrax.testing.checks.discretization import flat_ends
+
 from tests.support.cases import LIFTED_MAPS, reach
 from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, unflat
 

@@ -8,9 +8,9 @@ from hypothesis import given
 from retrax.manifolds import SO, DomainError, InvalidInputError, Sphere
 from retrax.retractions import Adjoint, Cayley, Euler, Exponential, Midpoint, Projection, Theta
 from retrax.retractions.discretization import newton_preimage
-
 from retrax.testing import check_discretization_map
 from retrax.testing.checks.discretization import flat_ends
+
 from tests.support.cases import MAPS, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.retractions.retraction import newton_preimage
-
 from retrax.testing.checks.retraction import flat_retraction
+
 from tests.support.cases import REPRESENTATIVES, RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
 

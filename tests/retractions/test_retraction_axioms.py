@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from retrax.manifolds import SO, EmbeddedMetric
 from retrax.retractions import QR, acceleration
-
 from retrax.testing import check_retraction
+
 from tests.support.cases import METRICS, RETRACTIONS, order, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 

@@ -20,7 +20,6 @@ from retrax.retractions import (
     Retraction,
     Theta,
 )
-
 from retrax.testing import (
     Report,
     check_cotangent_lift,

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import jax
 import pytest
-
 from retrax.testing.checks import COTANGENT_LIFT_CHECKS, DISCRETIZATION_CHECKS, MANIFOLD_CHECKS, RETRACTION_CHECKS
 
 from .mutants import MUTANTS

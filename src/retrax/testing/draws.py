@@ -11,7 +11,7 @@ from ..manifolds.numerics import ambient as vec
 from ..retractions import Retraction
 from .numerics import Vector, compiled, flat, unflat
 
-RESTORING_STEPS = 6
+RESTORING_STEPS = 12
 BISECTIONS = 60
 
 
