@@ -5,8 +5,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import pytest
-from retrax.manifolds import Manifold
-from retrax.testing import check_manifold
+from retrax.manifolds import Manifold, MatrixLieGroup
+from retrax.testing import check_lie_group, check_manifold
 
 from tests.support.cases import MANIFOLDS
 from tests.support.numerics import draw_point, unflat
@@ -46,7 +46,8 @@ def test_dimension(name: str, dimension: int) -> None:
 
 @pytest.mark.parametrize("name", MANIFOLDS)
 def test_is_a_manifold(name, seeds):
-    check_manifold(MANIFOLDS[name], seeds=seeds, tolerance=1e-13)
+    check = check_lie_group if isinstance(MANIFOLDS[name], MatrixLieGroup) else check_manifold
+    check(MANIFOLDS[name], seeds=seeds, tolerance=1e-13)
 
 
 def wrong_points(manifold: Manifold) -> dict[str, tuple[Any, str]]:

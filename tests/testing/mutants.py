@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax.numpy as jnp
-from retrax.manifolds import SO, Manifold, Sphere
+from retrax.manifolds import SE, SO, Manifold, MatrixLieGroup, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import (
     QR,
@@ -24,6 +24,7 @@ from retrax.testing import (
     Report,
     check_cotangent_lift,
     check_discretization_map,
+    check_lie_group,
     check_manifold,
     check_retraction,
 )
@@ -58,6 +59,18 @@ class MutantSphere(Manifold):
 
     def random_point(self, key):
         return SPHERE.random_point(key)
+
+
+@final
+class MutantGroup(MatrixLieGroup):
+    """Rigid motions of the plane, with the inverse of rotations."""
+
+    @property
+    def algebra(self):
+        return SE(2).algebra
+
+    def inverse(self, x):
+        return x.T
 
 
 def oblique(x, a):
@@ -206,6 +219,7 @@ MUTANTS: dict[str, Mutant] = {
     "a manifold whose projection is missing": Mutant(check_manifold, MutantSphere(lambda x, a: a)),
     "a manifold whose projection is not symmetric": Mutant(check_manifold, MutantSphere(oblique)),
     "a manifold with a wrong dimension": Mutant(check_manifold, MutantSphere(dimension=3)),
+    "a Lie group whose inverse is the transpose": Mutant(check_lie_group, MutantGroup()),
     "`R(x, 1.01 v)`": Mutant(check_retraction, MutantRetraction(lambda x, v: PROJECTION(x, 1.01 * v))),
     "`R(x, -v)`": Mutant(check_retraction, MutantRetraction(lambda x, v: PROJECTION(x, -v))),
     "a first-order retraction that claims order 2": Mutant(check_retraction, QR(SO(3)), {"order": 2}),

@@ -7,13 +7,20 @@ from pathlib import Path
 
 import jax
 import pytest
-from retrax.testing.checks import COTANGENT_LIFT_CHECKS, DISCRETIZATION_CHECKS, MANIFOLD_CHECKS, RETRACTION_CHECKS
+from retrax.testing.checks import (
+    COTANGENT_LIFT_CHECKS,
+    DISCRETIZATION_CHECKS,
+    LIE_GROUP_CHECKS,
+    MANIFOLD_CHECKS,
+    RETRACTION_CHECKS,
+)
 
 from .mutants import MUTANTS
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 SUITES = {
     "manifold": MANIFOLD_CHECKS,
+    "Lie group": LIE_GROUP_CHECKS[len(MANIFOLD_CHECKS) :],
     "retraction": RETRACTION_CHECKS,
     "discretization map": DISCRETIZATION_CHECKS,
     "cotangent lift": COTANGENT_LIFT_CHECKS,

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from ..manifolds import CotangentBundle, InvalidInputError, Manifold
+from ..manifolds import CotangentBundle, InvalidInputError, Manifold, MatrixLieGroup
 from ..retractions import DiscretizationMap, Retraction
 from . import checks as kit
 from .facts import Facts, refuse_unknown
@@ -26,6 +26,8 @@ def suite_for(subject: Any) -> Suite:
         return Suite(kit.DiscretizationFacts, kit.DISCRETIZATION_CHECKS)
     if isinstance(subject, Retraction):
         return Suite(kit.RetractionFacts, kit.RETRACTION_CHECKS)
+    if isinstance(subject, MatrixLieGroup):
+        return Suite(kit.LieGroupFacts, kit.LIE_GROUP_CHECKS)
     if isinstance(subject, Manifold):
         return Suite(kit.ManifoldFacts, kit.MANIFOLD_CHECKS)
     raise InvalidInputError(

@@ -2,20 +2,24 @@
 
 from .cotangent_lift import COTANGENT_LIFT_CHECKS, CotangentLiftFacts, check_cotangent_lift
 from .discretization import DISCRETIZATION_CHECKS, DiscretizationFacts, check_discretization_map
+from .lie_group import LIE_GROUP_CHECKS, LieGroupFacts, check_lie_group
 from .manifold import MANIFOLD_CHECKS, ManifoldFacts, check_manifold
 from .retraction import RETRACTION_CHECKS, RetractionFacts, check_retraction
 
 __all__ = [
     "COTANGENT_LIFT_CHECKS",
     "DISCRETIZATION_CHECKS",
+    "LIE_GROUP_CHECKS",
     "MANIFOLD_CHECKS",
     "RETRACTION_CHECKS",
     "CotangentLiftFacts",
     "DiscretizationFacts",
+    "LieGroupFacts",
     "ManifoldFacts",
     "RetractionFacts",
     "check_cotangent_lift",
     "check_discretization_map",
+    "check_lie_group",
     "check_manifold",
     "check_retraction",
 ]

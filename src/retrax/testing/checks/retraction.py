@@ -227,7 +227,7 @@ def _inverse_error(facts: RetractionFacts, f: Batch) -> Comparison:
 def inverse_keeps_the_accuracy_of_short_vectors(facts: RetractionFacts) -> Comparison:
     """``R_x^-1(R(x, v)) = v`` for vectors from 1e-12 to 1e-8 long, to the rounding of the two points."""
     f = facts.measure(_inverses, "tiny")
-    limit = 0.01 * facts.tolerance * (1 + largest_entries(f["x"]))
+    limit = 0.01 * facts.tolerance * (1 + largest_entries(f["x"])) ** 2
     return facts.bound("|R_x^-1(R(x, v)) - v|", f, largest_entries(f["back"] - f["v"]), limit)
 
 
