@@ -57,3 +57,13 @@ def test_monte_carlo_slew(tmp_path):
     assert mean_log <= 1e-10, "the mean of the logarithms vanishes at the Fréchet mean"
     np.testing.assert_allclose(deviations, linear, rtol=0.1)
     assert (tmp_path / "monte_carlo_slew.png").exists()
+
+
+def test_own_manifold(tmp_path, capsys):
+    errors = example("own_manifold").main(["--steps", "20", "--output", str(tmp_path)])
+    # Of order 2: at 20 steps 6 times as far from the optimum as at 50.
+    assert 0 < errors["torus"] < 1e-3
+    assert 0 < errors["ellipsoid"] < 2e-3
+    assert 0 < errors["Heisenberg group"] < 1e-2
+    assert " fails " not in capsys.readouterr().out
+    assert (tmp_path / "own_manifold.png").exists()
