@@ -80,4 +80,5 @@ def random_rotation(key: Array, n: int) -> Array:
     """A rotation drawn from the uniform distribution."""
     q, r = jnp.linalg.qr(jax.random.normal(key, (n, n)))
     q = q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
-    return q.at[:, 0].multiply(jnp.where(jnp.linalg.det(q) < 0, -1.0, 1.0))
+    # Not by q.at[:, 0].multiply: XLA 0.10 writes that over q where the caller takes one of a batch, jit(vmap(...))(...)[0].
+    return q * jnp.where((jnp.arange(n) == 0) & (jnp.linalg.det(q) < 0), -1.0, 1.0)

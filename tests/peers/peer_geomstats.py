@@ -8,22 +8,45 @@ here: once (``trials = 1``), and it fails where something is not implemented. Th
 import inspect
 
 from geomstats.geometry.euclidean import Euclidean
+from geomstats.geometry.grassmannian import Grassmannian
+from geomstats.geometry.hyperboloid import Hyperboloid
 from geomstats.geometry.hypersphere import Hypersphere
+from geomstats.geometry.nfold_manifold import NFoldManifold
 from geomstats.geometry.product_manifold import ProductManifold
+from geomstats.geometry.spd_matrices import SPDMatrices
 from geomstats.geometry.special_orthogonal import SpecialOrthogonal
+from geomstats.geometry.stiefel import Stiefel
 from geomstats.test.data import TestData
 from geomstats.test.parametrizers import DataBasedParametrizer
 from geomstats.test.random import RandomDataGenerator
+from geomstats.test_cases.geometry.euclidean import EuclideanTestCase
+from geomstats.test_cases.geometry.hypersphere import HypersphereExtrinsicTestCase
 from geomstats.test_cases.geometry.manifold import ManifoldTestCase
 from geomstats.test_cases.geometry.mixins import ProjectionTestCaseMixins
-from geomstats.test_cases.geometry.riemannian_metric import RiemannianMetricComparisonTestCase, RiemannianMetricTestCase
+from geomstats.test_cases.geometry.nfold_manifold import NFoldManifoldTestCase
+from geomstats.test_cases.geometry.product_manifold import ProductManifoldTestCase
+from geomstats.test_cases.geometry.riemannian_metric import RiemannianMetricComparisonTestCase
+from geomstats.test_cases.geometry.spd_matrices import SPDMatricesTestCase
+from geomstats.test_cases.geometry.special_orthogonal import SpecialOrthogonalMatricesTestCase
+from geomstats.test_cases.geometry.stiefel import StiefelCanonicalMetricTestCase, StiefelTestCase
 from retrax.interop import from_geomstats, to_geomstats
 
+
+class Space(ProjectionTestCaseMixins, ManifoldTestCase):
+    """The test cases of a space with a projection, for spaces that have no file of their own."""
+
+
+# A space of geomstats, and the class of its own test file.
 SPACES = {
-    "Euclidean": Euclidean(3),
-    "Hypersphere": Hypersphere(3),
-    "SpecialOrthogonal": SpecialOrthogonal(3),
-    "Product": ProductManifold([Hypersphere(2), Euclidean(2)]),
+    "Euclidean": (Euclidean(3), EuclideanTestCase),
+    "Hypersphere": (Hypersphere(3), HypersphereExtrinsicTestCase),
+    "SpecialOrthogonal": (SpecialOrthogonal(3), SpecialOrthogonalMatricesTestCase),
+    "Stiefel": (Stiefel(4, 2), StiefelTestCase),
+    "Grassmannian": (Grassmannian(4, 2), Space),
+    "SPDMatrices": (SPDMatrices(3), SPDMatricesTestCase),
+    "Hyperboloid": (Hyperboloid(2), Space),
+    "Product": (ProductManifold([Hypersphere(2), Euclidean(2)]), ProductManifoldTestCase),
+    "NFold": (NFoldManifold(SpecialOrthogonal(3), 2), NFoldManifoldTestCase),
 }
 # What a test draws, by the names of its arguments; those that want other values are called by these.
 DRAWN = {
@@ -34,11 +57,8 @@ DRAWN = {
 }
 
 
-class Space(ProjectionTestCaseMixins, ManifoldTestCase):
-    """The test cases of a space with a projection."""
-
-
-CASES = {"": Space, "Metric": RiemannianMetricTestCase, "Comparison": RiemannianMetricComparisonTestCase}
+# The cases of a metric; those of the Stiefel metric test a retraction and its inverse too.
+METRICS = {"Metric": StiefelCanonicalMetricTestCase, "Comparison": RiemannianMetricComparisonTestCase}
 
 
 class NearbyData(RandomDataGenerator):
@@ -60,13 +80,17 @@ def drawn_data(case):
     return type("DrawnData", (TestData,), methods)()
 
 
-def test_class(name, suffix, case):
+def of(name, suffix, case):
     """A test class of geomstats for one of our spaces."""
-    ours = to_geomstats(*from_geomstats(SPACES[name]))
-    body = {"space": ours, "other_space": SPACES[name], "data_generator": NearbyData(ours), "testing_data": drawn_data(case)}
+    theirs = SPACES[name][0]
+    manifold, retraction, metric, conventions = from_geomstats(theirs)
+    if name == "Stiefel" and suffix == "Metric":
+        metric = None  # ours, of which the exponential map is known, in place of geomstats' canonical one
+    ours = to_geomstats(manifold, retraction, metric, conventions)
+    body = {"space": ours, "other_space": theirs, "data_generator": NearbyData(ours), "testing_data": drawn_data(case)}
     return DataBasedParametrizer(f"Test{name}{suffix}", (case,), body)
 
 
-for space in SPACES:
-    for suffix, case in CASES.items():
-        globals()[f"Test{space}{suffix}"] = test_class(space, suffix, case)
+for name, (_, own) in SPACES.items():
+    for suffix, case in {"": own, **METRICS}.items():
+        globals()[f"Test{name}{suffix}"] = of(name, suffix, case)

@@ -22,7 +22,10 @@ FILES = {
         ["SymmetricPositiveDefinite"],
         ["TestSingleSymmetricPositiveDefiniteManifold", "TestMultiSymmetricPositiveDefiniteManifold"],
     ),
-    "product": (["Euclidean", "Sphere", "Product"], ["TestProductManifold"]),
+    "stiefel": (["Stiefel"], ["TestSingleStiefelManifold", "TestMultiStiefelManifold"]),
+    "grassmann": (["Grassmann"], ["TestSingleGrassmannManifold", "TestMultiGrassmannManifold"]),
+    "oblique": (["Oblique"], ["TestObliqueManifold"]),
+    "product": (["Euclidean", "Sphere", "Grassmann", "Product"], ["TestProductManifold"]),
 }
 
 

@@ -37,8 +37,11 @@ class Geometry(eqx.Module):
         return self.has_exponential and is_symmetric(self.manifold)
 
     def random_point(self, key: Array) -> Theirs:
-        """A random point."""
-        return self.conventions.lift(self.manifold.random_point(key))
+        """A random point, and of the arrays that stand for it, where there are several, a random one."""
+        first, second = jax.random.split(key)
+        q = self.manifold.random_point(first)
+        x = self.conventions.lift(q)
+        return self.conventions.lift(q, near=vec.normal(second, x))
 
     def random_tangent(self, key: Array, x: Theirs) -> Theirs:
         """A random tangent vector of length 1 at ``x``."""

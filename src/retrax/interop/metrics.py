@@ -14,19 +14,22 @@ from ..manifolds import (
     AffineInvariantMetric,
     EmbeddedMetric,
     Euclidean,
+    Grassmann,
     Hyperbolic,
     LorentzMetric,
     Manifold,
     Metric,
+    Oblique,
     Power,
     Product,
     Sphere,
+    Stiefel,
 )
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import Exponential
 
-_EMBEDDED = (Euclidean, Sphere, SO)  # the exponential map is that of the embedded metric
-_SYMMETRIC = (Euclidean, Sphere, SO, SPD, Hyperbolic)
+_EMBEDDED = (Euclidean, Sphere, SO, Stiefel, Grassmann, Oblique)  # the exponential map is that of the embedded metric
+_SYMMETRIC = (Euclidean, Sphere, SO, SPD, Hyperbolic, Grassmann, Oblique)
 
 
 @final

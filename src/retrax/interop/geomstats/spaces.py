@@ -6,6 +6,7 @@ from typing import Any, final
 
 import numpy as np
 from geomstats.geometry.euclidean import Euclidean as GeomstatsEuclidean
+from geomstats.geometry.grassmannian import Grassmannian
 from geomstats.geometry.hyperboloid import Hyperboloid
 from geomstats.geometry.hypersphere import _Hypersphere
 from geomstats.geometry.manifold import Manifold as GeomstatsManifold
@@ -13,12 +14,15 @@ from geomstats.geometry.nfold_manifold import NFoldManifold
 from geomstats.geometry.product_manifold import ProductManifold
 from geomstats.geometry.spd_matrices import SPDMatrices
 from geomstats.geometry.special_orthogonal import _SpecialOrthogonalMatrices
+from geomstats.geometry.stiefel import Stiefel as GeomstatsStiefel
 
 from ...manifolds import (
     SO,
     SPD,
+    CanonicalMetric,
     EmbeddedMetric,
     Euclidean,
+    Grassmann,
     Hyperbolic,
     InvalidInputError,
     Manifold,
@@ -26,6 +30,7 @@ from ...manifolds import (
     Power,
     Product,
     Sphere,
+    Stiefel,
 )
 from ...retractions import PowerRetraction, ProductRetraction, default_retraction
 from ..conventions import Conventions, Reshaped, Same, Stacked
@@ -77,6 +82,17 @@ def _(space: _SpecialOrthogonalMatrices) -> Counterpart:
 @counterpart.register
 def _(space: SPDMatrices) -> Counterpart:
     return _native(SPD(space.n))
+
+
+@counterpart.register
+def _(space: GeomstatsStiefel) -> Counterpart:
+    manifold = Stiefel(space.n, space.p)
+    return _native(manifold, CanonicalMetric(manifold))
+
+
+@counterpart.register
+def _(space: Grassmannian) -> Counterpart:
+    return _native(Grassmann(space.n, space.p))
 
 
 @counterpart.register

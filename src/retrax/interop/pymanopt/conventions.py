@@ -6,8 +6,8 @@ from typing import Any
 
 import jax
 
-from ...manifolds import SO, Manifold, Power, Product, Sphere
-from ..conventions import Conventions, Listed, Same, SkewFactors, Stacked
+from ...manifolds import SO, Grassmann, Manifold, Oblique, Power, Product, Sphere, Stiefel
+from ..conventions import Conventions, Listed, Representatives, Same, SkewFactors, Stacked
 
 
 @singledispatch
@@ -20,6 +20,11 @@ def conventions_of(manifold: Manifold) -> Conventions:
 @conventions_of.register
 def _(manifold: SO) -> Conventions:
     return SkewFactors()
+
+
+@conventions_of.register
+def _(manifold: Grassmann) -> Conventions:
+    return Representatives(manifold.p)
 
 
 @conventions_of.register
@@ -54,6 +59,16 @@ def _(manifold: Sphere) -> float:
 @typical_distance.register
 def _(manifold: SO) -> float:
     return math.pi * math.sqrt(manifold.n)
+
+
+@typical_distance.register
+def _(manifold: Stiefel | Grassmann) -> float:
+    return math.sqrt(manifold.p)
+
+
+@typical_distance.register
+def _(manifold: Oblique) -> float:
+    return math.pi * math.sqrt(manifold.m)
 
 
 @typical_distance.register

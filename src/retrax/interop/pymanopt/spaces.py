@@ -9,7 +9,7 @@ import numpy as np
 from pymanopt import manifolds as theirs
 from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 
-from ...manifolds import SO, SPD, Euclidean, InvalidInputError, Manifold, Power, Product, Sphere
+from ...manifolds import SO, SPD, Euclidean, Grassmann, InvalidInputError, Manifold, Oblique, Power, Product, Sphere, Stiefel
 from ...retractions import (
     QR,
     Exponential,
@@ -20,9 +20,9 @@ from ...retractions import (
     Retraction,
     SPDSecondOrder,
 )
-from ..conventions import Conventions, Listed, Reshaped, Same, SkewFactors, Stacked
+from ..conventions import Conventions, Listed, Representatives, Reshaped, Same, SkewFactors, Stacked
 from ..counterpart import Counterpart
-from ..metrics import ProductMetric, natural_metric
+from ..metrics import ProductMetric, ScaledMetric, natural_metric
 from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .manifold import RetraxManifold
@@ -73,6 +73,23 @@ def _(space: theirs.SpecialOrthogonalGroup) -> Counterpart:
 @counterpart.register
 def _(space: theirs.SymmetricPositiveDefinite) -> Counterpart:
     return _copies(space, lambda n, _: SPD(n), SPDSecondOrder, Same())
+
+
+@counterpart.register
+def _(space: theirs.Stiefel) -> Counterpart:
+    return _copies(space, Stiefel, _named(space), Same())
+
+
+@counterpart.register
+def _(space: theirs.Oblique) -> Counterpart:
+    return _copies(space, Oblique, Projection, Same())
+
+
+@counterpart.register
+def _(space: theirs.Grassmann) -> Counterpart:
+    p = _shape(space)[-1]
+    manifold, retraction, metric, conventions = _copies(space, Grassmann, Polar, Representatives(p))
+    return Counterpart(manifold, retraction, ScaledMetric(metric, 0.5), conventions)  # |v x' + x v'|^2 = 2 |v|^2
 
 
 @counterpart.register
