@@ -117,3 +117,10 @@ def test_homogeneous_factors_are_named_by_their_path():
 def test_a_product_of_other_things_is_refused(factors):
     with pytest.raises(ValueError, match="Product takes one or more manifolds, got"):
         Product(*factors)
+
+
+def test_one_rotation_of_a_batch_is_orthogonal():
+    one = jax.jit(lambda seeds: jax.vmap(lambda seed: SO(3).random_point(jax.random.key(seed)))(seeds)[0])
+    for seed in range(12):
+        x = np.asarray(one(np.array([seed])))
+        np.testing.assert_allclose(x.T @ x, np.eye(3), atol=1e-14)
