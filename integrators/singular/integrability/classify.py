@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from typing import TYPE_CHECKING, Literal, overload
 
 import jax
 import jax.numpy as jnp
@@ -16,13 +17,43 @@ from .final import final_equations
 from .levels import Level, PointRanks, Signature, point_ranks, summarise
 from .points import Points, make_consistent, random_starts, select, with_order
 
+if TYPE_CHECKING:
+    from ..symbolic import SymbolicClassification
+
 ORDERS = (3, 5, 9, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
 
 
+@overload
 def classify(
-    problem: OptimalControlProblem, *, starts: int = 20, seed: int = 0, exclude_zero_costate: bool | None = None
-) -> Classification:
+    problem: OptimalControlProblem,
+    *,
+    starts: int = ...,
+    seed: int = ...,
+    exclude_zero_costate: bool | None = ...,
+    symbolic: Literal[False] = ...,
+) -> Classification: ...
+
+
+@overload
+def classify(
+    problem: OptimalControlProblem,
+    *,
+    starts: int = ...,
+    seed: int = ...,
+    exclude_zero_costate: bool | None = ...,
+    symbolic: Literal[True],
+) -> "SymbolicClassification": ...
+
+
+def classify(
+    problem: OptimalControlProblem,
+    *,
+    starts: int = 20,
+    seed: int = 0,
+    exclude_zero_costate: bool | None = None,
+    symbolic: bool = False,
+) -> "Classification | SymbolicClassification":
     """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
 
     ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise, from
@@ -31,10 +62,13 @@ def classify(
     excludes them: in abnormal problems, and in those with a terminal cost and no running cost.
 
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
-    agree, and every stratum seen.
+    agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
+    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
     """
     began = time.perf_counter()
     _check(problem, starts)
+    if symbolic:
+        return _symbolic(problem, exclude_zero_costate)
     warn_about_precision()
     first = random_starts(problem, ORDERS[0], starts, seed)
     homogeneous = problem.abnormal or bool(np.all(first.at.cost_rate == 0))
@@ -48,6 +82,16 @@ def classify(
     strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
     seconds = time.perf_counter() - began
     return Classification(problem, morse, tuple(levels), strata, excluded, bool(exclude), seconds)
+
+
+def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None) -> "SymbolicClassification":
+    try:
+        from ..symbolic import classify_symbolically
+    except ModuleNotFoundError as error:
+        raise InvalidInputError(
+            f'symbolic=True needs SymPy, which is not installed ({error}); try pip install "retrax[symbolic]"'
+        ) from error
+    return classify_symbolically(problem, exclude_zero_costate)
 
 
 def _check(problem: OptimalControlProblem, starts: int) -> None:
