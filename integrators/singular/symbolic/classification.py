@@ -91,7 +91,7 @@ def _lines(piece: SymbolicStratum) -> list[tuple[str, str]]:
     lines.append(("omega_f", f"rank {len(piece.coordinates) - len(kernel)}, kernel of dimension {len(kernel)}"))
     symbols = (*piece.phase.q, *piece.phase.p)
     for vector in kernel:
-        terms = sum((c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, list(vector), strict=True)), start=sympy.Integer(0))
+        terms = sum((c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0))
         lines.append(("kernel", str(terms)))
     lines += [("control", f"{u} = {piece.reduce(u)} (level {piece.levels[u]})") for u in piece.controls]
     lines += [("control", f"{u} is free (gauge)") for u in piece.phase.u if u not in piece.controls]

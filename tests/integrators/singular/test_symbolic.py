@@ -31,7 +31,7 @@ def test_exact_and_numeric_answers_agree(name):
         assert abs(equation.subs(values)) < 1e-8
     for u in piece.controls:
         np.testing.assert_allclose(float(piece.reduce(u).subs(values)), values[u], atol=1e-8)
-    span = np.array([[float(c.subs(values)) for c in vector] for vector in piece.kernel]).reshape(-1, s.q.size * 2)
+    span = np.array([[float(c.subs(values)) for c in vector.flat()] for vector in piece.kernel]).reshape(-1, s.q.size * 2)
     both = np.concatenate([span, np.concatenate([s.kernel[0], s.kernel[1]], axis=1)])
     assert np.linalg.matrix_rank(both, tol=1e-6) == len(span) == len(s.kernel[0])
 
