@@ -105,4 +105,4 @@ class LorentzMetric(Metric):
 
 def _flipped(x: Array) -> Array:
     """``J x``: the time coordinate with its sign changed."""
-    return x.at[0].multiply(-1.0)
+    return jnp.concatenate([-x[:1], x[1:]])
