@@ -2,6 +2,7 @@
 
 import os
 import random
+from pathlib import Path
 
 import jax
 import pytest
@@ -10,6 +11,18 @@ from hypothesis import HealthCheck, settings
 jax.config.update("jax_enable_x64", True)
 # Most of the time of these tests is compilation.
 jax.config.update("jax_disable_most_optimizations", True)
+
+MEMORY_MAPS = Path("/proc/self/maps")
+MOST_MEMORY_MAPS = 30_000  # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_memory_maps():
+    """Forget the compiled kernels of earlier modules where they have become too many."""
+    yield
+    if MEMORY_MAPS.exists() and MEMORY_MAPS.read_bytes().count(b"\n") > MOST_MEMORY_MAPS:
+        jax.clear_caches()
+
 
 # A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no fault.
 settings.register_profile(

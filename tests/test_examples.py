@@ -4,6 +4,7 @@ import importlib.util
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -59,6 +60,7 @@ def test_monte_carlo_slew(tmp_path):
     assert (tmp_path / "monte_carlo_slew.png").exists()
 
 
+@pytest.mark.slow
 def test_own_manifold(tmp_path, capsys):
     errors = example("own_manifold").main(["--steps", "20", "--output", str(tmp_path)])
     # Of order 2: at 20 steps 6 times as far from the optimum as at 50.

@@ -175,7 +175,11 @@ def test_under_a_transformation_it_says_that_it_runs_outside():
 
 def test_half_a_turn_has_no_default_guess():
     with pytest.raises(DomainError, match=r"half a turn away.*pass a guess"):
-        slew(end=HALF_TURN)
+        slew(discretization=Midpoint(Cayley(SO3)), end=HALF_TURN)
+
+
+def test_the_exponential_leads_half_a_turn_one_way_or_the_other():
+    assert slew(end=HALF_TURN).cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
 
 
 def test_a_solution_of_the_equations_at_a_wrong_attitude_is_no_success():

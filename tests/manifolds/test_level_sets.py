@@ -74,7 +74,9 @@ def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
 
 
 def test_a_level_set_without_points_says_so():
-    with pytest.raises(eqx.EquinoxRuntimeError, match=r"no point of Nowhere.* was found from 20 random starts; check the"):
+    with pytest.raises(
+        eqx.EquinoxRuntimeError, match=r"no point of Nowhere.* was found from 20 random starts; check its equations"
+    ):
         jax.block_until_ready(Nowhere(2).random_point(jax.random.key(0)))
 
 

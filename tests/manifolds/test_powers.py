@@ -15,8 +15,8 @@ def test_a_power_is_the_product_of_its_copies():
     x = power.random_point(KEY)
     a = jax.random.normal(KEY, x.shape)
     assert power.dimension == product.dimension
-    np.testing.assert_array_equal(jnp.stack(product.projection(tuple(x), tuple(a))), power.projection(x, a))
-    np.testing.assert_array_equal(jnp.stack(product.basis(tuple(x)), axis=1), power.basis(x))
+    np.testing.assert_allclose(jnp.stack(product.projection(tuple(x), tuple(a))), power.projection(x, a), atol=1e-15)
+    np.testing.assert_allclose(jnp.stack(product.basis(tuple(x)), axis=1), power.basis(x), atol=1e-15)
 
 
 def test_a_path_of_poses_is_a_point_of_a_power():

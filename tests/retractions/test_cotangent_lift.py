@@ -17,7 +17,14 @@ from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, u
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
 
 
-@pytest.mark.parametrize("name", LIFTED_MAPS)
+LARGE = ("nearest-ellipsoid", "exponential-(SO3*R3)*S2", "polar-St42", "projection-S4", "cayley-Gr42")
+
+
+def marked(name: str):
+    return pytest.param(name, marks=pytest.mark.slow) if name.split(", ")[-1] in LARGE else name
+
+
+@pytest.mark.parametrize("name", map(marked, LIFTED_MAPS))
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)

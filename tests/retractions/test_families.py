@@ -3,11 +3,12 @@
 from typing import final
 
 import pytest
-from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, LevelSet, Sphere, UnknownRetractionError
+from retrax.manifolds import SO, Euclidean, InvalidInputError, LevelSet, Manifold, Sphere, UnknownRetractionError
 from retrax.retractions import (
     QR,
     SOQR,
     Addition,
+    BundleRetraction,
     Cayley,
     Exponential,
     LevelSetProjection,
@@ -29,7 +30,13 @@ MEMBERS = {
     "Exponential": (Exponential, {"R2x3": Addition, "S2": SphereExponential, "SO3": SOExponential}),
     "Projection": (
         Projection,
-        {"R2x3": Addition, "S2": SphereProjection, "SO3": SOPolar, "ellipsoid": LevelSetProjection},
+        {
+            "R2x3": Addition,
+            "S2": SphereProjection,
+            "SO3": SOPolar,
+            "ellipsoid": LevelSetProjection,
+            "T*S2": BundleRetraction,
+        },
     ),
     "Cayley": (Cayley, {"R2x3": Addition, "SO3": SOCayley}),
     "Polar": (Polar, {"R2x3": Addition, "SO3": SOPolar}),
@@ -90,9 +97,35 @@ def test_the_default_of_a_product_is_chosen_factor_by_factor():
     assert chosen.factors == (LevelSetProjection(MANIFOLDS["ellipsoid"]), SOExponential(SO(3)))
 
 
+@final
+class Line(Manifold):
+    """A manifold that no family has heard of."""
+
+    dimension: int = 1
+
+    @property
+    def ambient(self):
+        return Euclidean(1).ambient
+
+    def projection(self, x, a):
+        return a
+
+    def basis(self, x):
+        return Euclidean(1).basis(x)
+
+    def restore(self, x):
+        return x
+
+    def violations(self, x):
+        return {}
+
+    def random_point(self, key):
+        return Euclidean(1).random_point(key)
+
+
 def test_a_manifold_without_retractions_has_no_default():
     with pytest.raises(UnknownRetractionError, match="known there: none"):
-        default_retraction(CotangentBundle(Sphere(2)))
+        default_retraction(Line())
 
 
 @pytest.mark.parametrize("factors", [(), (Sphere(2),), (Exponential,)], ids=["none", "a manifold", "a family"])

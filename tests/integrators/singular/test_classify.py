@@ -13,7 +13,9 @@ SCALES = [ONE, (1e3, 1.0), (1e-3, 1.0), (1e3, 1e-3), (1e-3, 1e3)]
 EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
 # The longer chains repeat the fact at the cost of arrays of order 9: one of them is enough.
 REGULAR_EQUATIONS = [
-    name for name in SINGULAR if known(name).empty_at is None and known(name).regular_equations and name != "chain of 3"
+    name
+    for name in SINGULAR
+    if known(name).empty_at is None and known(name).regular_equations and name not in ("chain of 3", "free actuator")
 ]
 
 
@@ -28,6 +30,18 @@ def test_known_answers_from_every_start_and_at_every_scale(name):
         assert found == (answer.levels, answer.dimension, answer.rank, answer.gauge), (factors, str(c))
         assert c.levels[-1].gap > 1e4
         assert not c.irregular
+
+
+@pytest.mark.slow
+def test_an_attitude_with_one_free_actuator_is_classified_in_its_own_units():
+    c, answer = classified("free actuator", ONE), known("free actuator")
+    assert not c.stratified, c
+    assert ((c.k_f, c.k_f_base), c.dimension, c.rank, c.gauge_controls) == (
+        answer.levels,
+        answer.dimension,
+        answer.rank,
+        answer.gauge,
+    )
 
 
 @pytest.mark.parametrize("name", EMPTY)

@@ -124,12 +124,14 @@ def test_rattle_keeps_the_final_manifold_and_its_form():
         assert change < 1e-13
 
 
+@pytest.mark.slow
 def test_a_projection_method_keeps_the_manifold_but_not_its_form():
     changes, gaps = zip(*(defect(projected, h) for h in STEPS / 2), strict=True)
     assert max(gaps) < 1e-13
     assert slope(STEPS / 2, np.array(changes), 1e-13) == pytest.approx(3, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("integrator", "order"), [(RATTLE, 2), (Composition(RATTLE), 4)])
 def test_order(integrator, order):
     counts = np.array([10, 20, 40, 160])
@@ -141,6 +143,7 @@ def test_order(integrator, order):
     assert slope(1 / counts[:-1], errors, 1e-13) == pytest.approx(order, abs=0.06)
 
 
+@pytest.mark.slow
 def test_a_long_run_stays_on_the_final_manifold_and_its_energy_does_not_drift():
     path = integrate(PROBLEM, RATTLE, start(), 0.1, 2400, save_every=4)
     energies = np.asarray(jax.vmap(SPLIT.energy)(path.q, path.p))
