@@ -24,7 +24,7 @@ def marked(name: str):
     return pytest.param(name, marks=pytest.mark.slow) if name.split(", ")[-1] in LARGE else name
 
 
-@pytest.mark.parametrize("name", map(marked, LIFTED_MAPS))
+@pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)
