@@ -19,7 +19,7 @@ import numpy as np
 from retrax.integrators import Guess, OptimalControlProblem, solve
 from retrax.manifolds import LevelSet, MatrixLieGroup
 from retrax.retractions import Exponential, Midpoint, Projection, Retraction
-from retrax.testing import check_manifold, check_retraction
+from retrax.testing import check_lie_group, check_manifold, check_retraction
 from scipy.special import ellipeinc
 
 jax.config.update("jax_enable_x64", True)
@@ -136,7 +136,8 @@ def main(arguments=None):
     errors, solutions = {}, {}
     for name, case in {"torus": torus, "ellipsoid": ellipsoid, "Heisenberg group": heisenberg}.items():
         retraction, solution, expected = case(options.steps)
-        print(check_manifold(retraction.manifold))
+        manifold = retraction.manifold
+        print(check_lie_group(manifold) if isinstance(manifold, MatrixLieGroup) else check_manifold(manifold))
         print(check_retraction(retraction))
         errors[name], solutions[name] = solution.cost / expected - 1, solution
         print(f"{name}: cost {solution.cost:.6f}, known {expected:.6f}, relative difference {errors[name]:.1e}\n")

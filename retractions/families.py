@@ -148,6 +148,7 @@ Projection = RetractionFamily(
         SE: _nearest_motion,
         LevelSet: LevelSetProjection,
         Stiefel: StiefelPolar,
+        Grassmann: GrassmannPolar,
         Oblique: lambda m: Columnwise(m, SphereProjection(m.column)),
         FixedRank: FixedRankProjection,
         Submanifold: lambda m: Orthographic(m, default_retraction(m.parent)),

@@ -22,23 +22,26 @@ class Diagnostics(NamedTuple):
     body: dict[str, Array]
     spatial: dict[str, Array]
     violations: dict[str, Array]  # of the manifold's equations, largest over the nodes
+    normal: Array  # normal part of the dynamics, relative to 1 + its size, largest over the stages
 
 
 def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambient) -> Diagnostics:
     """Diagnostics of a trajectory from the stages' unknowns and the states and costates at the nodes."""
 
-    def at_stage(y: Any, p0: Ambient, p1: Ambient) -> tuple[Ambient, Array]:
+    def at_stage(y: Any, p0: Ambient, p1: Ambient) -> tuple[Ambient, Array, Array]:
         x, u = y
         _, v = stage.tangent(y)
         _, pull = vec.pullback(lambda w: stage.discretization(x, w), v)
         covector = stage.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])
-        return covector, stage.problem.hamiltonian(x, covector, u)
+        velocity = stage.problem.velocity(x, u)
+        off = vec.subtract(velocity, stage.manifold.projection(x, velocity))
+        return covector, stage.problem.hamiltonian(x, covector, u), vec.size(off) / (1 + vec.size(velocity))
 
     before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], costates) for s in (slice(None, -1), slice(1, None)))
-    stage_costates, hamiltonians = jax.vmap(at_stage)(unknowns, before, after)
+    stage_costates, hamiltonians, normal = jax.vmap(at_stage)(unknowns, before, after)
     frames = jax.vmap(lambda q, p: _group_frames(stage.manifold, q, p))(nodes, costates)
     violations = jax.tree.map(jnp.max, jax.vmap(stage.manifold.violations)(nodes))
-    return Diagnostics(stage_costates, hamiltonians, *frames, violations)
+    return Diagnostics(stage_costates, hamiltonians, *frames, violations, jnp.max(normal))
 
 
 def _group_frames(manifold: Manifold, q: Ambient, p: Ambient) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:

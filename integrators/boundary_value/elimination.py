@@ -32,12 +32,16 @@ class BlockSolution(NamedTuple):
 
     multipliers: Float[Array, "N+1 n"]
     steps: Float[Array, "N s"]
-    pivots: Float[Array, "N n+s n+s"]
-    last_pivot: Float[Array, "n n"]
+    pivots: Float[Array, "N-1 n+s n+s"]
+    last_pivot: Float[Array, "n+s+n n+s+n"]
 
 
 def eliminate(system: BlockSystem) -> BlockSolution:
-    """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node."""
+    """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
+
+    The last node goes with the last stage: the problem with a free end, which the stages alone stand for, is singular where
+    the end is a focal point of the start, as a quarter turn away on a sphere.
+    """
     n = system.gap.shape[1]
     size = n + system.hessian.shape[1]
 
@@ -58,17 +62,20 @@ def eliminate(system: BlockSystem) -> BlockSolution:
         return (onto[:, :n], onto[:, n]), (reduced, pivot)
 
     start = (jnp.diag(system.fixed_start - 1), jnp.zeros(n, sides.dtype))
-    (schur, shift), (reduced, eliminated) = jax.lax.scan(forward, start, (pivots, couplings, sides))
-    last_pivot = schur + jnp.diag(system.fixed_end - 1)
-    last = jnp.linalg.solve(last_pivot, shift - system.gap[-1])
+    before = (pivots[:-1], couplings[:-1], sides[:-1])
+    (schur, shift), (reduced, eliminated) = jax.lax.scan(forward, start, before)
+    end = jnp.diag(system.fixed_end - 1)
+    last_pivot = jnp.block([[pivots[-1].at[:n, :n].add(schur), couplings[-1]], [couplings[-1].T, end]])
+    last = jnp.linalg.solve(last_pivot, jnp.concatenate([sides[-1].at[:n].add(shift), -system.gap[-1]]))
 
     def backward(following: Array, stage: Array) -> tuple[Array, Array]:
         unknowns = stage[:, n] - stage[:, :n] @ following
         return unknowns[:n], unknowns
 
-    _, unknowns = jax.lax.scan(backward, last, reduced, reverse=True)
-    multipliers = jnp.concatenate([unknowns[:, :n], last[None]])
-    return BlockSolution(multipliers, unknowns[:, n:size], eliminated, last_pivot)
+    _, unknowns = jax.lax.scan(backward, last[:n], reduced, reverse=True)
+    unknowns = jnp.concatenate([unknowns, last[None, :size]])
+    multipliers = jnp.concatenate([unknowns[:, :n], last[None, size:]])
+    return BlockSolution(multipliers, unknowns[:, n:], eliminated, last_pivot)
 
 
 def is_strict_minimum(solution: BlockSolution) -> Array:
@@ -101,7 +108,11 @@ def _inertia(blocks: Float[Array, "N s s"]) -> tuple[Array, Array]:
         column = remaining[:, :, i]
         diagonal = column[:, i]
         update = column[:, :, None] * column[:, None, :] / diagonal[:, None, None]
-        return remaining - update, negative + jnp.sum(diagonal < 0), jnp.minimum(smallest, jnp.min(jnp.abs(diagonal)))
+        return (
+            remaining - update,
+            negative + jnp.sum(diagonal < 0),
+            jnp.minimum(smallest, jnp.min(jnp.abs(diagonal), initial=jnp.inf)),
+        )
 
     start = rotated, jnp.zeros((), int), jnp.asarray(jnp.inf, blocks.dtype)
     _, negative, smallest = jax.lax.fori_loop(0, size, pivot, start)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...manifolds import InvalidInputError, Manifold
+from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ...retractions import DiscretizationMap
@@ -64,12 +64,10 @@ def solve(
     else:
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
         problem.check(jax.tree.map(lambda leaf: leaf[0], guess.states), rest)
-    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
-    if not (is_finite_number(limit) and limit > 0):
-        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
     stage = ControlStage(problem=problem, discretization=discretization, step=np.asarray(horizon / steps, working_precision()))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
-    output, *seconds = _timed(discrete, guess, np.asarray(limit, working_precision()), np.asarray(max_iterations))
+    output, *seconds = _timed(discrete, guess, _checked_tolerance(tolerance), np.asarray(max_iterations))
+    _require_tangent_dynamics(problem, float(output.diagnostics.normal))
     solution = _record(output, discretization.theta, float(horizon), *seconds)
     return solution.require_success() if throw else solution
 
@@ -85,6 +83,22 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
         if not isinstance(count, int | np.integer) or count < 1:
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
+
+
+def _checked_tolerance(tolerance: float | None) -> np.ndarray:
+    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+    if not (is_finite_number(limit) and limit > 0):
+        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
+    return np.asarray(limit, working_precision())
+
+
+def _require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
+    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked before."""
+    if normal > default_tolerance():
+        raise NotOnManifoldError(
+            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
+            f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+        )
 
 
 def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> Guess:

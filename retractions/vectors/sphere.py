@@ -31,7 +31,9 @@ class SphereExponential(MidpointRetraction):
     def preimage(self, x: Array, y: Array) -> Array:
         c = x @ y
         w = y - c * x
-        return series.angle_over_sine(w @ w, c) * w
+        w = w - (x @ w) * x  # near the antipode the first subtraction leaves more normal part than tangent
+        antipodal = (c < 0) & (w @ w <= (8 * jnp.finfo(w.dtype).eps) ** 2)
+        return nan_unless(~antipodal, series.angle_over_sine(w @ w, c) * w)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return v @ v < jnp.pi**2
@@ -56,7 +58,7 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
     def preimage(self, x: Array, y: Array) -> Array:
         # Written with the tangential part of y, which keeps its relative accuracy for y near x.
         c = x @ y
-        return nan_unless(c > 0, (y - c * x) / c)
+        return nan_unless(c > 8 * jnp.finfo(c.dtype).eps, (y - c * x) / c)
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         y = self(x, v)

@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import Guess, OptimalControlProblem, Solution, solve
-from retrax.retractions import Exponential, Midpoint
+from retrax.retractions import Exponential, Midpoint, Projection
 
 from tests.support.numerics import SEEDS, norm
 
@@ -36,12 +36,21 @@ def geodesic(angle: float, guess: Guess | None = None, **options) -> Solution:
 
 
 @given(angle=st.floats(0.01, 3.1))
+@example(angle=np.pi / 2)
 def test_the_short_way_costs_half_the_square_of_the_angle_and_is_a_strict_minimum(angle):
     solution = geodesic(angle)
     assert solution.cost == pytest.approx(angle**2 / 2, rel=1e-10)
     assert solution.checks.strict_minimum
     (momentum,) = solution.momenta.values()
     assert norm(momentum - angle * np.array([0.0, 0.0, 1.0])) < 1e-10
+
+
+def test_a_quarter_turn_is_outside_the_image_of_the_projection_and_solved_all_the_same():
+    ends = on_equator(0.0), on_equator(np.pi / 2)
+    solution = solve(GEODESIC, Midpoint(Projection(SPHERE)), *ends, 1.0, STEPS)
+    assert solution.checks.strict_minimum
+    # Each step is a chord of length 2 tan(a/2) for an angle a.
+    assert solution.cost == pytest.approx(STEPS**2 * (2 * np.tan(np.pi / 4 / STEPS)) ** 2 / 2, rel=1e-9)
 
 
 @given(angle=st.floats(0.1, 3.0))

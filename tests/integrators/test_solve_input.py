@@ -257,3 +257,9 @@ def test_free_ends_on_a_level_set_start_from_the_guess():
     assert (
         norm((solution.costates[0], solution.costates[-1] + ELLIPSOID.projection(solution.states[-1], np.eye(3)[2] / 3))) < 1e-9
     )
+
+
+def test_dynamics_that_is_tangent_at_the_start_alone_is_refused():
+    forgotten = problem(dynamics=lambda q, u: hat(u))
+    with pytest.raises(NotOnManifoldError, match=r"along the trajectory.*R @ hat\(w\)"):
+        slew(problem=forgotten)

@@ -138,3 +138,11 @@ def test_the_logarithm_of_the_sphere_is_as_exact_as_its_points(angle, seed):
     v = _logarithm()(x, np.cos(angle) * x + np.sin(angle) * u)
     np.testing.assert_allclose(np.linalg.norm(v), angle, rtol=0, atol=2e-15)
     np.testing.assert_allclose(v, angle * u, rtol=0, atol=1e-15 * (1 + angle / np.sin(angle)))
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_no_direction_leads_to_the_antipode_of_any_point(seed):
+    # Rounding leaves the antipode a normal part, along which the exponential would seem to arrive.
+    x = Sphere(2).random_point(jax.random.key(seed))
+    with pytest.raises(DomainError):
+        Exponential(Sphere(2)).inverse(x, -x)

@@ -41,75 +41,88 @@ from ..wrapped import HostSpace, wrap
 from .space import RetraxSpace
 
 
-@singledispatch
 def counterpart(space: Any) -> Counterpart:
-    """Our manifold for a geomstats space."""
-    raise InvalidInputError(f"from_geomstats takes a real manifold of geomstats, got {space!r}; try Hypersphere(2)")
+    """Our manifold for a geomstats space: a native one if the space has the metric that geomstats gives it, else wrapped."""
+    return _wrapped(space) if _has_another_metric(space) else _counterpart(space)
 
 
-@counterpart.register
-def _(space: GeomstatsManifold) -> Counterpart:
-    if not hasattr(space, "metric"):
-        raise InvalidInputError(f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()")
+def _has_another_metric(space: Any) -> bool:
+    has = hasattr(space, "metric") and not isinstance(space, RetraxSpace) and hasattr(space, "default_metric")
+    return has and type(space.metric) is not space.default_metric()
+
+
+def _wrapped(space: GeomstatsManifold) -> Counterpart:
     manifold, retraction = wrap(GeomstatsHost(space), _name(space))
     return Counterpart(manifold, retraction, natural_metric(manifold), Same())
 
 
-@counterpart.register
+@singledispatch
+def _counterpart(space: Any) -> Counterpart:
+    raise InvalidInputError(f"from_geomstats takes a real manifold of geomstats, got {space!r}; try Hypersphere(2)")
+
+
+@_counterpart.register
+def _(space: GeomstatsManifold) -> Counterpart:
+    if not hasattr(space, "metric"):
+        raise InvalidInputError(f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()")
+    return _wrapped(space)
+
+
+@_counterpart.register
 def _(space: RetraxSpace) -> Counterpart:
     geometry = space.geometry
     return Counterpart(geometry.manifold, geometry.retraction, geometry.metric, geometry.conventions)
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: GeomstatsEuclidean) -> Counterpart:
     return _native(Euclidean(space.shape))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: _Hypersphere) -> Counterpart:
     if space.intrinsic:
         raise InvalidInputError(f"{_name(space)} is in angles, which are not an embedding; use intrinsic=False")
     return _native(Sphere(space.dim))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: _SpecialOrthogonalMatrices) -> Counterpart:
     manifold = SO(space.n)
     return _native(manifold, ScaledMetric(EmbeddedMetric(manifold), 0.5))  # theirs is tr(A'B)/2 in the algebra
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: SPDMatrices) -> Counterpart:
     return _native(SPD(space.n))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: GeomstatsStiefel) -> Counterpart:
     manifold = Stiefel(space.n, space.p)
     return _native(manifold, CanonicalMetric(manifold))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: Grassmannian) -> Counterpart:
     return _native(Grassmann(space.n, space.p))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: Hyperboloid) -> Counterpart:
     if space.intrinsic:
         raise InvalidInputError(f"{_name(space)} is in intrinsic coordinates, which are not an embedding; use intrinsic=False")
     return _native(Hyperbolic(space.dim))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: NFoldManifold) -> Counterpart:
     base = counterpart(space.base_manifold)
     manifold, k = Power(base.manifold, space.n_copies), space.n_copies
     return Counterpart(manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions))
 
 
-@counterpart.register
+@_counterpart.register
 def _(space: ProductManifold) -> Counterpart:
     factors = [counterpart(factor) for factor in space.factors]
     manifold = Product(*(factor.manifold for factor in factors))
