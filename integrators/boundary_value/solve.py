@@ -57,13 +57,11 @@ def solve(
     warn_about_precision()
     steps = int(steps)
     first, last = boundary_conditions(problem.manifold, start, end, guess is not None)
-    rest = resting_control(problem.controls)
     if guess is None:
-        problem.check(first.point, rest)
+        problem.check(first.point, resting_control(problem.controls))
         guess = default_guess(problem, discretization, first.point, last.point, steps)
     else:
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
-        problem.check(jax.tree.map(lambda leaf: leaf[0], guess.states), rest)
     stage = ControlStage(problem=problem, discretization=discretization, step=np.asarray(horizon / steps, working_precision()))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
     output, *seconds = _timed(discrete, guess, _checked_tolerance(tolerance), np.asarray(max_iterations))
@@ -127,6 +125,7 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
     for name, value in jax.device_get(_worst_violations(problem.manifold, filled.states)).items():
         if not value <= default_tolerance():
             raise InvalidInputError(f"guess: states are not on {problem.manifold}: {name} reaches {value:.3g}, expected 0")
+    problem.check(jax.tree.map(lambda leaf: leaf[0], filled.states), resting_control(problem.controls))
     return filled
 
 

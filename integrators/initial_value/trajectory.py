@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...manifolds import ConvergenceError, InvalidInputError, NotOnManifoldError
+from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
@@ -63,23 +63,29 @@ def integrate(
         )
     _check_counts(step_size, steps, save_every)
     warn_about_precision()
-    if not (isinstance(start, tuple | list) and len(start) == 2):
-        raise InvalidInputError(f"start must be a pair (q0, p0) of a point and a covector, got {start!r}")
-    manifold, (q0, p0) = integrator.manifold, start
-    wrong = manifold.describe_mismatch(q0, "a point") or manifold.describe_mismatch(p0, "a covector")
-    if wrong:
-        raise NotOnManifoldError(f"start: {wrong}")
-    q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in (q0, p0))
+    q0, p0 = _checked_start(integrator.manifold, start)
     if not is_traced(q0, p0):
-        verdict = manifold.contains(q0)
-        if not verdict:
-            raise NotOnManifoldError(f"start: {verdict.reason}")
         integrator.check(system, q0, p0)
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         raise ConvergenceError(f"step {int(trajectory.failed_step)}: {Result[trajectory.result]}")
     return trajectory
+
+
+def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
+    """``(q0, p0)`` as arrays; raises if they are no point and covector of the manifold."""
+    if not (isinstance(start, tuple | list) and len(start) == 2):
+        raise InvalidInputError(f"start must be a pair (q0, p0) of a point and a covector, got {start!r}")
+    wrong = manifold.describe_mismatch(start[0], "a point") or manifold.describe_mismatch(start[1], "a covector")
+    if wrong:
+        raise NotOnManifoldError(f"start: {wrong}")
+    q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in start)
+    if not is_traced(q0, p0):
+        verdict = manifold.contains(q0)
+        if not verdict:
+            raise NotOnManifoldError(f"start: {verdict.reason}")
+    return q0, p0
 
 
 def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
