@@ -48,7 +48,10 @@ def exact_state() -> np.ndarray:
     return final_state(KAHAN_LI_8, 60)
 
 
-@pytest.mark.parametrize("name", WEIGHTS)
+SLOW = ("triple jump", "Yoshida", "Kahan-Li 6")
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in WEIGHTS])
 def test_order(name):
     weights, order, counts = WEIGHTS[name]
     errors = np.array([np.max(np.abs(final_state(weights, n) - exact_state())) for n in counts])

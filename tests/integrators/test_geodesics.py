@@ -105,6 +105,7 @@ def _round_trip():
 
 @settings(max_examples=4)
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_newtons_method_finds_the_initial_velocity(seed):
     x, _, basis = draw_point(Sphere(2), seed)
     v = draw_tangent(np.random.default_rng(seed), basis, 1.0)

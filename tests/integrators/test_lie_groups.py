@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
 from retrax.manifolds import SE, SO, SU, LeftInvariantMetric
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint
@@ -33,6 +34,7 @@ def test_spatial_momenta_of_left_invariant_hamiltonians_are_conserved():
     check_momenta(group, motion)
 
 
+@pytest.mark.slow
 def test_the_covering_of_rotations_by_unit_quaternions_takes_motions_to_motions():
     mu = [1.0, -0.5, 0.7]
     above, below = (free_motion(group, Exponential(group), INERTIA, mu) for group in (SU(2), SO(3)))

@@ -21,7 +21,8 @@ LARGE = ("nearest-ellipsoid", "exponential-(SO3*R3)*S2", "polar-St42", "projecti
 
 
 def marked(name: str):
-    return pytest.param(name, marks=pytest.mark.slow) if name.split(", ")[-1] in LARGE else name
+    repeated = name in ("theta=0.0, exponential-S2", "theta=1.0, exponential-S2", "two, cayley-SO3")
+    return pytest.param(name, marks=pytest.mark.slow) if repeated or name.split(", ")[-1] in LARGE else name
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])

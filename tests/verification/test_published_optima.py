@@ -116,6 +116,7 @@ def swung_up(steps: int) -> Solution:
     return solve(PENDULUM, discretization, HANGING, UPRIGHT, 3.0, steps)
 
 
+@pytest.mark.slow
 def test_the_pendulum_swings_up_at_the_known_cost():
     coarse, middle, fine = (swung_up(steps).cost for steps in (40, 80, 160))
     assert observed_order(coarse, middle, fine) == pytest.approx(2.0, abs=0.05)
