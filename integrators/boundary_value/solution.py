@@ -4,7 +4,6 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError, InvalidInputError
@@ -154,8 +153,3 @@ def _archive(path: str | Path) -> Any:
     if not isinstance(archive, np.lib.npyio.NpzFile):
         raise InvalidInputError(f"{path} is not a saved solution but a single array; expected a file from Solution.save")
     return archive
-
-
-def to_numpy(tree: Any) -> Any:
-    """Arrays of a pytree on the host."""
-    return jax.device_get(tree)

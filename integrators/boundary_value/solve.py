@@ -23,7 +23,7 @@ from .boundary import boundary_conditions
 from .diagnostics import Diagnostics, diagnose
 from .globalisation import solve_kkt
 from .guess import Guess, default_guess
-from .solution import Checks, Solution, Statistics, to_numpy
+from .solution import Checks, Solution, Statistics
 
 DEFAULT_TOLERANCE_POWER = 0.7
 
@@ -189,7 +189,7 @@ def _timed(*arguments: Any) -> tuple[_Output, float, float]:
 
 def _record(output: _Output, theta: float, horizon: float, compiling: float, running: float) -> Solution:
     """The solution from the kernel's output, and the seconds that it took to compile and to run."""
-    found: Any = to_numpy(output)
+    found: Any = jax.device_get(output)
     diagnostics = found.diagnostics
     steps = len(diagnostics.hamiltonians)
     checks = Checks(
