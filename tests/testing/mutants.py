@@ -210,6 +210,17 @@ def scaled_logarithm(x, y):
     return EXPONENTIAL.preimage(x, y) / 2
 
 
+def wrong_between(shortest, longest):
+    """The logarithm, wrong for vectors of some lengths only."""
+
+    def back(x, y):
+        v = EXPONENTIAL.preimage(x, y)
+        length = jnp.linalg.norm(v)
+        return jnp.where((length > shortest) & (length < longest), 1.001 * v, v)
+
+    return back
+
+
 def pushed(x, v, xi):
     """The derivative where its adjoint is asked for."""
     return PROJECTION.fibre_derivative(x, v, xi)
@@ -236,6 +247,12 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "an inverse valid only near zero, with a domain as small": Mutant(
         check_retraction, MutantInverse(EXPONENTIAL, tangential, 1e-5)
+    ),
+    "an inverse that is wrong near the edge of its domain": Mutant(
+        check_retraction, MutantInverse(EXPONENTIAL, wrong_between(3.05, jnp.pi), jnp.pi)
+    ),
+    "an inverse that is wrong half way to the edge of its domain": Mutant(
+        check_retraction, MutantInverse(EXPONENTIAL, wrong_between(1.2, 3.05), jnp.pi)
     ),
     "a derivative that is NaN at `v = 0` only": Mutant(check_retraction, MutantRetraction(nan_at_zero)),
     "a derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(constant_at_zero)),

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import pytest
 from hypothesis import given
 from retrax.manifolds import InvalidInputError, Manifold, Sphere
-from retrax.retractions import CotangentLift, Midpoint, Projection, Retraction
+from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, Retraction
 from retrax.testing import (
     ConformanceError,
     check_cotangent_lift,
@@ -101,6 +101,18 @@ def test_what_cannot_be_checked_is_refused():
         check_discretization_map(Midpoint(Projection(SPHERE)), seeds=())
     with pytest.raises(InvalidInputError, match="acts on a cotangent bundle, got one on Sphere"):
         check_cotangent_lift(Midpoint(Projection(SPHERE)))
+
+    for reach in (0.0, float("inf"), float("nan")):
+        with pytest.raises(InvalidInputError, match=f"reach is a length, positive and finite, got {reach}"):
+            check_retraction(Projection(SPHERE), reach=reach)
+
+
+def test_the_reach_asked_for_may_be_any_length():
+    name = "domain_reaches_as_far_as_expected"
+    assert not check_retraction(Projection(SPHERE), only=name, reach=100.0).failures
+    assert not check_retraction(Exponential(SPHERE), only=name, reach=3.14).failures
+    with pytest.raises(ConformanceError, match=rf"{name}: .* is 3.14, expected at least 3.15"):
+        check_retraction(Exponential(SPHERE), only=name, reach=3.15)
 
 
 def test_single_precision_is_refused():

@@ -1,5 +1,6 @@
 """Facts about one object: samples of points and vectors, and what compiled kernels measure there."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -19,7 +20,7 @@ WORST_DIFFERENCES = 1e-5
 Sample = dict[str, Any]  # names of flat arrays and numbers
 
 
-class Facts:
+class Facts(ABC):
     """What is measured of one object. A kernel is compiled and run when the first check reads it.
 
     ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size.
@@ -36,9 +37,9 @@ class Facts:
         self._samples: dict[str, list[Sample]] = {}
         self._measured: dict[tuple[str, str], Batch] = {}
 
+    @abstractmethod
     def draw(self, kind: str, seed: int) -> Sample:
         """The sample of one kind and seed: named flat arrays, ``x`` among them."""
-        raise NotImplementedError
 
     def samples(self, kind: str) -> list[Sample]:
         """The samples of one kind, one for each seed."""

@@ -1,0 +1,31 @@
+"""The code of the documentation runs as it stands, page by page, and prints what the pages say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+SLOW = ("README.md", "own_manifold.md")
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    """Fenced blocks of a page in one language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+
+
+def marked(page: Path):
+    return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in SLOW else [])
+
+
+@pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])
+def test_the_code_of_a_page_runs_and_prints_what_the_page_says(page):
+    code = "\n".join(blocks(page, "python"))
+    process = subprocess.run([sys.executable, "-"], input=code, capture_output=True, text=True, check=False, timeout=600)
+    assert process.returncode == 0, process.stderr
+    for shown in blocks(page, "text"):
+        pattern = re.escape(shown.strip()).replace(re.escape("..."), ".*")
+        assert re.search(f"^{pattern}$", process.stdout, re.MULTILINE), f"expected\n{shown}\nin\n{process.stdout}"
