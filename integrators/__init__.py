@@ -24,7 +24,16 @@ from .initial_value import (
 )
 from .problem import OptimalControlProblem
 from .results import Result
-from .singular import L_H, S_H, Classification, MorseTest, Stratum, classify
+from .singular import (
+    L_H,
+    S_H,
+    Classification,
+    MorseTest,
+    SingularIntegrator,
+    Stratum,
+    classify,
+    singular_integrator,
+)
 from .stages import ControlStage, HamiltonianStage, Stage
 
 __all__ = [
@@ -48,6 +57,7 @@ __all__ = [
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",
+    "SingularIntegrator",
     "Solution",
     "Stage",
     "Statistics",
@@ -58,5 +68,6 @@ __all__ = [
     "default_guess",
     "integrate",
     "load_solution",
+    "singular_integrator",
     "solve",
 ]

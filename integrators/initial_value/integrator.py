@@ -16,9 +16,9 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift, default_retraction
 from ..problem import OptimalControlProblem
-from ..stages import ControlStage, HamiltonianStage, Stage
+from ..stages import ControlStage, HamiltonianStage
 from ..stages.hamiltonian import Hamiltonian
-from .step import StepResult, lifted_step
+from .step import StepResult, lifted_step, restored
 
 
 class Integrator(eqx.Module):
@@ -52,7 +52,7 @@ class Integrator(eqx.Module):
 
 
 class LiftedIntegrator(Integrator):
-    """A method whose steps are stationary points of a stage, by the cotangent lift of a discretization map."""
+    """A method built on the cotangent lift of a discretization map."""
 
     lift: eqx.AbstractVar[CotangentLift]
 
@@ -63,15 +63,6 @@ class LiftedIntegrator(Integrator):
     @property
     def control_times(self) -> np.ndarray:
         return np.asarray(self.lift.theta)
-
-    @abstractmethod
-    def stage(self, system: Any, h: ArrayLike) -> Stage:
-        """The stage whose stationary points are the steps of ``system``."""
-
-    def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        new = lifted_step(self.stage(system, h), q, p, previous)
-        q1 = self.manifold.restore(new.q)
-        return new._replace(q=q1, p=self.manifold.projection(q1, new.p))
 
 
 def _require_lift(lift: object) -> None:
@@ -93,7 +84,11 @@ class SymplecticIntegrator(LiftedIntegrator):
         _require_lift(self.lift)
 
     def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage:
+        """The stage whose stationary points are the steps of ``system``."""
         return HamiltonianStage(hamiltonian=system, discretization=self.lift.discretization, step=h)
+
+    def step(self, system: Hamiltonian, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
     def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient, Ambient]:
         return q, p, p
@@ -123,7 +118,11 @@ class PresymplecticIntegrator(LiftedIntegrator):
         _require_lift(self.lift)
 
     def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage:
+        """The stage whose stationary points are the steps of ``system``."""
         return ControlStage(problem=system, discretization=self.lift.discretization, step=h)
+
+    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
         return q, extremal_control(system, q, p)

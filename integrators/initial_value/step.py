@@ -1,11 +1,13 @@
 """One step of the cotangent-lifted method from a point of T*Q."""
 
-from typing import Any, NamedTuple
+from copy import copy
+from typing import Any, NamedTuple, Self
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
@@ -20,6 +22,12 @@ class StepResult(NamedTuple):
     p: Ambient
     unknowns: Any
     converged: Bool[Array, ""]
+
+
+def restored(manifold: Manifold, new: StepResult) -> StepResult:
+    """The end of a step moved to the manifold, from which rounding takes it."""
+    q = manifold.restore(new.q)
+    return new._replace(q=q, p=manifold.projection(q, new.p))
 
 
 class StepEquations:
@@ -37,6 +45,16 @@ class StepEquations:
         self.first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
         self.sizes = jnp.concatenate([stage.sizes(self._guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
 
+    def of(self, stage: Stage) -> Self:
+        """The equations of another stage with the same kind of unknowns, in the same chart."""
+        new = copy(self)
+        new.stage = stage
+        return new
+
+    def unknowns(self, c: Array) -> Any:
+        """The stage's unknowns with coordinates ``c``."""
+        return self.stage.move(self._guess, c[: self.stage.dimension])
+
     def residual(self, c: Array, q0: Ambient, p0: Ambient) -> Array:
         """The equations for a step from ``(q0, p0)``, zero at a solution ``c``."""
         size = self.stage.dimension
@@ -51,7 +69,7 @@ class StepEquations:
 
     def end(self, c: Array) -> tuple[Ambient, Ambient, Any]:
         """``(q1, p1)`` and the stage's unknowns."""
-        y = self.stage.move(self._guess, c[: self.stage.dimension])
+        y = self.unknowns(c)
         q1 = self.stage.ends(y)[1]
         return q1, self.stage.manifold.projection(q1, vec.combine(self._frame, c[self.stage.dimension :])), y
 

@@ -12,20 +12,40 @@ from .integrability import (
     classify,
     critical_set,
 )
-from .strategies import ControlAffineSplitting, RattleIntegrator, leaf_flow
+from .strategies import (
+    STRATEGIES,
+    ControlAffineSplitting,
+    DirectIntegrator,
+    FinalDynamics,
+    NotApplicableError,
+    ProjectedIntegrator,
+    RattleIntegrator,
+    SingularIntegrator,
+    StageIntegrator,
+    leaf_flow,
+    singular_integrator,
+)
 
 __all__ = [
     "L_H",
+    "STRATEGIES",
     "S_H",
     "Classification",
     "ControlAffineSplitting",
+    "DirectIntegrator",
+    "FinalDynamics",
     "FinalEquations",
     "Level",
     "MorseTest",
+    "NotApplicableError",
+    "ProjectedIntegrator",
     "RattleIntegrator",
     "Signature",
+    "SingularIntegrator",
+    "StageIntegrator",
     "Stratum",
     "classify",
     "critical_set",
     "leaf_flow",
+    "singular_integrator",
 ]

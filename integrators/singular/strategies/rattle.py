@@ -1,6 +1,6 @@
 """RATTLE on the final constraint manifold of first-order singular arcs."""
 
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
@@ -8,17 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from ....manifolds import InvalidInputError, Manifold, NotOnManifoldError
+from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
-from ...initial_value.integrator import Integrator, extremal_control
+from ...initial_value.integrator import extremal_control
 from ...initial_value.step import StepEquations, StepResult
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
+from ..integrability import Classification
 from .affine import ControlAffineSplitting, check_splitting, merge_controls
 from .leaves import leaf_flow
+from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 
 class _Memory(NamedTuple):
@@ -29,7 +31,7 @@ class _Memory(NamedTuple):
 
 
 @final
-class RattleIntegrator(Integrator):
+class RattleIntegrator(SingularIntegrator):
     """A presymplectic integrator on ``P_f = {phi = 0, psi = 0}`` for controls that enter ``H`` affinely.
 
     With ``H = H_0 + s . phi`` and ``psi = {phi, H_0}``, one step from ``z`` in ``P_f`` moves along the leaf of ``{phi = 0}``
@@ -42,36 +44,36 @@ class RattleIntegrator(Integrator):
 
     lift: CotangentLift
     singular: tuple[int, ...] = eqx.field(static=True)
+    reason: str = eqx.field(static=True, default="chosen by hand")
+    presymplectic: ClassVar[bool] = True
 
-    @property
-    def manifold(self) -> Manifold:
-        return self.lift.discretization.manifold
-
-    @property
-    def control_times(self) -> np.ndarray:
-        return np.asarray(self.lift.theta)
+    @classmethod
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+        problem, stratum = classification.problem, classification.stratum
+        if not isinstance(problem.controls, Euclidean):
+            raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
+        states = [jax.tree.map(lambda leaf, i=i: leaf[i], stratum.states) for i in range(stratum.count)]
+        curvature = np.max([np.abs(_curvature(problem, *z)) for z in states], axis=(0, 1))
+        singular = tuple(int(i) for i in np.flatnonzero(curvature <= default_tolerance() * np.max(curvature)))
+        if not singular:
+            raise NotApplicableError("H has a second derivative in every control")
+        for z in states:
+            obstacle = _facts(ControlAffineSplitting(problem, singular), *z).obstacle(singular)
+            if obstacle:
+                raise NotApplicableError(obstacle)
+        many = "controls" if len(singular) > 1 else "control"
+        return cls(lift, singular, f"H is affine in the {many} {singular}, and the arc is of first order")
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)
         system.check_discretization(self.lift.discretization)
-        split = ControlAffineSplitting(system, self.singular)
-        curvature, primary, secondary, among, across = jax.device_get(_facts(split, q, p))
-        if not np.max(np.abs(curvature)) <= default_tolerance():
-            raise InvalidInputError(
-                f"Pontryagin's Hamiltonian is not affine in the controls {self.singular}: its second derivative in them reaches "
-                f"{np.max(np.abs(curvature)):.3g}, expected 0; name the controls without cost of their own"
-            )
-        for name, value in (("phi = dH/du", primary), ("psi = {phi, H_0}", secondary)):
+        facts = _facts(ControlAffineSplitting(system, self.singular), q, p)
+        for name, value in (("phi = dH/du", facts.primary), ("psi = {phi, H_0}", facts.secondary)):
             if not np.max(np.abs(value)) <= default_tolerance():
                 raise NotOnManifoldError(f"start is not on the constraint manifold: {name} is {value}, expected 0")
-        if not np.max(np.abs(among)) <= default_tolerance():
-            raise InvalidInputError(f"the brackets of the primary constraints are {among.tolist()}, expected 0")
-        values = np.linalg.svd(across, compute_uv=False)
-        if not values[-1] > 1e-8 * max(values[0], 1e-300):
-            raise InvalidInputError(
-                f"the brackets {{phi, psi}} have the singular values {values}, expected all positive: the singular arc is of "
-                "higher order, or a control is gauge"
-            )
+        obstacle = facts.obstacle(self.singular)
+        if obstacle:
+            raise InvalidInputError(obstacle)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> _Memory:
         regular = ControlAffineSplitting(system, self.singular).regular_problem()
@@ -106,10 +108,41 @@ class RattleIntegrator(Integrator):
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)
 
 
+class _Facts(NamedTuple):
+    """Second derivatives of H in the singular controls, the constraints, ``{phi_a, phi_b}`` and ``{phi_a, psi_b}``."""
+
+    curvature: Array
+    primary: Array
+    secondary: Array
+    among: Array
+    across: Array
+
+    def obstacle(self, singular: tuple[int, ...]) -> str:
+        """Why the method does not apply, in words; empty if it does."""
+        if not np.max(np.abs(self.curvature)) <= default_tolerance():
+            return (
+                f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them reaches "
+                f"{np.max(np.abs(self.curvature)):.3g}, expected 0; name the controls without cost of their own"
+            )
+        size = np.max(np.abs(self.across))
+        if not np.max(np.abs(self.among)) <= default_tolerance() * (1 + size):
+            return f"the brackets of the primary constraints are {np.asarray(self.among).tolist()}, expected 0"
+        values = np.linalg.svd(self.across, compute_uv=False)
+        if not values[-1] > 1e-8 * max(values[0], 1e-300):
+            return (
+                f"the brackets {{phi, psi}} have the singular values {values}, expected all positive: the singular arc is of "
+                "higher order, or a control is gauge"
+            )
+        return ""
+
+
 @eqx.filter_jit
-def _facts(split: ControlAffineSplitting, q: Ambient, p: Ambient) -> tuple[Array, ...]:
-    """Second derivatives of H in the singular controls, the constraints, and their brackets."""
-    problem = split.problem
-    u = problem.controls.random_point(jax.random.key(0))
-    curvature = jax.hessian(lambda u: problem.hamiltonian(q, p, u))(u)[np.asarray(split.singular)]
-    return curvature, split.primary(q, p), split.secondary(q, p), *split.brackets((q, p))
+def _facts(split: ControlAffineSplitting, q: Ambient, p: Ambient) -> _Facts:
+    curvature = _curvature(split.problem, q, p)[np.asarray(split.singular)]
+    return _Facts(curvature, split.primary(q, p), split.secondary(q, p), *split.brackets((q, p)))
+
+
+@eqx.filter_jit
+def _curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Array:
+    """``d2H/du2`` at a random control."""
+    return jax.hessian(lambda u: problem.hamiltonian(q, p, u))(problem.controls.random_point(jax.random.key(0)))

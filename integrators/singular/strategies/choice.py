@@ -1,0 +1,58 @@
+"""The choice of a strategy from the classification of a problem."""
+
+from dataclasses import replace
+
+from ....manifolds import InvalidInputError
+from ....retractions import CotangentLift, DiscretizationMap
+from ..integrability import Classification
+from .direct import DirectIntegrator
+from .project import ProjectedIntegrator
+from .rattle import RattleIntegrator
+from .stage import StageIntegrator
+from .strategy import Gauge, NotApplicableError, SingularIntegrator
+
+# In the order in which they are tried.
+STRATEGIES: dict[str, type[SingularIntegrator]] = {
+    "direct": DirectIntegrator,
+    "rattle": RattleIntegrator,
+    "stage": StageIntegrator,
+    "project": ProjectedIntegrator,
+}
+
+
+def singular_integrator(
+    classification: Classification,
+    discretization: DiscretizationMap,
+    strategy: str | None = None,
+    gauge: Gauge | None = None,
+) -> SingularIntegrator:
+    """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a discretization map.
+
+    By default the first strategy of ``STRATEGIES`` that applies; its ``reason`` says why, and why not those before it.
+    ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the control,
+    ``t`` from the start of the integration; without it the control of least norm is taken.
+
+    Raises ``InvalidInputError`` if ``P_f`` is empty, or if the strategy asked for does not apply.
+    """
+    if not isinstance(classification, Classification):
+        raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
+    if strategy is not None and strategy not in STRATEGIES:
+        raise InvalidInputError(f"unknown strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}, or None")
+    classification.problem.check_discretization(discretization)
+    lift, refusals = CotangentLift(discretization), list[str]()
+    for name in STRATEGIES if strategy is None else (strategy,):
+        try:
+            found = STRATEGIES[name].suited(classification, lift, gauge)
+        except NotApplicableError as error:
+            refusals.append(f"not {name}: {error}")
+            continue
+        return replace(found, reason="; ".join([f"{name}: {found.reason}", *_gauge(classification, gauge), *refusals]))
+    other = singular_integrator(classification, discretization, gauge=gauge)
+    raise InvalidInputError(f"{refusals[0]}; what applies is {other.reason}")
+
+
+def _gauge(classification: Classification, gauge: Gauge | None) -> list[str]:
+    """Words on the gauge controls, if there are any."""
+    if not classification.gauge_controls:
+        return []
+    return ["gauge controls as given" if gauge else "gauge controls of least norm, for want of gauge(t, q, p)"]

@@ -1,0 +1,74 @@
+"""The definition of the paper, where it composes into a flow: stages on the final constraint manifold."""
+
+from dataclasses import replace
+from typing import Any, ClassVar, Self, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike
+
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ....retractions import CotangentLift
+from ...initial_value.step import StepResult
+from ...problem import OptimalControlProblem
+from ..integrability import Classification
+from .dynamics import FinalDynamics, Memory
+from .strategy import Gauge, NotApplicableError, SingularIntegrator
+
+TEST_STEP = 0.1  # how far the steps of the test of composability go, relative to the size of the state
+
+
+@final
+class DirectIntegrator(SingularIntegrator):
+    """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_f`` over its base point.
+
+    [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 3.]
+    The relation is Lagrangian in ``P_{f,d}``. It is a map of ``P_f`` into itself only where the ends of its steps stay on
+    ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that.
+    """
+
+    lift: CotangentLift
+    dynamics: FinalDynamics
+    reason: str = eqx.field(static=True)
+    presymplectic: ClassVar[bool] = True
+
+    @classmethod
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+        found = cls(lift, FinalDynamics.of(classification, gauge), "")
+        gap = float(_departure(found, classification.problem, classification.stratum.states))
+        if not gap <= default_tolerance():
+            raise NotApplicableError(
+                f"steps with stages in S_f leave P_f, its equations {gap:.1e} after one: they do not compose"
+            )
+        return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e} after one), so they compose")
+
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        self.dynamics.check(system, self.lift, (q, p))
+
+    def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
+        return self.dynamics.begin()
+
+    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
+        return self.dynamics.step(self.lift, h, q, p, previous)
+
+    def control(self, unknowns: Memory) -> Ambient:
+        return unknowns.control
+
+
+@eqx.filter_jit
+def _departure(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
+    """Largest violation of the equations of ``P_f`` after one step from each of some points of it (leading axis)."""
+
+    def one(z: tuple[Ambient, Ambient]) -> Array:
+        z = integrator.dynamics.manifold.restore(z)
+        first = integrator.begin(problem, *z)
+        speed = vec.size(problem.velocity(z[0], first.control))
+        h = TEST_STEP * jnp.where(speed > 0, vec.size(z) / jnp.where(speed > 0, speed, 1.0), 1.0)
+        new = integrator.step(problem, h, *z, first)
+        gaps = integrator.dynamics.manifold.violations((new.q, new.p)).values()
+        return jnp.where(new.converged, jnp.max(jnp.stack(list(gaps))), jnp.nan)
+
+    return jnp.max(jax.lax.map(one, jax.tree.map(jnp.asarray, states)))

@@ -1,0 +1,55 @@
+"""Constraints at the stages only: the regular integrator's equations on a singular problem."""
+
+from typing import Any, ClassVar, Self, final
+
+import equinox as eqx
+from jaxtyping import ArrayLike
+
+from ....manifolds.numerics.ambient import Ambient
+from ....retractions import CotangentLift
+from ...initial_value.step import StepResult, lifted_step, restored
+from ...problem import OptimalControlProblem
+from ...stages import ControlStage
+from ..integrability import Classification
+from .dynamics import FinalDynamics
+from .strategy import Gauge, NotApplicableError, SingularIntegrator
+
+
+@final
+class StageIntegrator(SingularIntegrator):
+    """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_H``: the equations of the boundary-value problem, step by step.
+
+    The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a symplectic map
+    near ``P_f`` in ``T*Q``. Stable where the primary constraints are second class among themselves, as ``p = theta(q)`` is;
+    where their brackets vanish only if the leaves are straight.
+    """
+
+    lift: CotangentLift
+    dynamics: FinalDynamics
+    reason: str = eqx.field(static=True)
+    presymplectic: ClassVar[bool] = True
+
+    @classmethod
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+        if classification.gauge_controls:
+            raise NotApplicableError("the equations at the stages leave the gauge controls free, and the step with them")
+        if classification.k_f_base > 0:
+            raise NotApplicableError(
+                f"P_f has equations up to level {classification.k_f_base}, and the primary ones alone, at the stages, make no "
+                "stable step"
+            )
+        reason = "the primary constraints determine all controls along their motion; they hold at the stages, at nodes to O(h^2)"
+        return cls(lift, FinalDynamics.of(classification, gauge), reason)
+
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        self.dynamics.check(system, self.lift, (q, p))
+
+    def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
+        return q, self.dynamics.begin().control
+
+    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        stage = ControlStage(problem=system, discretization=self.lift.discretization, step=h)
+        return restored(self.manifold, lifted_step(stage, q, p, previous))
+
+    def control(self, unknowns: Any) -> Ambient:
+        return unknowns[1]

@@ -1,0 +1,34 @@
+"""The abstract integrator on the final constraint manifold, and the refusal of one that does not apply."""
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+from jaxtyping import Array
+
+from ....manifolds import InvalidInputError
+from ....retractions import CotangentLift
+from ...initial_value.integrator import LiftedIntegrator
+from ..integrability import Classification
+
+Gauge = Callable[[Array, Any, Any], Any]
+
+
+class NotApplicableError(InvalidInputError):
+    """A strategy cannot integrate a problem; the message says why."""
+
+
+class SingularIntegrator(LiftedIntegrator):
+    """A method for the extremals of a singular problem on its final constraint manifold ``P_f``.
+
+    ``reason`` says why this strategy was chosen; ``presymplectic`` whether it preserves the form ``omega_f`` of ``P_f``.
+    """
+
+    reason: eqx.AbstractVar[str]
+    presymplectic: ClassVar[bool]
+
+    @classmethod
+    @abstractmethod
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+        """The integrator of this kind for a classified problem. Raises ``NotApplicableError`` if it has none."""
