@@ -131,8 +131,7 @@ def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: 
     """Random points of ``T*Q`` and controls, with vanishing derivatives of the control."""
     keys = jax.random.split(jax.random.key(seed), count)
     (q, p), centers, first, (speed, cost) = jax.tree.map(np.asarray, _draw()(problem, keys))
-    # Costates of the size at which <p, X> and the cost are comparable.
-    size = np.mean(cost) / np.mean(speed) if np.mean(cost) > 0 and np.mean(speed) > 0 else 1.0
+    size, _ = _sizes(cost, speed)
     z = q, jax.tree.map(lambda leaf: size * leaf, p)
     jets = np.zeros((count, order + 1, problem.controls.dimension))
     jets[:, 0] = first
@@ -182,19 +181,32 @@ def _host(at: Linearised) -> Linearised:
 
 
 def _units(at: Linearised) -> Units:
-    """Rows by their largest entry over the batch, unless it is rounding of the terms they sum; then columns likewise."""
-    by_state, by_jet = np.abs(at.by_state), np.abs(at.by_jet)
+    """Rows by their largest entry over the batch, unless it is rounding of the terms they sum; then columns likewise.
+
+    Entries are weighed with the sizes that a state, a costate and the derivatives of a control have in the problem, so that
+    its answers do not depend on the units of time and cost.
+    """
+    costate, rate = _sizes(np.asarray(at.cost_rate), np.linalg.norm(at.velocity[:, : at.velocity.shape[1] // 2], axis=1))
+    across = np.repeat([1.0, costate], at.velocity.shape[1] // 2)
+    along = np.broadcast_to((rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
+    by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
     largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
     rows = np.max(np.maximum(largest, np.abs(at.array)), axis=0)
     shifted = np.concatenate([np.abs(at.jet[:, 1:]), np.zeros_like(at.jet[:, :1])], axis=1)
-    terms = np.einsum("bkms,bs->bkm", by_state, np.abs(at.velocity)) + np.einsum("bkmln,bln->bkm", by_jet, shifted)
-    summed = np.max(terms, axis=(0, 2))
-    floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], summed[:-1]])
+    terms = np.einsum("bkms,bs->bkm", np.abs(at.by_state), np.abs(at.velocity))
+    terms += np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), shifted)
+    floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], np.max(terms, axis=(0, 2))[:-1]])
     rows = np.maximum(rows, floor[:, None])
     rows = np.where(rows > 0, rows, 1.0)
     state = np.max(by_state / rows[:, :, None], axis=(0, 1, 2))
     jet = np.max(by_jet / rows[:, :, None, None], axis=(0, 1, 2))
-    return Units(rows, _reciprocal(state), _reciprocal(jet))
+    return Units(rows, across * _reciprocal(state), along * _reciprocal(jet))
+
+
+def _sizes(costs: np.ndarray, speeds: np.ndarray) -> tuple[float, float]:
+    """Costates for which ``<p, X>`` and the cost are comparable, and the rate of change of a state of size one."""
+    cost, speed = float(np.mean(np.abs(costs))), float(np.mean(speeds))
+    return (cost / speed if cost > 0 and speed > 0 else 1.0), (speed if speed > 0 else 1.0)
 
 
 def _reciprocal(sizes: np.ndarray) -> np.ndarray:

@@ -10,17 +10,18 @@ from retrax.integrators import Classification, OptimalControlProblem, classify
 from retrax.manifolds.numerics import ambient as vec
 from retrax.problems import SINGULAR, KnownClassification
 
-ONE = (1.0, 1.0)
+ONE = (1.0, 1.0, 1.0)
 
 
 class Scaled(eqx.Module):
-    """A function of ``(q, u)`` times a number that is data, not code."""
+    """``factor * function(q, control * u)`` with numbers that are data, not code."""
 
     function: Any
     factor: Array
+    control: Array
 
     def __call__(self, q: Any, u: Any) -> Any:
-        return vec.scale(self.factor, self.function(q, u))
+        return vec.scale(self.factor, self.function(q, vec.scale(self.control, u)))
 
 
 @lru_cache
@@ -28,16 +29,19 @@ def known(name: str) -> KnownClassification:
     return SINGULAR[name]()
 
 
-@lru_cache
-def classified(name: str, factors: tuple[float, float] = ONE, seed: int = 0) -> Classification:
-    """The classification of a problem whose dynamics and cost are multiplied by two factors."""
-    problem = known(name).problem
-    dynamics, cost = (jnp.asarray(factor) for factor in factors)
-    scaled = OptimalControlProblem(
+def scaled(problem: OptimalControlProblem, factors: tuple[float, float, float]) -> OptimalControlProblem:
+    """The problem whose dynamics, cost and controls are multiplied by three factors."""
+    dynamics, cost, control = (jnp.asarray(factor) for factor in factors)
+    return OptimalControlProblem(
         problem.manifold,
-        Scaled(problem.dynamics, dynamics),
-        Scaled(problem.running_cost, cost),
+        Scaled(problem.dynamics, dynamics, control),
+        Scaled(problem.running_cost, cost, control),
         problem.controls,
         problem.terminal_cost,
     )
-    return classify(scaled, seed=seed)
+
+
+@lru_cache
+def classified(name: str, factors: tuple[float, float, float] = ONE, seed: int = 0) -> Classification:
+    """The classification of a known problem multiplied by three factors."""
+    return classify(scaled(known(name).problem, factors), seed=seed)
