@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from .manifold import Manifold, default_tolerance, real
 from .numerics.ambient import Ambient
 from .numerics.root import solve_small
+from .numerics.sizes import as_shape
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
@@ -24,7 +25,7 @@ class LevelSet(Manifold):
     differentiation. The equations must be independent: where the Jacobian of ``c`` loses rank there is no manifold.
     """
 
-    shape: tuple[int, ...] = eqx.field(static=True, converter=lambda s: (s,) if isinstance(s, int) else tuple(s))
+    shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
     @abstractmethod
     def constraint(self, x: Array) -> Array:

@@ -10,6 +10,7 @@ from jaxtyping import Array
 from .manifold import Manifold
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError
+from .numerics.sizes import are_whole
 
 
 @final
@@ -24,9 +25,12 @@ class Power(Manifold):
     k: int = eqx.field(static=True)
 
     def __init__(self, factor: Manifold, k: int) -> None:
-        if not isinstance(factor, Manifold) or not isinstance(k, int) or k < 1:
-            raise InvalidInputError(f"Power takes a manifold and a number of copies of at least 1, got {factor!r} and {k!r}")
-        self.factor, self.k = factor, k
+        if not isinstance(factor, Manifold) or not are_whole(k) or k < 1:
+            raise InvalidInputError(
+                f"Power takes a manifold and a whole number of copies of at least 1, got {factor!r} and {k!r}; "
+                "try Power(Sphere(2), 3)"
+            )
+        self.factor, self.k = factor, int(k)
 
     @property
     def dimension(self) -> int:

@@ -11,7 +11,6 @@ from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace, complex_entries, real
 from ..numerics import ambient as vec
-from ..numerics.errors import InvalidInputError
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
 
@@ -149,12 +148,6 @@ class MatrixLieGroup(HomogeneousSpace):
         """Derivative of ``Ad`` at the identity: ``ad(c) b`` are the coordinates of ``[hat(c), hat(b)]``."""
         a, basis = self.hat(c), _constant(self.algebra, c)
         return jax.vmap(self.vee, out_axes=1)(a @ basis - basis @ a)
-
-
-def require_size(group: MatrixLieGroup, n: Any, least: int) -> None:
-    """Raise ``InvalidInputError`` unless ``n`` is a whole number of at least ``least``."""
-    if not isinstance(n, int | np.integer) or isinstance(n, bool) or n < least:
-        raise InvalidInputError(f"{type(group).__name__}(n) takes a whole number n of at least {least}, got {n!r}")
 
 
 def _constant(a: np.ndarray, like: Any) -> Array:

@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .matrix_lie_group import MatrixLieGroup, require_size
+from ..numerics.sizes import plain, require_size
+from .matrix_lie_group import MatrixLieGroup
 from .special_orthogonal import nearly_orthogonal, random_rotation, rotation_violations, skew_basis
 
 
@@ -22,7 +23,7 @@ class SE(MatrixLieGroup):
     Body and spatial covectors are wrenches ``(moment, force)``.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
         require_size(self, self.n, 2)

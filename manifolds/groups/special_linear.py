@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .matrix_lie_group import MatrixLieGroup, require_size
+from ..numerics.sizes import plain, require_size
+from .matrix_lie_group import MatrixLieGroup
 
 
 @final
@@ -17,7 +18,7 @@ class SL(MatrixLieGroup):
     The basis of the algebra is ``E_ij`` with ``i != j``, row by row, then ``E_ii - E_(i+1)(i+1)``.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
         require_size(self, self.n, 2)

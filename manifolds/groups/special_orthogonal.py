@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .matrix_lie_group import MatrixLieGroup, require_size
+from ..numerics.sizes import plain, require_size
+from .matrix_lie_group import MatrixLieGroup
 
 
 def skew_basis(n: int) -> np.ndarray:
@@ -40,7 +41,7 @@ class SO(MatrixLieGroup):
     for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
         require_size(self, self.n, 2)

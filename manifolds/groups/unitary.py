@@ -9,7 +9,8 @@ from jaxtyping import Array
 
 from ..manifold import complex_entries
 from ..numerics import ambient as vec
-from .matrix_lie_group import MatrixLieGroup, require_size
+from ..numerics.sizes import plain, require_size
+from .matrix_lie_group import MatrixLieGroup
 from .special_orthogonal import nearly_orthogonal
 
 
@@ -58,7 +59,7 @@ class U(MatrixLieGroup):
     The basis of the algebra is ``-i sqrt(2/n) I / 2`` followed by that of SU(n).
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
         require_size(self, self.n, 1)
@@ -92,7 +93,7 @@ class SU(MatrixLieGroup):
     quaternions, coordinates ``w`` are those of SO(3): ``exp(hat(w))`` turns space by the rotation vector ``w``.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
         require_size(self, self.n, 2)

@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ..manifold import Manifold, default_tolerance, real
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import adapted_frame, leading_projector, qr_factor
+from ..numerics.sizes import are_whole, plain
 
 
 @final
@@ -22,15 +23,15 @@ class FixedRank(Manifold):
     smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
     """
 
-    m: int = eqx.field(static=True)
-    n: int = eqx.field(static=True)
-    r: int = eqx.field(static=True)
+    m: int = eqx.field(static=True, converter=plain)
+    n: int = eqx.field(static=True, converter=plain)
+    r: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
-        if not 1 <= self.r < min(self.m, self.n):
+        if not are_whole(self.m, self.n, self.r) or not 1 <= self.r < min(self.m, self.n):
             raise InvalidInputError(
-                f"FixedRank(m, n, r) holds m x n matrices of rank r, 1 <= r < min(m, n); got m = {self.m}, n = {self.n}, "
-                f"r = {self.r}. Matrices of full rank are an open set: take Euclidean((m, n))"
+                "FixedRank(m, n, r) holds m x n matrices of rank r, whole numbers 1 <= r < min(m, n); "
+                f"got m = {self.m!r}, n = {self.n!r}, r = {self.r!r}. Full rank is an open set: try Euclidean((m, n))"
             )
 
     @property

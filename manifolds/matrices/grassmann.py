@@ -12,6 +12,7 @@ from ..groups import skew_basis
 from ..manifold import HomogeneousSpace, real
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import adapted_frame, qr_factor
+from ..numerics.sizes import are_whole, plain
 
 
 @final
@@ -24,13 +25,14 @@ class Grassmann(HomogeneousSpace):
     [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
     """
 
-    n: int = eqx.field(static=True)
-    p: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+    p: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
-        if not 1 <= self.p < self.n:
+        if not are_whole(self.n, self.p) or not 1 <= self.p < self.n:
             raise InvalidInputError(
-                f"Grassmann(n, p) holds the p-dimensional subspaces of R^n, 1 <= p < n; got n = {self.n}, p = {self.p}"
+                "Grassmann(n, p) holds the p-dimensional subspaces of R^n, whole numbers 1 <= p < n; "
+                f"got n = {self.n!r}, p = {self.p!r}; try Grassmann(3, 1)"
             )
 
     @property

@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from ..manifold import HomogeneousSpace, real
 from ..numerics.errors import InvalidInputError
+from ..numerics.sizes import are_whole, plain
 from ..vectors import Sphere
 
 
@@ -19,13 +20,14 @@ class Oblique(HomogeneousSpace):
     Rotations of each column act on it, as they do on the sphere; momenta are listed column by column.
     """
 
-    n: int = eqx.field(static=True)
-    m: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+    m: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
-        if not (self.n >= 2 and self.m >= 1):
+        if not are_whole(self.n, self.m) or self.n < 2 or self.m < 1:
             raise InvalidInputError(
-                f"Oblique(n, m) holds m unit columns in R^n, n >= 2 and m >= 1; got n = {self.n}, m = {self.m}"
+                "Oblique(n, m) holds m unit columns in R^n, whole numbers n >= 2 and m >= 1; "
+                f"got n = {self.n!r}, m = {self.m!r}; try Oblique(3, 2)"
             )
 
     @property

@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 from ..manifold import HomogeneousSpace, real
 from ..metric import Metric
 from ..numerics.matrices import symmetric
+from ..numerics.sizes import plain, require_size
 
 
 def symmetric_basis(n: int) -> np.ndarray:
@@ -30,7 +31,10 @@ class SPD(HomogeneousSpace):
     Invertible matrices ``g`` act on it by ``x -> g x g'``; the n^2 generators are ``e_ij x + x e_ij'``.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 1)
 
     @property
     def dimension(self) -> int:

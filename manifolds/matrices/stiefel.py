@@ -13,6 +13,7 @@ from ..manifold import HomogeneousSpace, real
 from ..metric import Metric
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import complement, qr_factor
+from ..numerics.sizes import are_whole, plain
 
 
 @final
@@ -24,13 +25,14 @@ class Stiefel(HomogeneousSpace):
     matrices. The metric is that of the ambient space.
     """
 
-    n: int = eqx.field(static=True)
-    p: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+    p: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
-        if not 1 <= self.p <= self.n:
+        if not are_whole(self.n, self.p) or not 1 <= self.p <= self.n:
             raise InvalidInputError(
-                f"Stiefel(n, p) holds p orthonormal columns in R^n, 1 <= p <= n; got n = {self.n}, p = {self.p}"
+                "Stiefel(n, p) holds p orthonormal columns in R^n, whole numbers 1 <= p <= n; "
+                f"got n = {self.n!r}, p = {self.p!r}; try Stiefel(3, 2)"
             )
 
     @property

@@ -9,13 +9,14 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifold import HomogeneousSpace, real
+from ..numerics.sizes import as_shape
 
 
 @final
 class Euclidean(HomogeneousSpace):
     """Vector space of real arrays: ``Euclidean(3)``, ``Euclidean((2, 3))``. Translations act on it; momentum is ``p``."""
 
-    shape: tuple[int, ...] = eqx.field(static=True, converter=lambda s: (s,) if isinstance(s, int) else tuple(s))
+    shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
     @property
     def dimension(self) -> int:

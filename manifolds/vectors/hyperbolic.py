@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 from ..groups.special_orthogonal import skew_basis
 from ..manifold import HomogeneousSpace, real
 from ..metric import Metric
+from ..numerics.sizes import plain, require_size
 
 Vector = Float[Array, " n+1"]
 
@@ -28,7 +29,10 @@ class Hyperbolic(HomogeneousSpace):
     group acts on it.
     """
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 1)
 
     @property
     def dimension(self) -> int:
@@ -84,9 +88,14 @@ class Hyperbolic(HomogeneousSpace):
         return 1 + excess, e[1:] - (e[0] + excess) / (1 + x[0]) * x[1:]
 
     def distance(self, x: Array, y: Array) -> Array:
-        """Distance ``arcosh(-<x, y>_L)``, as the ``arsinh`` of the space part of ``y`` seen from ``x``."""
+        """Distance ``arcosh(-<x, y>_L)``, as the ``arsinh`` of the space part of ``y`` seen from ``x``.
+
+        It has no derivative at ``x = y``: there automatic differentiation gives 0, one of its subgradients.
+        """
         _, u = self.seen_from(x, y)
-        return jnp.arcsinh(jnp.linalg.norm(u))
+        s = u @ u
+        apart = s > 0
+        return jnp.where(apart, jnp.arcsinh(jnp.sqrt(jnp.where(apart, s, 1.0))), 0.0)
 
 
 @final

@@ -8,13 +8,17 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..manifold import Manifold, real
+from ..numerics.sizes import plain, require_size
 
 
 @final
 class Simplex(Manifold):
     """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``."""
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 1)
 
     @property
     def dimension(self) -> int:

@@ -9,13 +9,17 @@ from jaxtyping import Array, Float
 
 from ..groups.special_orthogonal import skew_basis
 from ..manifold import HomogeneousSpace, real
+from ..numerics.sizes import plain, require_size
 
 
 @final
 class Sphere(HomogeneousSpace):
     """Unit sphere ``S^n = {x : |x| = 1}``; points are vectors of shape ``(n + 1,)``. Rotations of space act on it."""
 
-    n: int = eqx.field(static=True)
+    n: int = eqx.field(static=True, converter=plain)
+
+    def __check_init__(self) -> None:
+        require_size(self, self.n, 1)
 
     @property
     def dimension(self) -> int:

@@ -23,7 +23,7 @@ class PowerRetraction(DifferentiatedRetraction):
     def __init__(self, factor: Retraction, k: int) -> None:
         if not isinstance(factor, Retraction):
             raise InvalidInputError(f"PowerRetraction takes a retraction and a number of copies, got {factor!r}")
-        self.factor, self.k = factor, k
+        self.factor, self.k = factor, Power(factor.manifold, k).k
 
     @property
     def manifold(self) -> Power:

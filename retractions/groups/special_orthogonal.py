@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import SO
+from ..differential import DifferentiatedRetraction
 from ..retraction import nan_unless
 from .functions import rotations, unitary
 from .group_map import GroupRetraction, SymmetricGroupRetraction
@@ -38,10 +39,11 @@ class SOExponential(_SymmetricRotation):
 
 
 @final
-class SOCayley(_SymmetricRotation):
+class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, x Omega) = x (I - Omega/2)^-1 (I + Omega/2)``.
 
     Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega``.
+    Differentiated, ``x h A h`` for ``w = x A``, with ``h = (I - Omega/2)^-1``.
     """
 
     def group_map(self, a: Array) -> Array:
@@ -50,15 +52,29 @@ class SOCayley(_SymmetricRotation):
     def group_map_inverse(self, b: Array) -> Array:
         return nan_unless(rotations.smallest_cosine(b) > -1, rotations.cayley_inverse(b))
 
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        h = self._half_way(x, v)
+        return x @ h @ self.manifold.left_trivialise(x, w) @ h
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        h = self._half_way(x, v)
+        return x @ self.manifold.algebra_part(h.T @ x.T @ xi @ h.T)
+
+    def _half_way(self, x: Array, v: Array) -> Array:
+        """``h``, which is half of ``I + g(Omega)``."""
+        g = self.group_map(self.manifold.left_trivialise(x, v))
+        return (jnp.eye(g.shape[0], dtype=g.dtype) + g) / 2
+
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jnp.isfinite(v))
 
 
 @final
-class SOPolar(_SymmetricRotation):
+class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, v)`` = orthogonal polar factor of ``x + v``: the nearest rotation.
 
     Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega``.
+    Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A g``, where ``I + Omega = g s``.
     """
 
     def group_map(self, a: Array) -> Array:
@@ -66,6 +82,17 @@ class SOPolar(_SymmetricRotation):
 
     def group_map_inverse(self, b: Array) -> Array:
         return nan_unless(rotations.smallest_cosine(b) > 0, rotations.polar_inverse(b))
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        omega, a = self.manifold.left_trivialise(x, v), self.manifold.left_trivialise(x, w)
+        g = self.group_map(omega)
+        return x @ g @ rotations.polar_turn(omega, g, g.T @ a + a @ g)
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        omega = self.manifold.left_trivialise(x, v)
+        g = self.group_map(omega)
+        t = rotations.polar_turn(omega, g, self.manifold.left_trivialise(x @ g, xi))
+        return x @ self.manifold.algebra_part(g @ t + t @ g.T)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jnp.isfinite(v))

@@ -4,11 +4,11 @@ from typing import final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from ...manifolds import FixedRank
-from ...manifolds.manifold import default_tolerance
 from ..retraction import Retraction, nan_unless
+from .stiefel import EDGE
 
 
 @final
@@ -16,7 +16,12 @@ class FixedRankProjection(Retraction):
     """``R(x, v)`` = nearest matrix of rank ``r`` to ``x + v``: its truncated singular value decomposition. Second order.
 
     Inverse ``v = P_x(y - x + n)`` with the normal vector ``n`` at ``y`` that makes ``y - x + n`` tangent at ``x``, a linear
-    equation; its image is where ``n`` is shorter (largest singular value) than the smallest singular value of ``y``.
+    equation. It has one solution where the columns of ``y`` span no direction orthogonal to those of ``x``, nor do the rows;
+    the image is where moreover ``n`` is shorter (largest singular value) than the smallest singular value of ``y``.
+
+    Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, so that there is one
+    nearest matrix, and columns and rows of that span no direction orthogonal to those of ``x``. By the perturbation bounds of
+    Weyl and Wedin it holds every ``v`` whose largest singular value is below half the smallest one of ``x``.
     """
 
     manifold: FixedRank
@@ -32,12 +37,32 @@ class FixedRankProjection(Retraction):
         left = jnp.linalg.solve(_carrier(c, c_there), outside)
         n = -jnp.linalg.solve(_carrier(d, d_there), left.T).T
         smallest = jnp.linalg.svd(y, compute_uv=False)[self.manifold.r - 1]
-        return nan_unless(jnp.linalg.norm(n, 2) < smallest, self.manifold.projection(x, chord + n))
+        inside = (jnp.linalg.norm(n, 2) < smallest) & self._inclined(x, y)
+        return nan_unless(inside, self.manifold.projection(x, chord + n))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        singular = jnp.linalg.svd(x + v, compute_uv=False)
+        last, beyond = singular[self.manifold.r - 1], singular[self.manifold.r]
+        return (last - beyond > _rounding(singular[0])) & self._inclined(x, x + v)
+
+    def _inclined(self, x: Array, a: Array) -> Bool[Array, ""]:
+        """Whether the leading columns, and rows, of ``a`` make angles below pi/2 with those of ``x``."""
+        pairs = zip(self.manifold.projectors(x), self.manifold.projectors(a), strict=True)
+        cosines = [jnp.linalg.svd(_carrier(here, there), compute_uv=False)[-1] for here, there in pairs]
+        return jnp.minimum(*cosines) > _rounding(jnp.ones((), x.dtype))
 
 
 def _carrier(here: Array, there: Array) -> Array:
-    """Linear map that takes the image of the projector ``there`` to that of ``here``, and kernel to kernel."""
+    """Linear map that takes the image of the projector ``there`` to that of ``here``, and kernel to kernel.
+
+    Its singular values are the cosines of the angles between them.
+    """
     return jnp.eye(here.shape[0], dtype=here.dtype) - here - there + 2 * here @ there
+
+
+def _rounding(size: Array) -> Array:
+    """What is zero up to rounding, of a matrix of this size."""
+    return EDGE * jnp.finfo(size.dtype).eps * size
 
 
 @final
@@ -46,7 +71,8 @@ class FixedRankOrthographic(Retraction):
 
     With ``u`` and ``w`` any bases of the spans of the columns and rows of ``x``, and ``a = x + v``, it is
     ``a w (u'a w)^-1 u'a``. Inverse: the tangent projection ``P_x(y - x)``; its image, and its domain, are where ``u'y w``,
-    respectively ``u'a w``, is invertible.
+    respectively ``u'a w``, is invertible, up to rounding of the value: every ``v`` whose largest singular value is below the
+    smallest one of ``x`` is in the domain, and every multiple of a ``v`` but ``r`` of them or fewer.
     """
 
     manifold: FixedRank
@@ -57,10 +83,15 @@ class FixedRankOrthographic(Retraction):
         return a @ w @ jnp.linalg.solve(u.T @ a @ w, u.T @ a)
 
     def preimage(self, x: Array, y: Array) -> Array:
+        return nan_unless(self._invertible(x, y, y), self.manifold.projection(x, y - x))
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return self._invertible(x, x + v, self(x, v))
+
+    def _invertible(self, x: Array, a: Array, y: Array) -> Bool[Array, ""]:
+        """Whether ``u'a w`` is, up to the rounding of ``y``."""
         u, w = self._bases(x)
-        singular = jnp.linalg.svd(u.T @ y @ w, compute_uv=False)
-        there = singular[-1] > default_tolerance() * jnp.linalg.norm(y, 2)
-        return nan_unless(there, self.manifold.projection(x, y - x))
+        return jnp.linalg.svd(u.T @ a @ w, compute_uv=False)[-1] > _rounding(jnp.linalg.norm(y, 2))
 
     def _bases(self, x: Array) -> tuple[Array, Array]:
         """Bases of the spans of columns and rows, carried from frozen singular vectors: the spans move with ``x``."""

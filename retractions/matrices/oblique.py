@@ -7,12 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Oblique
+from ..differential import DifferentiatedRetraction, adjoint, differentiated
 from ..retraction import MidpointRetraction
 
 
 @final
-class Columnwise(MidpointRetraction):
-    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain and midpoints."""
+class Columnwise(MidpointRetraction, DifferentiatedRetraction):
+    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain, derivative and midpoints."""
 
     manifold: Oblique
     column: MidpointRetraction
@@ -22,6 +23,12 @@ class Columnwise(MidpointRetraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         return jax.vmap(self.column.preimage, 1, 1)(x, y)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        return jax.vmap(lambda *parts: differentiated(self.column, *parts), 1, 1)(x, v, w)
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        return jax.vmap(lambda *parts: adjoint(self.column, *parts), 1, 1)(x, v, xi)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jax.vmap(self.column.domain, 1)(x, v))

@@ -7,6 +7,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Hyperbolic
 from ...manifolds.numerics import series
+from ..differential import DifferentiatedRetraction
 from ..retraction import MidpointRetraction
 
 
@@ -44,10 +45,11 @@ class HyperbolicExponential(MidpointRetraction):
 
 
 @final
-class HyperbolicProjection(MidpointRetraction):
+class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
     """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below 1.
 
     Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the domain.
+    Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
     """
 
     manifold: Hyperbolic
@@ -59,6 +61,23 @@ class HyperbolicProjection(MidpointRetraction):
     def preimage(self, x: Array, y: Array) -> Array:
         cosine, u = self.manifold.seen_from(x, y)
         return self.manifold.from_apex(x, u / cosine)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        u, root, y = self._parts(x, v)
+        space = w[1:] / root + (u @ self.manifold.at_apex(x, w)) / root**2 * y[1:]
+        return jnp.concatenate([(y[1:] @ space / y[0])[None], space])
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        u, root, y = self._parts(x, v)
+        space = xi[1:] + xi[0] / y[0] * y[1:]
+        pulled = space / root + (space @ y[1:]) / root**2 * u
+        time = -(space @ y[1:]) / root**2 * (u @ x[1:]) / (1 + x[0])
+        return self.manifold.projection(x, jnp.concatenate([time[None], pulled]))
+
+    def _parts(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
+        """``v`` at the apex, ``sqrt(1 - |v|^2)`` and ``R(x, v)``."""
+        u = self.manifold.at_apex(x, v)
+        return u, jnp.sqrt(1 - u @ u), self(x, v)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         u = self.manifold.at_apex(x, v)

@@ -16,7 +16,7 @@ def _middle(x0: Array, x1: Array) -> Array:
 
 
 @final
-class SphereExponential(MidpointRetraction):
+class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
     """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
 
     Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi``.
@@ -34,6 +34,20 @@ class SphereExponential(MidpointRetraction):
         w = w - (x @ w) * x  # near the antipode the first subtraction leaves more normal part than tangent
         antipodal = (c < 0) & (w @ w <= (8 * jnp.finfo(w.dtype).eps) ** 2)
         return nan_unless(~antipodal, series.angle_over_sine(w @ w, c) * w)
+
+    def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
+        sinc, turned = self._rate(x, v)
+        return sinc * w - (v @ w) * turned
+
+    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        sinc, turned = self._rate(x, v)
+        return self.manifold.projection(x, sinc * xi - (turned @ xi) * v)
+
+    def _rate(self, x: Array, v: Array) -> tuple[Array, Array]:
+        """``sin t / t`` and the ``a`` of ``DR[w] = (sin t / t) w - <v, w> a``, with ``t = |v|``."""
+        s = v @ v
+        sinc = series.sinc(s)
+        return sinc, sinc * x + (series.cosc(s) - series.sine_remainder(s)) * v
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return v @ v < jnp.pi**2

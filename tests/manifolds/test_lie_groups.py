@@ -221,13 +221,6 @@ def test_a_group_that_needs_equations_says_so():
         group.violations(jnp.eye(2))
 
 
-@pytest.mark.parametrize("kind", [SO, SE, SU, SL])
-@pytest.mark.parametrize("size", [1, 0, 2.0, "3", True])
-def test_a_group_of_a_wrong_size_is_refused(kind, size):
-    with pytest.raises(InvalidInputError, match=r"takes a whole number n of at least 2, got"):
-        kind(size)
-
-
 INERTIAS = {
     "shape": (jnp.ones(2), r"has shape \(3,\) or \(3, 3\), got \(2,\)"),
     "sign": (jnp.array([1.0, -1.0, 2.0]), "symmetric and positive definite"),

@@ -83,12 +83,16 @@ def test_momentum_of_a_frame_is_the_skew_matrix_of_its_moments(sizes, seed):
     [
         (Stiefel, (2, 3), r"1 <= p <= n; got n = 2, p = 3"),
         (Stiefel, (3, 0), r"1 <= p <= n; got n = 3, p = 0"),
+        (Stiefel, (3.0, 2), r"whole numbers 1 <= p <= n; got n = 3.0, p = 2; try Stiefel\(3, 2\)"),
         (Grassmann, (3, 3), r"1 <= p < n; got n = 3, p = 3"),
         (Grassmann, (3, 0), r"1 <= p < n; got n = 3, p = 0"),
+        (Grassmann, (3, True), r"whole numbers 1 <= p < n; got n = 3, p = True; try Grassmann\(3, 1\)"),
         (Oblique, (1, 4), r"n >= 2 and m >= 1; got n = 1, m = 4"),
         (Oblique, (3, 0), r"n >= 2 and m >= 1; got n = 3, m = 0"),
-        (FixedRank, (4, 3, 3), r"1 <= r < min\(m, n\); got .*r = 3\. .*take Euclidean\(\(m, n\)\)"),
+        (Oblique, (3, "2"), r"whole numbers n >= 2 and m >= 1; got n = 3, m = '2'; try Oblique\(3, 2\)"),
+        (FixedRank, (4, 3, 3), r"1 <= r < min\(m, n\); got .*r = 3\. .*try Euclidean\(\(m, n\)\)"),
         (FixedRank, (4, 3, 0), r"1 <= r < min\(m, n\); got m = 4, n = 3, r = 0"),
+        (FixedRank, (4, 3, 1.5), r"whole numbers 1 <= r < min\(m, n\); got m = 4, n = 3, r = 1.5"),
     ],
 )
 def test_sizes_that_make_no_manifold_are_refused(make, sizes, words):

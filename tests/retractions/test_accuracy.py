@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -140,3 +141,24 @@ def test_the_retraction_of_the_simplex_ends_where_an_entry_underflows():
 def test_distances_follow_the_triangle_through_the_apex():
     x, y = (HYPERBOLIC.restore(jnp.array([1.0, s, 0.0, 0.0])) for s in (np.sinh(2.0), -np.sinh(5.0)))
     np.testing.assert_allclose(HYPERBOLIC.distance(x, y), 7.0, rtol=1e-14)
+
+
+@lru_cache
+def _distance_along():
+    """Derivatives of the distance of a geodesic's points from its start, and those at the start itself."""
+    move, distance = Exponential(HYPERBOLIC), HYPERBOLIC.distance
+
+    def facts(x, u, length):
+        def travelled(t):
+            return distance(x, move(x, HYPERBOLIC.from_apex(x, t * u)))
+
+        return jax.grad(travelled)(length), jax.jvp(travelled, (length,), (1.0,))[1], jax.grad(distance, (0, 1))(x, x)
+
+    return compiled(facts)
+
+
+@given(seed=SEEDS, length=st.one_of(st.sampled_from([1e-12, 1e-6]), st.floats(1e-3, 10.0)))
+def test_the_distance_grows_at_unit_rate_and_has_a_subgradient_at_zero(seed, length):
+    forward, reverse, at_start = _distance_along()(APEX, vector(seed, 3, 1.0), length)
+    np.testing.assert_allclose((forward, reverse), 1.0, rtol=1e-14)
+    np.testing.assert_array_equal(at_start, 0.0)

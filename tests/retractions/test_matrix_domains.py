@@ -1,12 +1,17 @@
 """Inverses of the retractions of matrix manifolds, from short tangent vectors to the edges of their domains and beyond."""
 
+from functools import lru_cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from hypothesis import given
 from retrax.manifolds import DomainError, FixedRank, Grassmann, Oblique, Stiefel
 from retrax.retractions import QR, Cayley, Columnwise, Exponential, FixedRankOrthographic, Polar, Projection
+from scipy.optimize import brentq
 
 from tests.support.matrices import draw, kernel, round_trip
+from tests.support.numerics import SEEDS, compiled
 
 LENGTHS = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 2.0, 3.0, 3.1, np.pi - 1e-4]
 
@@ -72,6 +77,74 @@ def test_inverses_on_subspaces_are_exact_up_to_the_edge_of_the_domain(name, gap)
         assert not retraction.domain(x, (b + b.T) * (edge + 1e-8) / (edge - gap))
         np.testing.assert_allclose(back, b + b.T, atol=1e-14)
         np.testing.assert_allclose(there, y, atol=1e-14)
+
+
+BOUNDS = {
+    # The longest v, in units of the smallest singular value of x, that the perturbation bounds keep in the domain.
+    "projection": (Projection(FixedRank(4, 3, 2)), 0.5),
+    "orthographic": (FixedRankOrthographic(FixedRank(4, 3, 2)), 1.0),
+}
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+@given(seed=SEEDS)
+def test_vectors_shorter_than_the_rank_allows_are_in_the_domain(name, seed):
+    retraction, bound = BOUNDS[name]
+    x, v = draw(retraction.manifold, seed, 1.0)
+    v = v * (1 - 1e-3) * bound * np.linalg.svd(x)[1][1] / np.linalg.norm(v, 2)
+    inside, back = fixed_rank_facts(name)(x, v)
+    assert inside
+    np.testing.assert_allclose(back, v, atol=1e-11)
+
+
+@lru_cache
+def fixed_rank_facts(name):
+    retraction = BOUNDS[name][0]
+    return compiled(lambda x, v: (retraction.domain(x, v), retraction.preimage(x, retraction(x, v))))
+
+
+FIRST_TWO = np.eye(4, 3) @ np.diag([1.0, 1.0, 0.0])
+
+
+def shrinking(t):
+    """A tangent vector at ``FIRST_TWO``: the second singular value shrinks, columns and rows turn from the first axis."""
+    v = np.zeros((4, 3))
+    v[1, 1], v[0, 2], v[2, 0] = -t, 0.8 * t, 0.7 * t
+    return v
+
+
+def gap(t):
+    """Second singular value of ``FIRST_TWO + shrinking(t)`` less the third: zero where 1 - t is that of the other block."""
+    other = np.linalg.svd(np.array([[1.0, 0.8 * t], [0.7 * t, 0.0]]))[1][1]
+    return 1 - t - other
+
+
+def test_the_domain_of_the_projection_ends_where_the_nearest_matrix_changes():
+    # Beyond the edge the nearest matrix has columns and rows orthogonal to the second ones of x.
+    edge = brentq(gap, 0.0, 1.0, xtol=1e-15)
+    facts = fixed_rank_facts("projection")
+    inside, back = facts(FIRST_TWO, shrinking(edge - 1e-8))
+    assert inside
+    np.testing.assert_allclose(back, shrinking(edge - 1e-8), atol=1e-13)
+    for t in (edge + 1e-8, 1.0, 2.0):
+        inside, back = facts(FIRST_TWO, shrinking(t))
+        assert not inside
+        assert np.all(np.isnan(back))
+
+
+def test_the_domain_of_the_orthographic_retraction_lacks_isolated_multiples_of_a_vector():
+    v = np.array([[0.0, 0.3, 0.8], [-0.2, -0.5, 0.4], [0.7, 0.1, 0.0], [0.2, 0.6, 0.0]])
+    multiples = -1 / np.linalg.eigvals(v[:2, :2])
+    assert np.all(np.isreal(multiples))
+    facts = fixed_rank_facts("orthographic")
+    for t in multiples.real:
+        assert not facts(FIRST_TWO, t * v)[0]
+        for near in (t * (1 - 1e-6), t * (1 + 1e-6)):
+            inside, back = facts(FIRST_TWO, near * v)
+            assert inside
+            # The value is of the size of 1e6.
+            np.testing.assert_allclose(back, near * v, atol=1e-8)
+    assert facts(FIRST_TWO, 1e3 * v)[0]
 
 
 HALF = np.diag([-1.0, 1.0, 1.0, 1.0])[:, :2]

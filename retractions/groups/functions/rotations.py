@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ....manifolds import hat, vee
 from ....manifolds.numerics import series
+from ....manifolds.numerics.matrices import lyapunov, symmetric
 from . import general, unitary
 
 Matrix = Float[Array, "n n"]
@@ -92,6 +93,15 @@ def polar(omega: Matrix) -> Matrix:
         return unitary.polar(omega)
     r = jnp.sqrt(1 + squared_angle(omega))
     return jnp.eye(omega.shape[0], dtype=omega.dtype) + omega / r + omega @ omega / (r * (r + 1))
+
+
+def polar_turn(omega: Matrix, g: Matrix, k: Matrix) -> Matrix:
+    """The skew ``t`` of ``s t + t s = k`` for a skew ``k``, with the polar factors ``I + omega = g s``."""
+    if omega.shape[0] > 3:
+        return lyapunov(symmetric(g.T + g.T @ omega), k)
+    # As vectors ((tr s) I - s) t = k, where s has the eigenvalue 1 along omega and r across it.
+    r = jnp.sqrt(1 + squared_angle(omega))
+    return (k - jnp.sum(omega * k) / (4 * r * (r + 1)) * omega) / (r + 1)
 
 
 def polar_inverse(a: Matrix) -> Matrix:
