@@ -27,6 +27,6 @@ def require_size(owner: object, n: Any, least: int) -> None:
 def as_shape(shape: Any) -> tuple[int, ...]:
     """The shape of an array from one length or several. Raises ``InvalidInputError`` for anything else."""
     lengths = (shape,) if are_whole(shape) else tuple(shape) if isinstance(shape, tuple | list) else None
-    if lengths is None or not are_whole(*lengths) or any(length < 1 for length in lengths):
-        raise InvalidInputError(f"a shape is one length or a tuple, whole numbers of at least 1, got {shape!r}; try (3,)")
+    if lengths is None or not are_whole(*lengths) or any(length < 0 for length in lengths):
+        raise InvalidInputError(f"a shape is one length or a tuple, whole numbers of at least 0, got {shape!r}; try (3,)")
     return tuple(map(int, lengths))

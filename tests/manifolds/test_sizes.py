@@ -24,7 +24,7 @@ def test_a_size_may_be_an_integer_of_numpy_and_no_less_than_the_least(kind):
             kind(1)
 
 
-@pytest.mark.parametrize("shape", [2.5, (2, 3.0), "ab", 0, (2, 0), -1, None, True])
+@pytest.mark.parametrize("shape", [2.5, (2, 3.0), "ab", -1, (2, -1), None, True])
 def test_a_wrong_shape_is_refused(shape):
     with pytest.raises(InvalidInputError, match=r"a shape is one length or a tuple, .* got .*; try \(3,\)"):
         Euclidean(shape)
@@ -34,3 +34,4 @@ def test_shapes_are_lengths_or_several():
     assert Euclidean(np.int64(3)) == Euclidean(3) == Euclidean((3,)) == Euclidean([3])
     assert Euclidean((2, 3)).dimension == 6
     assert Euclidean(()).dimension == 1
+    assert Euclidean(0).dimension == 0  # a point: the controls that are left when all are singular
