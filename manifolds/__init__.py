@@ -7,6 +7,7 @@ if __package__ != "retrax.manifolds":
     )
 
 from .bundles import CotangentBundle, TangentBundle
+from .combined_metrics import PowerMetric, ProductMetric, ScaledMetric
 from .groups import SE, SL, SO, SU, LeftInvariantMetric, MatrixLieGroup, U, hat, vee
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
@@ -75,9 +76,12 @@ __all__ = [
     "Phi",
     "Phi_inverse",
     "Power",
+    "PowerMetric",
     "PresymplecticManifold",
     "Product",
+    "ProductMetric",
     "RetraxError",
+    "ScaledMetric",
     "Simplex",
     "Sphere",
     "Stiefel",

@@ -41,7 +41,7 @@ from .matrices import (
     StiefelPolar,
     StiefelQR,
 )
-from .order import MeasuredOrder, order
+from .measured_order import MeasuredOrder, order
 from .retraction import MidpointRetraction, Retraction
 from .submanifold import Orthographic
 from .vectors import (

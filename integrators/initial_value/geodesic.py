@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
+from ...manifolds import InvalidInputError, Manifold, Metric
 from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CotangentLift, Midpoint, Retraction, default_retraction
@@ -30,16 +30,14 @@ class GeodesicRetraction(Retraction):
     integrator: Integrator
     steps: int = eqx.field(static=True)
 
-    def __init__(
-        self, manifold: Manifold, metric: Metric | None = None, steps: int = 8, integrator: Integrator | None = None
-    ) -> None:
-        """By default the metric is that of the ambient space, the integrator of order 4, composed of lifted midpoint steps."""
-        self.metric = EmbeddedMetric(manifold) if metric is None else metric
-        self.integrator = _order_four(manifold) if integrator is None else integrator
-        self.steps = steps
-        for part in (self.metric, self.integrator):
-            if not same_manifold(part.manifold, manifold):
-                raise InvalidInputError(f"the geodesics of {manifold} need a metric and an integrator of it, got {part}")
+    def __init__(self, metric: Metric, steps: int = 8, integrator: Integrator | None = None) -> None:
+        """By default the integrator is of order 4, composed of lifted midpoint steps."""
+        if not isinstance(metric, Metric):
+            raise InvalidInputError(f"GeodesicRetraction takes a metric, got {metric!r}; try EmbeddedMetric(Sphere(2))")
+        self.metric, self.steps = metric, steps
+        self.integrator = _order_four(metric.manifold) if integrator is None else integrator
+        if not same_manifold(self.integrator.manifold, metric.manifold):
+            raise InvalidInputError(f"the geodesics of {metric.manifold} need an integrator of it, got {self.integrator}")
         if not isinstance(steps, int) or steps < 1:
             raise InvalidInputError(f"steps must be a whole number of at least 1, got {steps!r}")
 

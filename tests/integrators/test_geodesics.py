@@ -32,7 +32,8 @@ class Central(Retraction):
 def geodesics(retraction: Retraction, metric: Metric | None = None) -> GeodesicRetraction:
     """Geodesics in four steps of order 4, by the lifted midpoint method with a retraction."""
     integrator = Composition(SymplecticIntegrator(CotangentLift(Midpoint(retraction))))
-    return GeodesicRetraction(retraction.manifold, metric, steps=4, integrator=integrator)
+    metric = EmbeddedMetric(retraction.manifold) if metric is None else metric
+    return GeodesicRetraction(metric, steps=4, integrator=integrator)
 
 
 GEODESICS = {
@@ -114,8 +115,14 @@ def test_newtons_method_finds_the_initial_velocity(seed):
     np.testing.assert_allclose(rest, x, atol=1e-15)
 
 
-def test_what_geodesics_are_made_of_is_checked():
-    with pytest.raises(InvalidInputError, match="need a metric and an integrator of it"):
-        GeodesicRetraction(Sphere(2), EmbeddedMetric(SO(3)))
-    with pytest.raises(InvalidInputError, match="steps must be a whole number of at least 1, got 0"):
-        GeodesicRetraction(Sphere(2), steps=0)
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((Sphere(2),), "takes a metric, got Sphere"),
+        ((EmbeddedMetric(Sphere(2)), 0), "steps must be a whole number of at least 1, got 0"),
+        ((EmbeddedMetric(SO(3)), 8, GEODESICS["sphere"].integrator), "need an integrator of it"),
+    ],
+)
+def test_what_geodesics_are_made_of_is_checked(arguments, words):
+    with pytest.raises(InvalidInputError, match=words):
+        GeodesicRetraction(*arguments)

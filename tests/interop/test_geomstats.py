@@ -1,17 +1,22 @@
 """The door to geomstats: what goes through agrees with geomstats' own, and its learning algorithms run on our manifolds."""
 
+import equinox as eqx
 import numpy as np
 import pytest
 from hypothesis import given
 from retrax.interop import from_geomstats, to_geomstats
+from retrax.interop.metrics import exponential_map, is_symmetric
 from retrax.interop.peers import import_peer, seeded
-from retrax.manifolds import SO, Euclidean, Product, Sphere
+from retrax.manifolds import SE, SO, EmbeddedMetric, Euclidean, LeftInvariantMetric, Power, Product, ScaledMetric, Sphere, U
+from retrax.retractions import GroupExponential, PowerRetraction, ProductRetraction, SEDecoupled, SphereExponential
+from scipy.linalg import expm
 
 from tests.support.numerics import SEEDS
 
 Hypersphere = import_peer("geomstats.geometry.hypersphere").Hypersphere
 FlatSpace = import_peer("geomstats.geometry.euclidean").Euclidean
 SpecialOrthogonal = import_peer("geomstats.geometry.special_orthogonal").SpecialOrthogonal
+SpecialEuclidean = import_peer("geomstats.geometry.special_euclidean").SpecialEuclidean
 ProductManifold = import_peer("geomstats.geometry.product_manifold").ProductManifold
 FrechetMean = import_peer("geomstats.learning.frechet_mean").FrechetMean
 TangentPCA = import_peer("geomstats.learning.pca").TangentPCA
@@ -19,6 +24,7 @@ TangentPCA = import_peer("geomstats.learning.pca").TangentPCA
 SPACES = {
     "Hypersphere": (Hypersphere(3), Sphere(3)),
     "SO": (SpecialOrthogonal(3), SO(3)),
+    "SE": (SpecialEuclidean(3), SE(3)),
     "flat product": (ProductManifold([Hypersphere(2), SpecialOrthogonal(3)]), Sphere(2) * SO(3)),
     "stacked product": (ProductManifold([Hypersphere(2), FlatSpace(3)]), Sphere(2) * Euclidean(3)),
 }
@@ -32,7 +38,8 @@ def test_every_method_means_what_that_of_geomstats_means(name, seed):
     assert counterpart.manifold == manifold
     ours = to_geomstats(*counterpart)
     with seeded(seed):
-        x, y, a = (theirs.random_point(4) for _ in range(3))
+        x, y, z = (theirs.random_point(4) for _ in range(3))
+        a = z - y
     assert (ours.dim, ours.shape) == (theirs.dim, theirs.shape)
     assert np.all(ours.belongs(x))
     assert not np.any(ours.belongs(x + np.max(np.abs(x))))
@@ -70,6 +77,72 @@ def test_tangent_pca_finds_the_directions_of_a_cloud():
     pca = TangentPCA(space, n_components=2).fit(space.metric.exp(weights @ directions, centre), base_point=centre)
     np.testing.assert_allclose(np.abs(pca.components_ @ directions.T), np.eye(2), atol=0.1)
     np.testing.assert_allclose(pca.explained_variance_, np.linalg.eigvalsh(np.cov(weights.T))[::-1], rtol=1e-10)
+
+
+def trajectories(space, seed, deviations):
+    """Trajectories in SE(3) along a screw, and the same with given lengths of two deviations that are orthonormal."""
+    rng = np.random.default_rng(seed)
+    with seeded(seed):
+        start = to_geomstats(SE(3)).random_point()
+    turn = space.geometry.manifold.factor.hat(np.r_[0.3, -0.2, 0.4, 1.0, 0.5, -0.5])
+    centre = np.stack([start @ expm(t * turn) for t in np.linspace(0, 1, space.shape[0])])
+    directions = space.to_tangent(rng.standard_normal((2, *space.shape)), centre)
+    flat = np.linalg.qr(directions.reshape(2, -1).T)[0].T
+    return centre, flat, space.metric.exp((deviations @ flat).reshape(-1, *space.shape), centre)
+
+
+def test_means_and_principal_components_of_trajectories_of_poses():
+    space = to_geomstats(Power(SE(3), 4))
+    weights = np.random.default_rng(0).standard_normal((30, 2)) * [0.8, 0.2]
+    weights = np.concatenate([weights, -weights])  # symmetric about the centre, which is their mean then
+    centre, directions, points = trajectories(space, 0, weights)
+    mean = FrechetMean(space).set(epsilon=1e-20).fit(points).estimate_
+    np.testing.assert_allclose(mean, centre, atol=1e-10)
+    pca = TangentPCA(space, n_components=2).fit(points, base_point=mean)
+    variances, axes = np.linalg.eigh(np.cov(weights.T))
+    np.testing.assert_allclose(pca.explained_variance_, variances[::-1], rtol=1e-8)
+    np.testing.assert_allclose(np.abs(pca.components_.reshape(2, -1) @ (axes[:, ::-1].T @ directions).T), np.eye(2), atol=1e-8)
+
+
+@pytest.mark.parametrize("manifold", [SE(3), U(2)], ids=str)
+def test_the_mean_of_two_points_of_a_group_is_half_way(manifold):
+    space = to_geomstats(manifold)
+    with seeded(2):
+        x, y = space.random_point(2)
+    v = space.metric.log(y, x)
+    mean = FrechetMean(space).set(epsilon=1e-20).fit(np.stack([x, y])).estimate_
+    np.testing.assert_allclose(mean, space.metric.exp(v / 2, x), atol=1e-10)
+
+
+BODY = LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0])
+MAPS = {
+    "scaled": (ScaledMetric(EmbeddedMetric(U(2)), 0.5), GroupExponential(U(2))),
+    "decoupled": (EmbeddedMetric(SE(3)), SEDecoupled(SE(3))),
+    "split": (EmbeddedMetric(SE(3) * Sphere(2)), ProductRetraction(SEDecoupled(SE(3)), SphereExponential(Sphere(2)))),
+    "power": (EmbeddedMetric(Power(SE(2), 3)), PowerRetraction(SEDecoupled(SE(2)), 3)),
+}
+
+
+@pytest.mark.parametrize("name", MAPS)
+def test_metrics_have_the_exponential_maps_that_are_known(name):
+    metric, expected = MAPS[name]
+    assert eqx.tree_equal(exponential_map(metric), expected)
+
+
+def test_other_metrics_have_integrated_geodesics():
+    assert exponential_map(BODY).metric == BODY
+    assert not is_symmetric(BODY)
+    assert is_symmetric(EmbeddedMetric(SO(3)))
+
+
+@pytest.mark.slow
+def test_geodesics_of_a_rigid_body_about_its_principal_axes_are_rotations():
+    space = to_geomstats(SO(3), metric=BODY)
+    x, turn = np.eye(3), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 0]])
+    y = space.metric.exp(0.8 * turn, x)
+    np.testing.assert_allclose(y, expm(0.8 * turn), atol=1e-11)
+    np.testing.assert_allclose(space.metric.log(y, x), 0.8 * turn, atol=1e-11)
+    assert space.metric.dist(x, y) == pytest.approx(0.8 * np.sqrt(3), abs=1e-11)
 
 
 def test_what_has_no_base_point_is_refused():

@@ -121,12 +121,103 @@ def test_a_nested_product_is_a_flat_list(seed):
     check(2 * v - v / 2 + (-v), 0.5 * v)
 
 
-def test_a_manifold_without_an_exponential_says_so():
+def test_a_bundle_has_points_of_two_arrays():
     space = to_pymanopt(CotangentBundle(Sphere(2)), BundleRetraction(Exponential(Sphere(2))))
     x = space.random_point()
     assert len(x) == 2
-    with pytest.raises(NotImplementedError, match="exponential map"):
-        space.exp(x, space.zero_vector(x))
+    check(space.retraction(x, space.zero_vector(x)), x)
+
+
+def test_a_manifold_without_an_exponential_says_so():
+    space = to_pymanopt(*from_pymanopt(theirs.SphereSubspaceIntersection(np.eye(3))))
+    with pytest.raises(NotImplementedError, match="no exponential map is known"):
+        space.exp(np.eye(3)[0], np.zeros(3))
+
+
+@given(seed=SEEDS)
+def test_unitary_matrices_have_skew_hermitian_factors_as_tangent_vectors(seed):
+    other = theirs.UnitaryGroup(2, retraction="polar")
+    mine = unitary()
+    with seeded(seed):
+        x = other.random_point()
+        v = other.random_tangent_vector(x)
+        g = np.random.standard_normal((2, 2)) + 1j * np.random.standard_normal((2, 2))  # noqa: NPY002
+    assert (mine.dim, mine.point_layout) == (other.dim, other.point_layout)
+    assert mine.typical_dist == pytest.approx(other.typical_dist, abs=1e-14)
+    check(mine.embedding(x, v), other.embedding(x, v))
+    check(mine.retraction(x, v), other.retraction(x, v))
+    check(mine.exp(x, v), other.exp(x, v))
+    # Not pymanopt's own projection, which forgets the conjugation.
+    factor = x.conj().T @ g
+    check(mine.projection(x, g), (factor - factor.conj().T) / 2)
+    check(mine.euclidean_to_riemannian_gradient(x, g), (factor - factor.conj().T) / 2)
+    assert mine.inner_product(x, v, v) == pytest.approx(1, abs=1e-14)
+
+
+@cache
+def unitary():
+    return to_pymanopt(*from_pymanopt(theirs.UnitaryGroup(2, retraction="polar")))
+
+
+def test_an_optimiser_finds_the_nearest_unitary_matrix():
+    rng = np.random.default_rng(1)
+    a = rng.standard_normal((2, 2)) + 1j * rng.standard_normal((2, 2))
+    space = unitary()
+
+    @pymanopt.function.jax(space)
+    def cost(x):
+        return -jnp.real(jnp.sum(jnp.conj(a) * x))
+
+    options = {"verbosity": 0, "min_gradient_norm": 1e-9, "min_step_size": 1e-14}
+    start = np.eye(2, dtype=complex)
+    result = pymanopt.optimizers.TrustRegions(**options).run(pymanopt.Problem(space, cost), initial_point=start)
+    u, s, vh = np.linalg.svd(a)
+    assert result.cost == pytest.approx(-np.sum(s), abs=1e-12)
+    np.testing.assert_allclose(result.point, u @ vh, atol=1e-8)
+
+
+FACTORED = theirs.FixedRankEmbedded(5, 4, 2)
+
+
+@cache
+def factored():
+    return to_pymanopt(*from_pymanopt(FACTORED))
+
+
+@given(seed=SEEDS)
+def test_matrices_of_fixed_rank_are_written_by_their_singular_value_decompositions(seed):
+    mine = factored()
+    with seeded(seed):
+        x, y = FACTORED.random_point(), FACTORED.random_point()
+        v, z = FACTORED.random_tangent_vector(x), np.random.standard_normal((5, 4))  # noqa: NPY002
+        g = [np.random.standard_normal(leaf.shape) for leaf in x]  # noqa: NPY002
+    assert (mine.dim, mine.point_layout, mine.typical_dist) == (FACTORED.dim, FACTORED.point_layout, FACTORED.typical_dist)
+    check(mine.projection(x, z), FACTORED.projection(x, z))
+    check(mine.projection(x, mine.embedding(x, v)), v)
+    check(mine.inner_product(x, v, v), 1)
+    check(mine.transport(x, y, v), FACTORED.transport(x, y, v))
+    there, other = mine.retraction(x, v), FACTORED.retraction(x, v)  # equal up to signs of singular vectors
+    check((there.u * there.s) @ there.vt, (other.u * other.s) @ other.vt)
+    assert np.all(np.sum(there.u * x.u, axis=0) >= 0)
+    gap = 1e-12 / min(abs(x.s[0] ** 2 - x.s[1] ** 2), x.s[1], 1) ** 2  # of the singular values: the derivative divides by it
+    check(mine.euclidean_to_riemannian_gradient(x, g), FACTORED.euclidean_to_riemannian_gradient(x, g), gap)
+
+
+def test_an_optimiser_finds_the_nearest_matrix_of_a_rank():
+    a = np.random.default_rng(0).standard_normal((5, 4))
+    space = factored()
+
+    @pymanopt.function.jax(space)
+    def cost(u, s, vt):
+        return jnp.sum(((u * s) @ vt - a) ** 2)
+
+    with seeded(0):
+        start = space.random_point()
+    options = {"verbosity": 0, "min_gradient_norm": 1e-7, "min_step_size": 1e-14, "max_iterations": 500}
+    result = pymanopt.optimizers.ConjugateGradient(**options).run(pymanopt.Problem(space, cost), initial_point=start)
+    u, s, vt = np.linalg.svd(a)
+    assert result.cost == pytest.approx(np.sum(s[2:] ** 2), abs=1e-12)
+    np.testing.assert_allclose((result.point.u * result.point.s) @ result.point.vt, (u[:, :2] * s[:2]) @ vt[:2], atol=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,8 @@ TESTS = Path(os.environ["PYMANOPT_SOURCE"]) / "tests" / "manifolds"
 FILES = {
     "sphere": (["Sphere"], ["TestSphereManifold"]),
     "euclidean": (["Euclidean"], ["TestEuclideanManifold"]),
-    "group": (["SpecialOrthogonalGroup"], ["TestSpecialOrthogonalGroup"]),
+    "group": (["SpecialOrthogonalGroup", "UnitaryGroup"], ["TestSpecialOrthogonalGroup", "TestUnitaryGroup"]),
+    "fixed_rank": (["FixedRankEmbedded"], ["TestFixedRankEmbeddedManifold"]),
     "positive_definite": (
         ["SymmetricPositiveDefinite"],
         ["TestSingleSymmetricPositiveDefiniteManifold", "TestMultiSymmetricPositiveDefiniteManifold"],

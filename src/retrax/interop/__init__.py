@@ -27,8 +27,9 @@ def to_pymanopt(
     """A manifold with a retraction (default: ``default_retraction``) as a pymanopt manifold, for pymanopt's optimisers.
 
     Points, tangent vectors and arguments are pymanopt's: tangent vectors of SO(n) are skew factors, points of a product are
-    lists, flat however the product is nested. Gradients and Hessians are those of ``metric``, by default the one whose
-    geodesics the exponential map gives. ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
+    lists, flat however the product is nested. Gradients and Hessians are those of ``metric``, by default the usual one:
+    affine-invariant on SPD, Lorentz on hyperbolic space, else that of the ambient space.
+    ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
 
     Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
     """
@@ -42,7 +43,7 @@ def from_pymanopt(space: Any) -> Counterpart:
 
     Manifolds that we have become ours, with the retraction that the given one was made with. Others keep pymanopt's functions,
     which run on the host: derivatives are differences, accurate to about 1e-10, and slow. Raises ``InvalidInputError`` for
-    one that is not an embedded manifold of real arrays (a quotient, complex entries, points of several arrays).
+    any other that is not an embedded manifold of real arrays (a quotient, complex entries, points of several arrays).
     """
     return import_peer(".pymanopt").counterpart(space)
 
@@ -56,8 +57,8 @@ def to_geomstats(
     """A manifold as a geomstats space with a metric, for geomstats' learning algorithms.
 
     Arguments come in geomstats' order, leading axes are batches, and a point of several arrays is one vector of their entries.
-    ``metric`` is by default the one whose geodesics the exponential map gives. Raises ``InvalidInputError`` if the retraction or
-    the metric belongs to another manifold.
+    ``metric`` is by default the usual one, as in ``to_pymanopt``; where no closed form of its exponential map is known, geodesics
+    are integrated. Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
     """
     module = import_peer(".geomstats")
     return module.RetraxSpace(_geometry(manifold, retraction, metric, conventions, module.conventions_of))

@@ -47,6 +47,10 @@ class Conventions(eqx.Module):
         """Our tangent vector for theirs."""
         return self.push(x, self.embedding(x, v))
 
+    def elsewhere(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
+        """The vector around ``y`` that the coordinates ``v`` of a tangent vector at ``x`` stand for when it is moved there."""
+        return self.embedding(y, v)
+
 
 @final
 class Same(Conventions):
@@ -70,7 +74,7 @@ class Same(Conventions):
 
 @final
 class SkewFactors(Conventions):
-    """pymanopt's rotations: a tangent vector ``x Omega`` is written as its skew (skew-Hermitian) factor ``Omega``."""
+    """pymanopt's rotations and unitary matrices: a tangent vector ``x Omega`` is written as its skew factor ``Omega``."""
 
     def point(self, x: Array) -> Array:
         return x
@@ -145,6 +149,9 @@ class Listed(Conventions):
         old = [None] * len(self.parts) if near is None else near
         return [part.lift(qi, xi) for part, qi, xi in zip(self.parts, self.nest.flatten_up_to(q), old, strict=True)]
 
+    def elsewhere(self, x: list, y: list, v: list) -> list:
+        return [part.elsewhere(xi, yi, vi) for part, xi, yi, vi in zip(self.parts, x, y, v, strict=True)]
+
     def coordinates(self, x: list, w: Ambient) -> list:
         split = self.nest.flatten_up_to(w)
         return [part.coordinates(xi, wi) for part, xi, wi in zip(self.parts, x, split, strict=True)]
@@ -164,6 +171,9 @@ class Stacked(Conventions):
 
     def embedding(self, x: Theirs, v: Theirs) -> Theirs:
         return jax.vmap(self.base.embedding)(x, v)
+
+    def elsewhere(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
+        return jax.vmap(self.base.elsewhere)(x, y, v)
 
     def lift(self, q: Ambient, near: Theirs | None = None) -> Theirs:
         return jax.vmap(self.base.lift)(q) if near is None else jax.vmap(self.base.lift)(q, near)

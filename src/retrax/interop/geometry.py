@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..manifolds import Manifold, Metric
+from ..manifolds import Manifold, Metric, UnknownRetractionError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..retractions import Exponential, Retraction
+from ..retractions import Retraction
 from .conventions import Conventions, Theirs
-from .metrics import has_exponential, is_symmetric
+from .metrics import exponential_map, is_symmetric
 
 _RESTORATIONS = 8
 
@@ -27,14 +27,14 @@ class Geometry(eqx.Module):
     conventions: Conventions
 
     @property
-    def has_exponential(self) -> bool:
-        """Whether a closed form of the exponential map is known."""
-        return has_exponential(self.metric)
+    def exponential(self) -> Retraction:
+        """The exponential map of the metric; raises ``UnknownRetractionError`` if there is none to compute."""
+        return exponential_map(self.metric)
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the manifold is known to be a symmetric space, with an exponential map in closed form."""
-        return self.has_exponential and is_symmetric(self.manifold)
+        """Whether the manifold with its metric is known to be a symmetric space."""
+        return is_symmetric(self.metric)
 
     def random_point(self, key: Array) -> Theirs:
         """A random point, and of the arrays that stand for it, where there are several, a random one."""
@@ -67,6 +67,10 @@ class Geometry(eqx.Module):
         """The tangent vector at ``x`` nearest to given coordinates ``v``."""
         return self.project(x, self.conventions.embedding(x, v))
 
+    def carry(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
+        """A tangent vector at ``x`` as the nearest one at ``y``."""
+        return self.project(y, self.conventions.elsewhere(x, y, v))
+
     def embed(self, x: Theirs, v: Theirs) -> Theirs:
         """The vector of the space around their points that the coordinates ``v`` of a tangent vector stand for."""
         return self.conventions.embedding(x, v)
@@ -90,11 +94,11 @@ class Geometry(eqx.Module):
 
     def exp(self, x: Theirs, v: Theirs) -> Theirs:
         """The exponential map."""
-        return self._along(Exponential(self.manifold), x, v)
+        return self._along(self.exponential, x, v)
 
     def log(self, x: Theirs, y: Theirs) -> Theirs:
         """Inverse of the exponential map: the tangent vector at ``x`` that leads to ``y``; NaN outside its image."""
-        return self._between(Exponential(self.manifold), x, y)
+        return self._between(self.exponential, x, y)
 
     def dist(self, x: Theirs, y: Theirs) -> Array:
         """Geodesic distance: the length of the logarithm."""
@@ -119,20 +123,24 @@ class Geometry(eqx.Module):
 
     def gradient(self, x: Theirs, g: Theirs) -> Theirs:
         """Riemannian gradient from the Euclidean one: partial derivatives in the entries of ``x``."""
-        return self._sharp(x, self._slope(x, g, vec.scale(0.0, x)))
+        return self._sharp(x, self._slope(x, g, self.zero(x)))
 
     def hessian(self, x: Theirs, g: Theirs, h: Theirs, v: Theirs) -> Theirs:
         """Riemannian Hessian along ``v`` from the Euclidean gradient ``g`` and the Euclidean Hessian ``h`` along ``v``.
 
         The Hessian is the second derivative of the function along geodesics.
         """
-        zero = vec.scale(0.0, x)
+        zero = self.zero(x)
         bend = jax.jvp(lambda u: self._slope(x, g, u), (zero,), (v,))[1]
         return self._sharp(x, vec.add(bend, self._slope(x, h, zero)))
 
     def _slope(self, x: Theirs, g: Theirs, v: Theirs) -> Theirs:
         """Gradient at ``v`` of ``v -> <g, geodesic(x, v)>``, in their coordinates."""
         return vec.gradient(lambda u: vec.pairing(g, self._geodesic(x, u)), v)
+
+    def zero(self, x: Theirs) -> Theirs:
+        """The zero tangent vector at ``x``."""
+        return self.conventions.coordinates(x, vec.zeros(self.manifold.ambient))
 
     def _along(self, retraction: Retraction, x: Theirs, v: Theirs) -> Theirs:
         y = retraction(self.conventions.point(x), self.conventions.tangent(x, v))
@@ -146,7 +154,7 @@ class Geometry(eqx.Module):
         """The point at time 1 of the geodesic from ``x`` with velocity ``v``, to second order in ``v``."""
         q, w = self.conventions.point(x), self.conventions.tangent(x, self.tangential(x, v))
         bent = vec.add(vec.add(q, w), vec.scale(0.5, self._acceleration(q, w)))
-        return self.conventions.lift(bent, near=x)
+        return self.conventions.lift(self.manifold.restore(bent), near=x)
 
     def _acceleration(self, q: Ambient, w: Ambient) -> Ambient:
         """Ambient acceleration of the geodesic with velocity ``w``, from Hamilton's equations of its kinetic energy."""
@@ -164,3 +172,11 @@ class Geometry(eqx.Module):
         zero = vec.zeros(self.manifold.ambient)
         covector = vec.gradient(lambda w: vec.pairing(slope, coordinates(w)), zero)
         return coordinates(self.metric.vector(q, covector))
+
+
+def require_exponential(geometry: Geometry, instead: str) -> None:
+    """Raise ``NotImplementedError``, which both libraries expect, unless the exponential map can be computed."""
+    try:
+        exponential_map(geometry.metric)
+    except UnknownRetractionError as reason:
+        raise NotImplementedError(f"no exponential map is known on {geometry.manifold}; use {instead}") from reason

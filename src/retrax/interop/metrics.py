@@ -1,16 +1,13 @@
-"""The metric whose geodesics the exponential map of a manifold gives, of products and powers too."""
+"""The metric that a manifold goes with in another library, and the exponential map of a metric."""
 
 from functools import singledispatch
-from typing import final
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array
-
+from ..integrators import KAHAN_LI_8, Composition, GeodesicRetraction, SymplecticIntegrator
 from ..manifolds import (
+    SE,
     SO,
     SPD,
+    SU,
     AffineInvariantMetric,
     EmbeddedMetric,
     Euclidean,
@@ -21,82 +18,31 @@ from ..manifolds import (
     Metric,
     Oblique,
     Power,
+    PowerMetric,
     Product,
+    ProductMetric,
+    ScaledMetric,
     Sphere,
     Stiefel,
+    U,
 )
-from ..manifolds.numerics.ambient import Ambient
-from ..retractions import Exponential
+from ..retractions import (
+    CotangentLift,
+    Exponential,
+    Midpoint,
+    PowerRetraction,
+    ProductRetraction,
+    Retraction,
+    SEDecoupled,
+    default_retraction,
+)
 
-_EMBEDDED = (Euclidean, Sphere, SO, Stiefel, Grassmann, Oblique)  # the exponential map is that of the embedded metric
-_SYMMETRIC = (Euclidean, Sphere, SO, SPD, Hyperbolic, Grassmann, Oblique)
-
-
-@final
-class ProductMetric(Metric):
-    """The sum of metrics of the factors of a product."""
-
-    factors: tuple[Metric, ...]
-
-    def __init__(self, *factors: Metric) -> None:
-        self.factors = factors
-
-    @property
-    def manifold(self) -> Product:
-        return Product(*(factor.manifold for factor in self.factors))
-
-    def inner_product(self, x: tuple, v: tuple, w: tuple) -> Array:
-        return sum((g.inner_product(*parts) for g, *parts in zip(self.factors, x, v, w, strict=True)), start=jnp.zeros(()))
-
-    def kinetic_energy(self, x: tuple, p: tuple) -> Array:
-        return sum((g.kinetic_energy(*parts) for g, *parts in zip(self.factors, x, p, strict=True)), start=jnp.zeros(()))
-
-
-@final
-class PowerMetric(Metric):
-    """The sum of one metric over the copies of a power."""
-
-    factor: Metric
-    k: int = eqx.field(static=True)
-
-    def __init__(self, factor: Metric, k: int) -> None:
-        self.factor, self.k = factor, k
-
-    @property
-    def manifold(self) -> Power:
-        return Power(self.factor.manifold, self.k)
-
-    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
-        return jnp.sum(jax.vmap(self.factor.inner_product)(x, v, w))
-
-    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
-        return jnp.sum(jax.vmap(self.factor.kinetic_energy)(x, p))
-
-
-@final
-class ScaledMetric(Metric):
-    """A positive multiple of a metric: the same geodesics, other lengths."""
-
-    base: Metric
-    scale: float = eqx.field(static=True)
-
-    def __init__(self, base: Metric, scale: float) -> None:
-        self.base, self.scale = base, scale
-
-    @property
-    def manifold(self) -> Manifold:
-        return self.base.manifold
-
-    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
-        return self.scale * self.base.inner_product(x, v, w)
-
-    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
-        return self.base.kinetic_energy(x, p) / self.scale
+_SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)  # symmetric spaces in the metric of the ambient space
 
 
 @singledispatch
 def natural_metric(manifold: Manifold) -> Metric:
-    """The metric of the exponential map: affine-invariant on SPD, Lorentz on hyperbolic space, else the embedded one."""
+    """The metric that the literature gives a manifold: affine-invariant on SPD, Lorentz on hyperbolic space, else embedded."""
     return EmbeddedMetric(manifold)
 
 
@@ -120,28 +66,49 @@ def _(manifold: Power) -> Metric:
     return PowerMetric(natural_metric(manifold.factor), manifold.k)
 
 
-def has_exponential(metric: Metric) -> bool:
-    """Whether the closed form of the exponential map of a manifold is known, and is that of this metric."""
+def exponential_map(metric: Metric) -> Retraction:
+    """The exponential map of a metric: a closed form where one is known, else geodesics in 8 steps of order 8.
+
+    On SE(n), U(n) and SU(n) the embedded metric is meant, whose geodesics are decoupled motions and one-parameter subgroups.
+    Raises ``UnknownRetractionError`` where there is neither a closed form nor a retraction to make steps from.
+    """
+    metric = _split(metric)
+    manifold = metric.manifold
+    match metric:
+        case ProductMetric():
+            return ProductRetraction(*map(exponential_map, metric.factors))
+        case PowerMetric():
+            return PowerRetraction(exponential_map(metric.factor), metric.k)
+        case EmbeddedMetric(manifold=SE()):
+            return SEDecoupled(manifold)
+        case EmbeddedMetric(manifold=Stiefel()) | AffineInvariantMetric() | LorentzMetric():
+            return Exponential(manifold)
+        case EmbeddedMetric() if isinstance(manifold, _SYMMETRIC):
+            return Exponential(manifold)
+    step = SymplecticIntegrator(CotangentLift(Midpoint(default_retraction(manifold))))
+    return GeodesicRetraction(metric, integrator=Composition(step, KAHAN_LI_8))
+
+
+def is_symmetric(metric: Metric) -> bool:
+    """Whether a manifold with this metric is known to be a symmetric space, with an exponential map in closed form."""
+    metric = _split(metric)
     if isinstance(metric, ProductMetric):
-        return all(map(has_exponential, metric.factors))
+        return all(map(is_symmetric, metric.factors))
     if isinstance(metric, PowerMetric):
-        return has_exponential(metric.factor)
-    if isinstance(metric, ScaledMetric):
-        return has_exponential(metric.base)
-    if isinstance(metric, EmbeddedMetric) and not isinstance(metric.manifold, _EMBEDDED):
-        return isinstance(metric.manifold, Product | Power) and has_exponential(_split(metric.manifold))
-    return isinstance(metric, EmbeddedMetric | AffineInvariantMetric | LorentzMetric) and Exponential.knows(metric.manifold)
+        return is_symmetric(metric.factor)
+    embedded = isinstance(metric, EmbeddedMetric) and isinstance(metric.manifold, _SYMMETRIC)
+    return embedded or isinstance(metric, AffineInvariantMetric | LorentzMetric)
 
 
-def is_symmetric(manifold: Manifold) -> bool:
-    """Whether a manifold with its natural metric is known to be a symmetric space."""
-    if isinstance(manifold, Product):
-        return all(map(is_symmetric, manifold.factors))
-    return is_symmetric(manifold.factor) if isinstance(manifold, Power) else isinstance(manifold, _SYMMETRIC)
-
-
-def _split(manifold: Product | Power) -> Metric:
-    """The embedded metric of a product or of a power, as the sum that it is."""
-    if isinstance(manifold, Power):
-        return PowerMetric(EmbeddedMetric(manifold.factor), manifold.k)
-    return ProductMetric(*map(EmbeddedMetric, manifold.factors))
+def _split(metric: Metric) -> Metric:
+    """A metric with the same geodesics: without its scale; the embedded one of a product or a power as the sum that it is."""
+    while isinstance(metric, ScaledMetric):
+        metric = metric.base
+    if not isinstance(metric, EmbeddedMetric):
+        return metric
+    match metric.manifold:
+        case Product(factors=factors):
+            return ProductMetric(*map(EmbeddedMetric, factors))
+        case Power(factor=factor, k=k):
+            return PowerMetric(EmbeddedMetric(factor), k)
+    return metric

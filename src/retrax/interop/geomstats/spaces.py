@@ -13,10 +13,12 @@ from geomstats.geometry.manifold import Manifold as GeomstatsManifold
 from geomstats.geometry.nfold_manifold import NFoldManifold
 from geomstats.geometry.product_manifold import ProductManifold
 from geomstats.geometry.spd_matrices import SPDMatrices
+from geomstats.geometry.special_euclidean import _SpecialEuclideanMatrices
 from geomstats.geometry.special_orthogonal import _SpecialOrthogonalMatrices
 from geomstats.geometry.stiefel import Stiefel as GeomstatsStiefel
 
 from ...manifolds import (
+    SE,
     SO,
     SPD,
     CanonicalMetric,
@@ -28,14 +30,17 @@ from ...manifolds import (
     Manifold,
     Metric,
     Power,
+    PowerMetric,
     Product,
+    ProductMetric,
+    ScaledMetric,
     Sphere,
     Stiefel,
 )
 from ...retractions import PowerRetraction, ProductRetraction, default_retraction
 from ..conventions import Conventions, Reshaped, Same, Stacked
 from ..counterpart import Counterpart
-from ..metrics import PowerMetric, ProductMetric, ScaledMetric, natural_metric
+from ..metrics import natural_metric
 from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .space import RetraxSpace
@@ -90,6 +95,11 @@ def _(space: _Hypersphere) -> Counterpart:
 def _(space: _SpecialOrthogonalMatrices) -> Counterpart:
     manifold = SO(space.n)
     return _native(manifold, ScaledMetric(EmbeddedMetric(manifold), 0.5))  # theirs is tr(A'B)/2 in the algebra
+
+
+@_counterpart.register
+def _(space: _SpecialEuclideanMatrices) -> Counterpart:
+    return _native(SE(space.n))
 
 
 @_counterpart.register

@@ -1,13 +1,78 @@
 """pymanopt's conventions for our manifolds, and the scales that its trust regions start from."""
 
 import math
-from functools import singledispatch
-from typing import Any
+from functools import partial, singledispatch
+from typing import Any, final
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+from pymanopt.manifolds.fixed_rank import _FixedRankPoint, _FixedRankTangentVector
 
-from ...manifolds import SO, Grassmann, Manifold, Oblique, Power, Product, Sphere, Stiefel
-from ..conventions import Conventions, Listed, Representatives, Same, SkewFactors, Stacked
+from ...manifolds import SO, SU, FixedRank, Grassmann, Manifold, Oblique, Power, Product, Sphere, Stiefel, U
+from ..conventions import Conventions, Listed, Representatives, Same, SkewFactors, Stacked, Theirs
+
+
+@final
+class Factored(Conventions):
+    """pymanopt's matrices of rank ``r``: a point is its singular value decomposition ``(u, s, vt)``.
+
+    A tangent vector ``u M vt + Up vt + u Vp'`` is written ``(Up, M, Vp)``, with ``u'Up = 0`` and ``vt Vp = 0``. A vector of
+    the space around the points is a matrix ``z``, or ``(U, S, V)`` with ``z = U S V'``.
+    """
+
+    r: int = eqx.field(static=True)
+
+    def point(self, x: tuple) -> Array:
+        u, s, vt = x
+        return (u * s) @ vt
+
+    def push(self, x: tuple, a: Theirs) -> Array:
+        return a[0] @ a[1] @ a[2].T if isinstance(a, tuple | list) else a
+
+    def embedding(self, x: tuple, v: tuple) -> tuple[Array, Array, Array]:
+        (u, _, vt), (up, m, vp) = x, v
+        return jnp.hstack([u @ m + up, u]), jnp.eye(2 * self.r, dtype=u.dtype), jnp.hstack([vt.T, vp])
+
+    def lift(self, q: Array, near: tuple | None = None) -> _FixedRankPoint:
+        u, s, vt = _factors(q, self.r)
+        if near is not None:
+            signs = jnp.where(jnp.sum(u * near[0], axis=0) < 0, -1.0, 1.0).astype(u.dtype)
+            u, vt = u * signs, signs[:, None] * vt
+        return _FixedRankPoint(u, s, vt)
+
+    def coordinates(self, x: tuple, w: Array) -> _FixedRankTangentVector:
+        u, _, vt = x
+        right, left = w @ vt.T, w.T @ u
+        m = u.T @ right
+        return _FixedRankTangentVector(right - u @ m, m, left - vt.T @ m.T)
+
+    def elsewhere(self, x: tuple, y: tuple, v: tuple) -> tuple[Array, Array, Array]:
+        return self.embedding(x, v)
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(1,))
+def _factors(q: Array, r: int) -> tuple[Array, Array, Array]:
+    """Singular value decomposition ``u, s, vt`` of a matrix of rank ``r``, its derivative that among such matrices.
+
+    It exists where the singular values are different [Townsend, "Differentiating the singular value decomposition", 2016].
+    """
+    u, s, vt = jnp.linalg.svd(q, full_matrices=False)
+    return u[:, :r], s[:r], vt[:r]
+
+
+@_factors.defjvp
+def _factors_jvp(r: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple[tuple, tuple]:
+    (u, s, vt), (dq,) = _factors(primals[0], r), tangents
+    right, left = dq @ vt.T, dq.T @ u
+    m = u.T @ right
+    gaps = s**2 - s[:, None] ** 2 + jnp.eye(r, dtype=s.dtype)
+    turned = (m * s + s[:, None] * m.T) / gaps * (1 - jnp.eye(r, dtype=s.dtype))
+    turned_rows = (s[:, None] * m + m.T * s) / gaps * (1 - jnp.eye(r, dtype=s.dtype))
+    du = u @ turned + (right - u @ m) / s
+    dv = vt.T @ turned_rows + (left - vt.T @ m.T) / s
+    return (u, s, vt), (du, jnp.diagonal(m), dv.T)
 
 
 @singledispatch
@@ -18,8 +83,13 @@ def conventions_of(manifold: Manifold) -> Conventions:
 
 
 @conventions_of.register
-def _(manifold: SO) -> Conventions:
+def _(manifold: SO | U | SU) -> Conventions:
     return SkewFactors()
+
+
+@conventions_of.register
+def _(manifold: FixedRank) -> Conventions:
+    return Factored(manifold.r)
 
 
 @conventions_of.register
@@ -57,8 +127,13 @@ def _(manifold: Sphere) -> float:
 
 
 @typical_distance.register
-def _(manifold: SO) -> float:
+def _(manifold: SO | U | SU) -> float:
     return math.pi * math.sqrt(manifold.n)
+
+
+@typical_distance.register
+def _(manifold: FixedRank) -> float:
+    return float(manifold.dimension)
 
 
 @typical_distance.register

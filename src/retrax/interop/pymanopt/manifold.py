@@ -10,7 +10,7 @@ from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 from pymanopt.tools import ndarraySequenceMixin
 
 from ..conventions import Theirs
-from ..geometry import Geometry
+from ..geometry import Geometry, require_exponential
 
 
 class TangentList(ndarraySequenceMixin, list):
@@ -44,8 +44,8 @@ class RetraxManifold(PymanoptManifold):
     """
 
     def __init__(self, geometry: Geometry, typical_dist: float) -> None:
-        parts = jax.eval_shape(geometry.conventions.lift, geometry.manifold.ambient)
-        layout = (1,) * len(parts) if isinstance(parts, list) else 1
+        point = jax.eval_shape(geometry.conventions.lift, geometry.manifold.ambient)
+        layout = tuple(map(_layout, point)) if isinstance(point, list) else _layout(point)
         super().__init__(str(geometry.manifold), geometry.manifold.dimension, layout)
         self.geometry, self._typical_dist = geometry, typical_dist
 
@@ -69,50 +69,44 @@ class RetraxManifold(PymanoptManifold):
         return self._tangent("embed", point, tangent_vector)
 
     def euclidean_to_riemannian_gradient(self, point: Theirs, euclidean_gradient: Theirs) -> Theirs:
-        return self._tangent("gradient", point, euclidean_gradient)
+        return self._tangent("gradient", point, _like(point, euclidean_gradient))
 
     def euclidean_to_riemannian_hessian(
         self, point: Theirs, euclidean_gradient: Theirs, euclidean_hessian: Theirs, tangent_vector: Theirs
     ) -> Theirs:
-        return self._tangent("hessian", point, euclidean_gradient, euclidean_hessian, tangent_vector)
+        slopes = _like(point, euclidean_gradient), _like(point, euclidean_hessian)
+        return self._tangent("hessian", point, *slopes, tangent_vector)
 
     def retraction(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
         return self._host("move", point, tangent_vector)
 
     def exp(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
-        self._require_exponential("exp")
+        require_exponential(self.geometry, "retraction and transport")
         return self._host("exp", point, tangent_vector)
 
     def log(self, point_a: Theirs, point_b: Theirs) -> Theirs:
-        self._require_exponential("log")
+        require_exponential(self.geometry, "retraction and transport")
         return self._tangent("log", point_a, point_b)
 
     def dist(self, point_a: Theirs, point_b: Theirs) -> Any:
-        self._require_exponential("dist")
+        require_exponential(self.geometry, "retraction and transport")
         return float(self._host("dist", point_a, point_b))
 
     def pair_mean(self, point_a: Theirs, point_b: Theirs) -> Theirs:
-        self._require_exponential("pair_mean")
+        require_exponential(self.geometry, "retraction and transport")
         return self._host("middle", point_a, point_b)
 
     def transport(self, point_a: Theirs, point_b: Theirs, tangent_vector_a: Theirs) -> Theirs:
-        return self.to_tangent_space(point_b, tangent_vector_a)
+        return self._tangent("carry", point_a, point_b, tangent_vector_a)
 
     def zero_vector(self, point: Theirs) -> Theirs:
-        return TangentList(point) * 0.0 if isinstance(point, list) else np.zeros_like(point)
+        return self._tangent("zero", point)
 
     def random_point(self) -> Theirs:
         return self._host("random_point", _key())
 
     def random_tangent_vector(self, point: Theirs) -> Theirs:
         return self._tangent("random_tangent", _key(), point)
-
-    def _require_exponential(self, method: str) -> None:
-        if not self.geometry.has_exponential:
-            raise NotImplementedError(
-                f"{method} needs the exponential map, of which no closed form is known on {self.geometry.manifold}; "
-                "use retraction and transport"
-            )
 
     def _tangent(self, method: str, *arguments: Theirs) -> Theirs:
         return _as_tangent(self._host(method, *arguments))
@@ -130,6 +124,16 @@ def _kernel(method: str) -> Any:
 def _plain(a: Any) -> Any:
     """Lists of pymanopt's as lists that JAX knows as pytrees."""
     return list(a) if isinstance(a, list) else a
+
+
+def _layout(point: Any) -> int:
+    """How many arrays a point is made of."""
+    return len(jax.tree.leaves(point))
+
+
+def _like(point: Any, a: Any) -> Any:
+    """The arrays of ``a`` in the containers of a point."""
+    return jax.tree.unflatten(jax.tree.structure(_plain(point)), jax.tree.leaves(_plain(a)))
 
 
 def _as_tangent(a: Any) -> Any:

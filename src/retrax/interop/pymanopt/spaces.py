@@ -9,7 +9,23 @@ import numpy as np
 from pymanopt import manifolds as theirs
 from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 
-from ...manifolds import SO, SPD, Euclidean, Grassmann, InvalidInputError, Manifold, Oblique, Power, Product, Sphere, Stiefel
+from ...manifolds import (
+    SO,
+    SPD,
+    Euclidean,
+    FixedRank,
+    Grassmann,
+    InvalidInputError,
+    Manifold,
+    Oblique,
+    Power,
+    Product,
+    ProductMetric,
+    ScaledMetric,
+    Sphere,
+    Stiefel,
+    U,
+)
 from ...retractions import (
     QR,
     Exponential,
@@ -22,9 +38,10 @@ from ...retractions import (
 )
 from ..conventions import Conventions, Listed, Representatives, Reshaped, Same, SkewFactors, Stacked
 from ..counterpart import Counterpart
-from ..metrics import ProductMetric, ScaledMetric, natural_metric
+from ..metrics import natural_metric
 from ..peers import seeded
 from ..wrapped import HostSpace, wrap
+from .conventions import Factored
 from .manifold import RetraxManifold
 
 _RETRACTIONS = {"_retraction_qr": QR, "_retraction_polar": Polar}
@@ -68,6 +85,18 @@ def _(space: theirs.Sphere) -> Counterpart:
 @counterpart.register
 def _(space: theirs.SpecialOrthogonalGroup) -> Counterpart:
     return _copies(space, lambda n, _: SO(n), _named(space), SkewFactors())
+
+
+@counterpart.register
+def _(space: theirs.UnitaryGroup) -> Counterpart:
+    return _copies(space, lambda n, _: U(n), _named(space), SkewFactors())
+
+
+@counterpart.register
+def _(space: theirs.FixedRankEmbedded) -> Counterpart:
+    u, s, vt = _random_point(space)
+    manifold = FixedRank(len(u), vt.shape[1], len(s))
+    return _with_natural_metric(manifold, Projection(manifold), Factored(len(s)))
 
 
 @counterpart.register
@@ -120,8 +149,12 @@ def _named(space: Any) -> Any:
 
 
 def _shape(space: Any) -> tuple[int, ...]:
+    return np.shape(_random_point(space))
+
+
+def _random_point(space: Any) -> Any:
     with seeded(0):
-        return np.shape(space.random_point())
+        return space.random_point()
 
 
 @final

@@ -1,0 +1,70 @@
+"""Metrics made of metrics: sums over the factors of a product or the copies of a power, and multiples."""
+
+from typing import final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from .manifold import Manifold
+from .metric import Metric
+from .numerics.ambient import Ambient
+from .power import Power
+from .product import Product
+
+
+@final
+class ProductMetric(Metric):
+    """The sum of metrics of the factors of a product."""
+
+    factors: tuple[Metric, ...]
+
+    def __init__(self, *factors: Metric) -> None:
+        self.factors = factors
+
+    @property
+    def manifold(self) -> Product:
+        return Product(*(factor.manifold for factor in self.factors))
+
+    def inner_product(self, x: tuple, v: tuple, w: tuple) -> Array:
+        return sum((g.inner_product(*parts) for g, *parts in zip(self.factors, x, v, w, strict=True)), start=jnp.zeros(()))
+
+    def kinetic_energy(self, x: tuple, p: tuple) -> Array:
+        return sum((g.kinetic_energy(*parts) for g, *parts in zip(self.factors, x, p, strict=True)), start=jnp.zeros(()))
+
+
+@final
+class PowerMetric(Metric):
+    """The sum of one metric over the copies of a power."""
+
+    factor: Metric
+    k: int = eqx.field(static=True)
+
+    @property
+    def manifold(self) -> Power:
+        return Power(self.factor.manifold, self.k)
+
+    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
+        return jnp.sum(jax.vmap(self.factor.inner_product)(x, v, w))
+
+    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
+        return jnp.sum(jax.vmap(self.factor.kinetic_energy)(x, p))
+
+
+@final
+class ScaledMetric(Metric):
+    """A positive multiple of a metric: the same geodesics, other lengths."""
+
+    base: Metric
+    scale: float = eqx.field(static=True)
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.base.manifold
+
+    def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
+        return self.scale * self.base.inner_product(x, v, w)
+
+    def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
+        return self.base.kinetic_energy(x, p) / self.scale
