@@ -41,6 +41,9 @@ class PowerMetric(Metric):
     factor: Metric
     k: int = eqx.field(static=True)
 
+    def __init__(self, factor: Metric, k: int) -> None:
+        self.factor, self.k = factor, k
+
     @property
     def manifold(self) -> Power:
         return Power(self.factor.manifold, self.k)
@@ -58,6 +61,9 @@ class ScaledMetric(Metric):
 
     base: Metric
     scale: float = eqx.field(static=True)
+
+    def __init__(self, base: Metric, scale: float) -> None:
+        self.base, self.scale = base, scale
 
     @property
     def manifold(self) -> Manifold:

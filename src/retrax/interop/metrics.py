@@ -79,8 +79,8 @@ def exponential_map(metric: Metric) -> Retraction:
             return ProductRetraction(*map(exponential_map, metric.factors))
         case PowerMetric():
             return PowerRetraction(exponential_map(metric.factor), metric.k)
-        case EmbeddedMetric(manifold=SE()):
-            return SEDecoupled(manifold)
+        case EmbeddedMetric(manifold=SE() as group):
+            return SEDecoupled(group)
         case EmbeddedMetric(manifold=Stiefel()) | AffineInvariantMetric() | LorentzMetric():
             return Exponential(manifold)
         case EmbeddedMetric() if isinstance(manifold, _SYMMETRIC):
