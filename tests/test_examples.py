@@ -89,3 +89,13 @@ def test_abnormal_extremals(tmp_path):
     np.testing.assert_allclose(departures, 2 * module.EPSILON, rtol=1e-3)
     assert np.all(heights > 0.333), "no other flat geodesic joins two points of the line"
     assert (tmp_path / "abnormal_extremals.png").exists()
+
+
+def test_academic_singular(tmp_path):
+    classification, errors, differences = example("academic_singular").main(["--output", str(tmp_path)])
+    assert (classification.dimension, classification.rank, classification.gauge_controls) == (3, 2, 1)
+    assert max(differences.values()) <= 1e-14, "the scheme that the paper prints"
+    for name, error in errors.items():
+        np.testing.assert_allclose(error[:-1] / error[1:], 4, atol=0.15, err_msg=name)
+        assert error[-1] <= 2e-5
+    assert (tmp_path / "academic_singular.png").exists()

@@ -1,0 +1,88 @@
+"""Time per step of each strategy on the final constraint manifold, beside the regular integrator of the same dimension.
+
+    python benchmarks/singular.py [--steps 2000] [--repeats 7]
+
+The peer is the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same lifted midpoint map.
+Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart. One JSON line a case.
+"""
+
+import argparse
+import json
+import statistics
+import time
+
+import jax
+import jax.numpy as jnp
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, classify, integrate, singular_integrator
+from retrax.problems import SINGULAR
+from retrax.retractions import CotangentLift, Midpoint, default_retraction
+
+CASES = {
+    "academic": ("direct", "project"),
+    "aly-chan": ("direct", "rattle", "reduced", "project"),
+    "sphere": ("rattle", "project"),
+    "curved arc": ("rattle", "project"),
+    "massless particle": ("stage", "project"),
+    "free actuator": ("rattle", "reduced", "project"),
+}
+STEP = 1e-3
+
+
+def made_regular(problem):
+    """The problem with a cost of its controls."""
+    return OptimalControlProblem(
+        problem.manifold, problem.dynamics, lambda q, u: problem.running_cost(q, u) + u @ u / 2, problem.controls
+    )
+
+
+def timed(run):
+    """Seconds of one call, to the end of its computation."""
+    began = time.perf_counter()
+    jax.block_until_ready(run())
+    return time.perf_counter() - began
+
+
+def measure(name, strategies, steps, repeats):
+    """One record for each strategy on a problem."""
+    problem = SINGULAR[name]().problem
+    classification, discretization = classify(problem), Midpoint(default_retraction(problem.manifold))
+    start = classification.stratum.q, classification.stratum.p
+    if classification.codimension:
+        start = classification.manifold.nearby(jax.tree.map(jnp.asarray, start))
+    regular = made_regular(problem), PresymplecticIntegrator(CotangentLift(discretization))
+    systems = {"regular": regular} | {s: (problem, singular_integrator(classification, discretization, s)) for s in strategies}
+    runs = {
+        key: lambda system=system, method=method: integrate(system, method, start, STEP, steps, save_every=steps).q
+        for key, (system, method) in systems.items()
+    }
+    cold = {key: timed(run) for key, run in runs.items()}
+    warm = {key: [] for key in runs}
+    for _ in range(repeats):
+        for key, run in runs.items():
+            warm[key].append(timed(run))
+    medians = {key: statistics.median(seconds) for key, seconds in warm.items()}
+    for key in strategies:
+        yield {
+            "problem": name,
+            "strategy": key,
+            "microseconds per step": round(1e6 * medians[key] / steps, 2),
+            "regular": round(1e6 * medians["regular"] / steps, 2),
+            "ratio": round(medians[key] / medians["regular"], 2),
+            "cold seconds": round(cold[key], 2),
+        }
+
+
+def main():
+    """Print one line for each problem and strategy."""
+    jax.config.update("jax_enable_x64", True)
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--repeats", type=int, default=7)
+    options = parser.parse_args()
+    for name, strategies in CASES.items():
+        for record in measure(name, strategies, options.steps, options.repeats):
+            print(json.dumps(record), flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,152 @@
+"""The strategies on P_f: which one is chosen and why, what each preserves, and which one must fail to."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Composition, OptimalControlProblem, integrate
+from retrax.integrators.singular import singular_integrator
+from retrax.manifolds import InvalidInputError, NotOnManifoldError
+from retrax.manifolds.numerics import ambient as vec
+from retrax.retractions import Midpoint, default_retraction
+
+from tests.integrators.singular.cases import classified
+from tests.support.numerics import slope
+
+STEPS = np.array([0.2, 0.1, 0.05])
+STARTS = {
+    "academic": ([0.7, 0.0], [-0.3, 0.2]),
+    "sphere": ([-0.93, 0.09, 0.3557], [0.11, -0.01, 0.295]),
+    "curved arc": ([0.135, 0.225, -0.18], [0.045, 0.27, -0.225]),
+    "massless particle": ([0.3, 0.2], [-0.1, 0.15]),
+}
+
+
+def chosen(name: str, strategy: str | None = None, **options):
+    classification = classified(name)
+    return singular_integrator(classification, Midpoint(default_retraction(classification.problem.manifold)), strategy, **options)
+
+
+def start(name: str):
+    return classified(name).manifold.nearby(jax.tree.map(jnp.asarray, STARTS[name], is_leaf=lambda a: isinstance(a, list)))
+
+
+@eqx.filter_jit
+def one_step(classification, method, z, h):
+    """Largest change of ``omega_f`` over one step from ``z``, the size of the form, and the equations of ``P_f`` at the end."""
+    final, problem = classification.manifold, classification.problem
+
+    def step(z):
+        new = method.step(problem, h, *z, method.begin(problem, *z))
+        return new.q, new.p
+
+    frame, end = final.basis(z), step(z)
+    images = jax.vmap(lambda a: jax.jvp(step, (z,), (a,))[1])(frame)
+
+    def table(x, vectors):
+        return jax.vmap(lambda a: jax.vmap(lambda b: final.parent.two_form(x, a, b))(vectors))(vectors)
+
+    before = table(z, frame)
+    return jnp.max(jnp.abs(table(end, images) - before)), jnp.max(jnp.abs(before)), vec.size(final.equations(end))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sphere", "curved arc"])
+def test_rattle_keeps_a_curved_final_manifold_and_its_form(name):
+    method = chosen(name)
+    assert method.reason.startswith("rattle: ") and "not direct: " in method.reason
+    for h in STEPS:
+        change, size, gap = one_step(classified(name), method, start(name), jnp.asarray(h))
+        assert gap < 1e-14
+        assert change < 1e-13
+        assert size > 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["sphere", "curved arc"])
+def test_a_projection_keeps_the_manifold_but_not_its_form(name):
+    method = chosen(name, "project")
+    assert not method.presymplectic
+    assert "not presymplectic" in method.reason
+    facts = np.array([one_step(classified(name), method, start(name), jnp.asarray(h)) for h in STEPS / 2])
+    assert np.max(facts[:, 2]) < 1e-13
+    assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["curved arc", "academic", "massless particle"])
+@pytest.mark.parametrize(("composed", "order"), [(False, 2), (True, 4)])
+def test_order(name, composed, order):
+    method = Composition(chosen(name)) if composed else chosen(name)
+    counts = np.array([16, 32, 128])
+    problem, z = classified(name).problem, start(name)
+    paths = [integrate(problem, method, z, 1 / n, int(n), save_every=int(n)) for n in counts]
+    ends = [np.concatenate([path.q[-1], path.p[-1]]) for path in paths]
+    errors = np.array([np.max(np.abs(end - ends[-1])) for end in ends[:-1]])
+    # The reference has an error of its own: (1 - 8^-order) / (1 - 4^-order) corrects it.
+    measured = slope(1 / counts[:-1], errors, 1e-13) - np.log2((1 - 8.0**-order) / (1 - 4.0**-order))
+    assert measured == pytest.approx(order, abs=0.05)
+
+
+@pytest.mark.slow
+def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
+    method = chosen("massless particle")
+    assert method.reason.startswith("stage: ")
+    problem, z, gaps = classified("massless particle").problem, start("massless particle"), []
+    for n in (20, 40):
+        path = integrate(problem, method, z, 1 / n, n)
+        gaps.append(
+            float(jnp.max(jnp.abs(jax.vmap(lambda q, p: classified("massless particle").equations((q, p)))(path.q, path.p))))
+        )
+    assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2, abs=0.2)
+
+
+def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_given():
+    problem, z = classified("academic").problem, start("academic")
+    ends = {}
+    for n in (16, 32):
+        path = integrate(problem, chosen("academic", gauge=lambda t, q, p: jnp.cos(t)), z, 1 / n, n)
+        ends[n] = np.array([path.q[-1, 0], path.p[-1, 0], path.p[-1, 1]])
+        assert np.max(np.abs(path.q[:, 1])) < 1e-15
+        np.testing.assert_allclose(path.controls[:, 1], np.cos(path.stage_times), atol=1e-14)
+    # The paper's values, and p_y' = -p_y + cos t from 1/5.
+    p_y = 0.2 * np.exp(-1) + (np.sin(1) + np.cos(1) - np.exp(-1)) / 2
+    np.testing.assert_allclose(ends[32] + (ends[32] - ends[16]) / 3, [0.3473665, -0.3445070, p_y], atol=3e-7)
+
+
+def test_without_a_gauge_the_control_has_least_norm():
+    method = chosen("academic")
+    assert "gauge controls of least norm" in method.reason
+    path = integrate(classified("academic").problem, method, start("academic"), 0.1, 3)
+    np.testing.assert_allclose(path.controls[:, 1], 0, atol=1e-14)
+
+
+def test_what_does_not_apply_is_refused_with_what_does():
+    with pytest.raises(InvalidInputError, match="not rattle: .*what applies is direct"):
+        chosen("academic", "rattle")
+    with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):
+        chosen("academic", "magic")
+    with pytest.raises(InvalidInputError, match="no gauge controls"):
+        chosen("aly-chan", gauge=lambda t, q, p: jnp.zeros(1))
+    problem, method = classified("academic").problem, chosen("academic")
+    with pytest.raises(NotOnManifoldError, match="not on P_f"):
+        integrate(problem, method, (jnp.array([0.7, 0.1]), jnp.zeros(2)), 0.1, 1)
+    other = OptimalControlProblem(problem.manifold, problem.dynamics, lambda q, u: u @ u, 2)
+    with pytest.raises(InvalidInputError, match="made for another problem"):
+        integrate(other, method, start("academic"), 0.1, 1)
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_trajectory_and_batches():
+    method, problem, z = chosen("academic"), classified("academic").problem, start("academic")
+
+    def end(x0):
+        path = integrate(problem, method, (jnp.stack([x0, 0.0]), z[1]), 0.1, 5)
+        return path.q[-1, 0]
+
+    h = 1e-5
+    expected = (end(0.7 + h) - end(0.7 - h)) / (2 * h)
+    np.testing.assert_allclose(jax.grad(end)(0.7), expected, rtol=1e-8)
+    np.testing.assert_allclose(jax.jvp(end, (0.7,), (1.0,))[1], expected, rtol=1e-8)
+    np.testing.assert_allclose(jax.vmap(end)(jnp.array([0.7, 0.2])), [end(0.7), end(0.2)], atol=1e-14)
