@@ -85,7 +85,7 @@ def main(arguments=None):
     """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by method."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
-        "--steps", type=int, default=100_000, help="number of RATTLE's steps, a multiple of 500; a tenth projected"
+        "--steps", type=int, default=100_000, help="steps of RATTLE, a multiple of 500; a tenth projected"
     )
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args(arguments)

@@ -55,7 +55,8 @@ def one_step(classification, method, z, h):
 @pytest.mark.parametrize("name", ["sphere", "curved arc"])
 def test_rattle_keeps_a_curved_final_manifold_and_its_form(name):
     method = chosen(name)
-    assert method.reason.startswith("rattle: ") and "not direct: " in method.reason
+    assert method.reason.startswith("rattle: ")
+    assert "not direct: " in method.reason
     for h in STEPS:
         change, size, gap = one_step(classified(name), method, start(name), jnp.asarray(h))
         assert gap < 1e-14
@@ -93,12 +94,11 @@ def test_order(name, composed, order):
 def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
     method = chosen("massless particle")
     assert method.reason.startswith("stage: ")
-    problem, z, gaps = classified("massless particle").problem, start("massless particle"), []
+    classification, z, gaps = classified("massless particle"), start("massless particle"), []
+    equations = jax.vmap(lambda q, p: classification.equations((q, p)))
     for n in (20, 40):
-        path = integrate(problem, method, z, 1 / n, n)
-        gaps.append(
-            float(jnp.max(jnp.abs(jax.vmap(lambda q, p: classified("massless particle").equations((q, p)))(path.q, path.p))))
-        )
+        path = integrate(classification.problem, method, z, 1 / n, n)
+        gaps.append(float(jnp.max(jnp.abs(equations(path.q, path.p)))))
     assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2, abs=0.2)
 
 
@@ -123,7 +123,7 @@ def test_without_a_gauge_the_control_has_least_norm():
 
 
 def test_what_does_not_apply_is_refused_with_what_does():
-    with pytest.raises(InvalidInputError, match="not rattle: .*what applies is direct"):
+    with pytest.raises(InvalidInputError, match=r"not rattle: .*what applies is direct"):
         chosen("academic", "rattle")
     with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):
         chosen("academic", "magic")
