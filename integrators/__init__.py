@@ -7,6 +7,7 @@ if __package__ != "retrax.integrators":
     )
 
 from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
+from .dirac import DiracIntegrator, DiracSystem
 from .initial_value import (
     KAHAN_LI_6,
     KAHAN_LI_8,
@@ -48,6 +49,8 @@ __all__ = [
     "Classification",
     "Composition",
     "ControlStage",
+    "DiracIntegrator",
+    "DiracSystem",
     "GeodesicRetraction",
     "Guess",
     "HamiltonianStage",

@@ -99,3 +99,18 @@ def test_academic_singular(tmp_path):
         np.testing.assert_allclose(error[:-1] / error[1:], 4, atol=0.15, err_msg=name)
         assert error[-1] <= 2e-5
     assert (tmp_path / "academic_singular.png").exists()
+
+
+def test_rolling_ball(tmp_path):
+    turntable, incline, (energy, momentum), slip = example("rolling_ball").main(["--steps", "1000", "--output", str(tmp_path)])
+    coarse, fine, centre, force, moving = turntable
+    assert (4 * fine - coarse) / 3 == pytest.approx(2 / 7, rel=1e-6)
+    assert 7 / 2 * coarse - 1 == pytest.approx(4 * (7 / 2 * fine - 1), rel=0.02), "of order 2"
+    assert centre <= 1e-12
+    assert max(force, moving) <= 4e-4
+    assert incline[0] == pytest.approx(5 / 7, abs=1e-12)
+    assert incline[1] <= 5e-4
+    assert momentum <= 1e-12, "three symmetries whose generators satisfy the constraints"
+    assert max(energy[2:]) <= 1.1 * max(energy[:2]) <= 2e-5, "no drift"
+    assert slip <= 1e-14
+    assert (tmp_path / "rolling_ball.png").exists()

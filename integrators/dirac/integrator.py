@@ -1,0 +1,137 @@
+"""Nonholonomic integrators: impulses of the constraint forces at the nodes, a cotangent-lifted step between them."""
+
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike
+
+from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
+from ...manifolds.manifold import default_tolerance, same_manifold
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.root import find_root
+from ...retractions import CotangentLift
+from ..initial_value import Integrator, StepResult
+from ..initial_value.step import StepEquations
+from ..stages import HamiltonianStage
+from .system import DiracSystem, Multipliers
+
+
+class _Memory(NamedTuple):
+    """The impulse at the end of a step and the multipliers, the mean constraint force over it."""
+
+    impulse: Array
+    multipliers: Array
+
+
+@final
+class DiracIntegrator(Integrator):
+    """Integrator of a ``DiracSystem``: Lambda o F_h o Lambda, with impulses Lambda of the constraint forces at both nodes.
+
+        p0+ = p0 + r0_a mu^a(q0),    (q0, p0+; q1, p1-) = R_d^{T*}(h X_H(x, pi)),    p1 = p1- + r1_a mu^a(q1)
+
+    ``r0`` puts the velocity ``v / h`` of the stage in the constraints at its base point ``x``, ``r1`` the one of the end node
+    in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortes, Martinez, Nonlinearity 14, 2001] with momenta that
+    satisfy the constraints. Constraint forces at the stage instead, ``(X, dH)`` in the Dirac structure at ``(x, pi)``, leave
+    the nodes off the constraints by O(h^2).
+
+    What is kept: the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a
+    constant element of the algebra, satisfies the constraints (with ``c = 0``), if the discretization map is equivariant;
+    reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. What is not: the
+    energy, whose error is O(h^2) and may drift where the system is not reversible and integrable [Modin, Verdier, Numer.
+    Math. 145, 2020]; and ``omega``, which the flow itself does not preserve. The ``controls`` of a trajectory are the
+    multipliers ``lambda``, averaged over each step.
+    """
+
+    lift: CotangentLift
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.lift, CotangentLift):
+            raise InvalidInputError(
+                f"DiracIntegrator takes a cotangent lift, got {self.lift!r}; try CotangentLift(Midpoint(...))"
+            )
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.lift.discretization.manifold
+
+    @property
+    def control_times(self) -> np.ndarray:
+        return np.asarray(0.5)
+
+    def check(self, system: DiracSystem, q: Ambient, p: Ambient) -> None:
+        if not isinstance(system, DiracSystem):
+            raise InvalidInputError(f"DiracIntegrator integrates a DiracSystem, got {system!r}")
+        if not same_manifold(system.manifold, self.manifold):
+            raise InvalidInputError(f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold")
+        _check_shapes(system, q, p)
+        residual, mobility, speed = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
+        values = np.linalg.svd(mobility, compute_uv=False)
+        if not values[-1] > 1e-10 * max(values[0], 1e-300):
+            raise InvalidInputError(
+                f"the matrix <mu^a, H_pp mu^b> has the singular values {values} at the start, expected all positive: "
+                "give independent one-forms"
+            )
+        if not np.max(np.abs(residual)) <= default_tolerance() * (1 + speed):
+            raise NotOnManifoldError(
+                f"start violates the constraints: <mu^a, dH/dp> - c^a is {residual}, expected 0; try system.project(q, p)"
+            )
+
+    def begin(self, system: DiracSystem, q: Ambient, p: Ambient) -> _Memory:
+        nothing = jnp.zeros_like(system.constraint(q, vec.zeros(q)))
+        return _Memory(nothing, nothing)
+
+    def step(self, system: DiracSystem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory) -> StepResult:
+        stage = HamiltonianStage(hamiltonian=system.hamiltonian, discretization=self.lift.discretization, step=h)
+        predicted = jax.lax.stop_gradient(previous.impulse)
+        m = predicted.size
+        equations = StepEquations(stage, q, system.kick(q, p, predicted), None)
+
+        def residual(c: Array) -> Array:
+            x, v, _ = equations.end(c[m:])[2]
+            allowed = system.constraint(x, vec.scale(1 / h, v))
+            return jnp.concatenate([allowed, equations.residual(c[m:], q, system.kick(q, p, c[:m]))])
+
+        sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
+        root, landed = find_root(residual, jnp.concatenate([predicted, equations.first]), sizes)
+        q1, p1, _ = equations.end(root[m:])
+        q1 = self.manifold.restore(q1)
+        last, found = system.impulse(q1, p1, root[:m])
+        p1 = system.kick(q1, p1, last)
+        memory = _Memory(last, (root[:m] + last) / h)
+        return StepResult(q1, p1, memory, landed & found & jnp.isfinite(vec.size((q1, p1))))
+
+    def control(self, unknowns: _Memory) -> Multipliers:
+        return unknowns.multipliers
+
+
+def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
+    """Raise if a function of the system returns something of the wrong structure."""
+    value = jax.eval_shape(system.hamiltonian, q, p)
+    if getattr(value, "shape", None) != ():
+        raise InvalidInputError(f"the Hamiltonian must return a scalar, got {value}")
+    forms = jax.eval_shape(system.forms, q)
+    counts = {leaf.shape[:1] for leaf in jax.tree.leaves(forms)}
+    single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), forms)
+    wrong = system.manifold.describe_mismatch(single, "each of the forms, a covector")
+    if wrong or len(counts) != 1:
+        raise InvalidInputError(f"forms(q) must return m covectors with a leading axis on every array, got {forms}: {wrong}")
+    if system.rates is not None:
+        rates, (count,) = jax.eval_shape(system.rates, q), counts
+        if getattr(rates, "shape", None) != count:
+            raise InvalidInputError(f"rates(q) must return one number for each of the {count[0]} one-forms, got {rates}")
+
+
+@eqx.filter_jit
+def _facts(system: DiracSystem, q: Ambient, p: Ambient) -> tuple[Array, Array, Array]:
+    """The constraints at ``(q, p)``, their derivative along impulses there, and the size of the velocity."""
+
+    def after(r: Array) -> Array:
+        return system.constraint(q, system.velocity(q, system.kick(q, p, r)))
+
+    v = system.velocity(q, p)
+    residual = system.constraint(q, v)
+    return residual, jax.jacfwd(after)(jnp.zeros_like(residual)), vec.size(v)

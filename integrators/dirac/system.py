@@ -1,0 +1,72 @@
+"""Hamiltonian systems with nonholonomic constraints, as implicit systems in a Dirac structure."""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from ...manifolds import ConvergenceError, InvalidInputError, Manifold
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
+from ...manifolds.numerics.root import find_root
+from ..stages.hamiltonian import Hamiltonian
+
+Multipliers = Float[Array, " m"]
+
+
+@final
+class DiracSystem(eqx.Module):
+    """``(X, dH)`` in the Dirac structure that a distribution induces on ``T*Q``; in the words of mechanics,
+
+        q' = dH/dp,    p' = -dH/dq + lambda_a mu^a(q),    <mu^a(q), q'> = c^a(q),    a = 1, ..., m.
+
+    [Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006; with ``c = 0`` there].
+    ``hamiltonian(q, p)`` returns a scalar; ``forms(q)`` the one-forms, independent covectors as a frame of leaves
+    ``(m, *leaf)``; ``rates(q)`` the values ``c``, shape ``(m,)``, by default zero. All are JAX functions of ambient arrays.
+    Its states are the ``(q, p)`` that satisfy the constraints: ``project`` makes one of any covector.
+    """
+
+    manifold: Manifold
+    hamiltonian: Hamiltonian
+    forms: Callable[[Any], Frame]
+    rates: Callable[[Any], Multipliers] | None = None
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.manifold, Manifold):
+            raise InvalidInputError(f"manifold must be a Manifold, got {self.manifold!r}; try Euclidean(3)")
+        functions = {"hamiltonian": self.hamiltonian, "forms": self.forms, "rates": self.rates}
+        for name, value in functions.items():
+            if not (callable(value) or (name == "rates" and value is None)):
+                of = "(q, p)" if name == "hamiltonian" else "q"
+                raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
+
+    def velocity(self, q: Ambient, p: Ambient) -> Ambient:
+        """``dH/dp``, a tangent vector at ``q``."""
+        return self.manifold.projection(q, vec.gradient(lambda p: self.hamiltonian(q, p), p))
+
+    def constraint(self, q: Ambient, v: Ambient) -> Multipliers:
+        """``<mu^a(q), v> - c^a(q)``, zero for a velocity ``v`` that the constraints allow."""
+        along = vec.components(self.forms(q), v)
+        return along if self.rates is None else along - self.rates(q)
+
+    def kick(self, q: Ambient, p: Ambient, impulse: Multipliers) -> Ambient:
+        """The covector ``p + r_a mu^a(q)`` after an impulse ``r`` of the constraint forces."""
+        return self.manifold.projection(q, vec.add(p, vec.combine(self.forms(q), impulse)))
+
+    def impulse(self, q: Ambient, p: Ambient, first: Multipliers) -> tuple[Multipliers, Bool[Array, ""]]:
+        """The impulse near ``first`` after which ``(q, p)`` satisfies the constraints, and whether it was found."""
+        return find_root(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))), first)
+
+    def project(self, q: Ambient, p: Ambient) -> Ambient:
+        """The covector that satisfies the constraints and differs from ``p`` by one of the ``mu^a(q)`` and their sums.
+
+        Raises ``ConvergenceError`` if there is none near.
+        """
+        size = jax.tree.leaves(jax.eval_shape(self.forms, q))[0].shape[0]
+        r, found = self.impulse(q, p, jnp.zeros(size))
+        if not is_traced(found) and not found:
+            raise ConvergenceError(f"no covector near {p} satisfies the constraints at q = {q}; are the one-forms independent?")
+        return self.kick(q, p, r)
