@@ -101,6 +101,7 @@ def test_academic_singular(tmp_path):
     assert (tmp_path / "academic_singular.png").exists()
 
 
+@pytest.mark.slow
 def test_rolling_ball(tmp_path):
     turntable, incline, (energy, momentum), slip = example("rolling_ball").main(["--steps", "1000", "--output", str(tmp_path)])
     coarse, fine, centre, force, moving = turntable

@@ -34,16 +34,17 @@ class DiracIntegrator(Integrator):
         p0+ = p0 + r0_a mu^a(q0),    (q0, p0+; q1, p1-) = R_d^{T*}(h X_H(x, pi)),    p1 = p1- + r1_a mu^a(q1)
 
     ``r0`` puts the velocity ``v / h`` of the stage in the constraints at its base point ``x``, ``r1`` the one of the end node
-    in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortes, Martinez, Nonlinearity 14, 2001] with momenta that
+    in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortés, Martínez, Nonlinearity 14, 2001] with momenta that
     satisfy the constraints. Constraint forces at the stage instead, ``(X, dH)`` in the Dirac structure at ``(x, pi)``, leave
     the nodes off the constraints by O(h^2).
 
-    What is kept: the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a
-    constant element of the algebra, satisfies the constraints (with ``c = 0``), if the discretization map is equivariant;
-    reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. What is not: the
-    energy, whose error is O(h^2) and may drift where the system is not reversible and integrable [Modin, Verdier, Numer.
-    Math. 145, 2020]; and ``omega``, which the flow itself does not preserve. The ``controls`` of a trajectory are the
-    multipliers ``lambda``, averaged over each step.
+    Kept are the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a constant
+    element of the algebra, satisfies the constraints with ``c = 0``, if the discretization map is equivariant; and
+    reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. Not kept are
+    ``omega``, which the flow itself does not preserve, and the energy: its error is O(h^2), bounded where the motion is
+    reversible and integrable, and wanders or drifts where it is not [Modin, Verdier, Numer. Math. 145, 2020].
+
+    The ``controls`` of a trajectory are the multipliers ``lambda``, averaged over each step.
     """
 
     lift: CotangentLift

@@ -69,7 +69,7 @@ class StageImpulses(Integrator):
     def step(self, system: DiracSystem, h: ArrayLike, q: Array, p: Array, previous: Array) -> StepResult:
         stage = HamiltonianStage(hamiltonian=system.hamiltonian, discretization=self.lift.discretization, step=h)
         equations, m = StepEquations(stage, q, p, None), previous.size
-        guess = stage.predict(q, p, None)
+        guess = stage.predict(q, p, (q, p, p))
 
         def residual(c: Array) -> Array:
             x, pull = jax.vjp(lambda d: stage.move(guess, d)[0], c[m : m + stage.dimension])
@@ -167,7 +167,7 @@ def test_the_form_changes_at_first_order_in_the_step():
     @jax.jit
     def defect(h: Array) -> Array:
         def step(z: tuple) -> tuple:
-            new = NODES.step(PARTICLE, h, *z, NODES.begin(PARTICLE, *z))
+            new = NODES.step(PARTICLE, h, z[0], z[1], NODES.begin(PARTICLE, *z))
             return new.q, new.p
 
         images = jax.vmap(lambda a: jax.jvp(step, (START,), (a,))[1])(frame)
