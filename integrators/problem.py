@@ -65,6 +65,11 @@ class OptimalControlProblem(eqx.Module):
             raise InvalidInputError(wrong)
         return v
 
+    def normal_size(self, q: Ambient, u: Ambient) -> tuple[Array, Array]:
+        """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
+        v = self.velocity(q, u)
+        return vec.size(vec.subtract(v, self.manifold.projection(q, v))), vec.size(v)
+
     def cost_rate(self, q: Ambient, u: Ambient) -> Array:
         """``p_0 F(q, u)``: the running cost, zero in the abnormal case."""
         return jnp.zeros(()) if self.abnormal else _scalar("running_cost", self.running_cost(q, u))
@@ -104,8 +109,7 @@ def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Arra
     """Largest normal part and size of the velocity, for ``u`` and for a random control, and both costs."""
 
     def probe(control: Ambient) -> tuple[Array, Array]:
-        v = problem.velocity(q, control)
-        return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
+        return problem.normal_size(q, control)
 
     parts = zip(probe(u), probe(problem.controls.random_point(jax.random.key(0))), strict=True)
     normal, size = (jnp.maximum(a, b) for a, b in parts)

@@ -33,9 +33,8 @@ def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambie
         _, v = stage.tangent(y)
         _, pull = vec.pullback(lambda w: stage.discretization(x, w), v)
         covector = stage.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])
-        velocity = stage.problem.velocity(x, u)
-        off = vec.subtract(velocity, stage.manifold.projection(x, velocity))
-        return covector, stage.problem.hamiltonian(x, covector, u), vec.size(off) / (1 + vec.size(velocity))
+        normal, size = stage.problem.normal_size(x, u)
+        return covector, stage.problem.hamiltonian(x, covector, u), normal / (1 + size)
 
     before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], costates) for s in (slice(None, -1), slice(1, None)))
     stage_costates, hamiltonians, normal = jax.vmap(at_stage)(unknowns, before, after)

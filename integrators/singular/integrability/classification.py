@@ -9,6 +9,7 @@ from jaxtyping import ArrayLike
 from ....manifolds import CotangentBundle, Euclidean, Immersion, InvalidInputError, Manifold, Submanifold
 from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem
+from ..result import IntegrabilityResult
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
 from .levels import Level, Signature
@@ -55,14 +56,25 @@ class Stratum:
     equations: FinalEquations
     feedback: FinalEquations
 
+    @property
+    def codimension(self) -> int:
+        """Number of independent equations in ``T*Q``."""
+        return self.signature.codimension
+
+    @property
+    def rank(self) -> int:
+        """Rank of ``omega_f``."""
+        return self.signature.form_rank
+
+    @property
+    def free_controls(self) -> int:
+        """Number of controls that are left free."""
+        return self.signature.free_controls
+
 
 @dataclass(frozen=True, eq=False)
-class Classification:
-    """What the integrability algorithm found.
-
-    ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties below speak of the
-    first. ``levels`` holds the evidence, level by level.
-    """
+class Classification(IntegrabilityResult[Stratum]):
+    """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level."""
 
     problem: OptimalControlProblem
     morse: MorseTest | None
@@ -73,76 +85,14 @@ class Classification:
     seconds: float
 
     @property
-    def empty(self) -> bool:
-        """Whether ``P_f`` is empty: no extremal of the kind that was asked for, with controls in the interior, exists."""
-        return not self.strata
-
-    @property
     def regular(self) -> bool:
         """Whether ``dH/du = 0`` determines every control: then ``P_f = T*Q``."""
         return self.morse is not None and self.morse.regular
 
     @property
-    def stratified(self) -> bool:
-        """Whether ranks differ between the points found, so that ``P_f`` is not one manifold."""
-        return len(self.strata) > 1
-
-    @property
     def irregular(self) -> bool:
         """Whether Gauss-Newton was slow: the differentials of the equations vanish or become dependent on their zero set."""
         return any(level.slow for level in self.levels)
-
-    @property
-    def stratum(self) -> Stratum:
-        """The piece of largest dimension. Raises ``InvalidInputError`` if ``P_f`` is empty."""
-        if self.empty:
-            raise InvalidInputError(f"P_f is empty, so it has no dimension, form or controls\n{self}")
-        return self.strata[0]
-
-    @property
-    def k_f(self) -> int:
-        """Level at which ``S^k`` stops changing."""
-        return self.stratum.k_f
-
-    @property
-    def k_f_base(self) -> int:
-        """Level at which ``P^k`` stops changing; the controls may be determined later."""
-        return self.stratum.k_f_base
-
-    @property
-    def codimension(self) -> int:
-        """Number of independent equations of ``P_f`` in ``T*Q``."""
-        return self.stratum.signature.codimension
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of ``P_f``."""
-        return 2 * self.problem.manifold.dimension - self.codimension
-
-    @property
-    def rank(self) -> int:
-        """Rank of ``omega_f``."""
-        return self.stratum.signature.form_rank
-
-    @property
-    def first_class(self) -> int:
-        """Number of first-class equations: the dimension of the kernel of ``omega_f``."""
-        return self.dimension - self.rank
-
-    @property
-    def second_class(self) -> int:
-        """Number of second-class equations."""
-        return self.codimension - self.first_class
-
-    @property
-    def gauge_controls(self) -> int:
-        """Number of controls that the necessary conditions leave free."""
-        return self.stratum.signature.free_controls
-
-    @property
-    def determined_controls(self) -> int:
-        """Number of controls that are functions of state and costate."""
-        return self.problem.controls.dimension - self.gauge_controls
 
     @property
     def gauge_components(self) -> tuple[int, ...]:
@@ -182,10 +132,6 @@ class Classification:
         """``S_f`` in ``(TP_f, d_T omega_f)``, immersed from ``P_f`` times the space of gauge controls."""
         control = self.stratum.feedback.control
         return immersed_dynamics(self.problem, self.manifold, Euclidean(self.gauge_controls), control)
-
-    def report(self) -> None:
-        """Print the classification."""
-        print(self)
 
     def __str__(self) -> str:
         from .report import report_text

@@ -6,6 +6,9 @@ from typing import Any
 
 import sympy
 
+PRECISION = 40  # digits
+LONG = 20  # terms of an equation at which a branch of smaller dimension is left
+
 Expression = Any
 Equation = tuple[Expression, int]  # to be made zero, and the level of the algorithm that asks for it
 
@@ -37,7 +40,7 @@ class SymbolicStratum:
 
     ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``solution``: coordinates
     that they determine; ``controls``: determined controls as expressions, and the levels that determine them; ``nonzero``:
-    expressions assumed not to vanish.
+    expressions assumed not to vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
     """
 
     phase: Phase
@@ -47,6 +50,7 @@ class SymbolicStratum:
     levels: dict[Expression, int] = field(default_factory=dict)
     nonzero: tuple[Expression, ...] = ()
     irregular: bool = False
+    degenerate: Expression | None = None
 
     @property
     def coordinates(self) -> tuple[Expression, ...]:
@@ -80,23 +84,41 @@ class SymbolicStratum:
         if not self.coordinates:
             return sympy.zeros(0, 0)
         top, bottom = jacobian[:n, :], jacobian[n:, :]
-        return (top.T * bottom - bottom.T * top).applyfunc(sympy.simplify)
+        return (top.T * bottom - bottom.T * top).applyfunc(normal_form)
+
+    @property
+    def rank(self) -> int:
+        """Rank of ``omega_f``."""
+        return len(self.coordinates) - len(self.kernel)
+
+    @property
+    def free_controls(self) -> int:
+        """Number of controls that are left free."""
+        return len(self.phase.u) - len(self.controls)
 
     @property
     def kernel(self) -> list[sympy.Matrix]:
         """Basis of the kernel of ``omega_f``, as vectors ``(dq, dp)``."""
         if not self.coordinates:
             return []
-        jacobian = self.embedding.jacobian(sympy.Matrix(self.coordinates))
-        return [(jacobian * v).applyfunc(sympy.simplify) for v in self.form.nullspace(simplify=True)]
+        jacobian, form = self.embedding.jacobian(sympy.Matrix(self.coordinates)), self.form
+        if generic_rank(form) == len(self.coordinates):
+            return []
+        return [(jacobian * v).applyfunc(normal_form) for v in form.nullspace(iszerofunc=lambda e: normal_form(e) == 0)]
 
     def reduce(self, expression: Expression) -> Expression:
         """An expression on this piece, with the determined controls and coordinates inserted."""
-        known = {**self.solution, **self.controls}
-        previous = None
-        while previous != expression:
-            previous, expression = expression, sympy.simplify(sympy.sympify(expression).subs(known))
-        return expression
+        return normal_form(sympy.sympify(expression).xreplace({**self.solution, **self.controls}))
+
+    def insert(self, symbol: Expression, value: Expression) -> "SymbolicStratum":
+        """The piece with one more coordinate or control determined, and inserted in all others."""
+
+        def inserted(known: dict[Expression, Expression]) -> dict[Expression, Expression]:
+            return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()}
+
+        solution, controls = inserted(self.solution), inserted(self.controls)
+        (controls if symbol in self.phase.u else solution)[symbol] = value
+        return replace(self, solution=solution, controls=controls)
 
 
 @dataclass(frozen=True)
@@ -114,6 +136,19 @@ def strata(phase: Phase) -> tuple[list[SymbolicStratum], Ended]:
     return list(_explore(SymbolicStratum(phase), start, ended)), ended
 
 
+def generic_rank(matrix: sympy.Matrix) -> int:
+    """Rank of a matrix of functions at a point with small fractions as coordinates: no larger than the rank almost everywhere."""
+    symbols = sorted(matrix.free_symbols, key=str)
+    point = {s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(symbols)}
+    return matrix.xreplace(point).rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
+
+
+def normal_form(expression: Expression) -> Expression:
+    """The same function, such that a rational one that vanishes is zero."""
+    plain = expression.is_rational_function(*expression.free_symbols)
+    return sympy.cancel(expression) if plain else sympy.simplify(expression)
+
+
 def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
     """All pieces on which the pending equations hold as well."""
     if not pending:
@@ -124,6 +159,9 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
     if numerator == 0:
         yield from _explore(piece, rest, ended)
         return
+    if piece.degenerate is not None and len(sympy.Add.make_args(sympy.expand(numerator))) > LONG:
+        ended.unsolved.append((piece.degenerate, level))
+        return
     factors = [(f, m) for f, m in sympy.factor_list(numerator)[1] if not _never_zero(f, piece)]
     if not factors:
         ended.contradictions.append((sympy.factor(numerator), level))
@@ -133,8 +171,16 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
 
 
 def _never_zero(factor: Expression, piece: SymbolicStratum) -> bool:
-    known = {sympy.factor(piece.reduce(e)) for e in piece.nonzero}
-    return factor.is_zero is False or bool({factor, -factor} & known)
+    if factor.is_zero is False or _without_roots(factor):
+        return True
+    known = {f for e in piece.nonzero for f, _ in sympy.factor_list(sympy.numer(sympy.together(piece.reduce(e))))[1]}
+    return bool({factor, -factor} & known)
+
+
+def _without_roots(expression: Expression) -> bool:
+    """Whether it is a polynomial in one variable without real roots."""
+    symbols = expression.free_symbols
+    return len(symbols) == 1 and expression.is_polynomial(*symbols) and sympy.Poly(expression).count_roots() == 0
 
 
 def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
@@ -147,22 +193,27 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
         ended.unsolved.append(equation)
         return
     symbol, coefficient = linear
-    constant = coefficient.is_zero is False
-    value = sympy.simplify(symbol - expression / coefficient)
-    nonzero = piece.nonzero if constant else (*piece.nonzero, coefficient)
+    generic = piece.insert(symbol, normal_form(symbol - expression / coefficient))
     if controls:
-        determined = {u: e.subs(symbol, value) for u, e in piece.controls.items()} | {symbol: value}
-        levels = piece.levels | {symbol: level}
-        yield from _explore(replace(piece, controls=determined, levels=levels, nonzero=nonzero), rest, ended)
+        generic = replace(generic, levels=piece.levels | {symbol: level})
+        special, further = [coefficient], []
     else:
-        solution = {s: e.subs(symbol, value) for s, e in piece.solution.items()} | {symbol: value}
-        smaller = replace(piece, equations=(*piece.equations, equation), solution=solution, nonzero=nonzero)
-        yield from _explore(smaller, [*rest, (piece.phase.rate(expression), level + 1)], ended)
-    if not constant:
-        yield from _explore(piece, [(coefficient, level), (expression, level), *rest], ended)
+        generic = replace(generic, equations=(*piece.equations, equation))
+        # Where the coefficient vanishes another coordinate serves, except at points where no derivative is left.
+        special, further = _gradient(expression, piece), [(piece.phase.rate(expression), level + 1)]
+    if _never_zero(coefficient, piece):
+        yield from _explore(generic, [*rest, *further], ended)
+        return
+    yield from _explore(replace(generic, nonzero=(*piece.nonzero, coefficient)), [*rest, *further], ended)
+    here = replace(piece, degenerate=coefficient if piece.degenerate is None else piece.degenerate)
+    yield from _explore(here, [*((e, level) for e in special), (expression, level), *rest], ended)
+
+
+def _gradient(expression: Expression, piece: SymbolicStratum) -> list[Expression]:
+    return [e for s in piece.coordinates if (e := sympy.diff(expression, s)) != 0]
 
 
 def _linear_symbol(expression: Expression, candidates: list[Expression]) -> tuple[Expression, Expression] | None:
-    """A symbol in which the expression is linear, and its coefficient: a number where one is, None where none is linear."""
+    """A symbol in which the expression is linear, and its coefficient: the simplest one, None where none is linear."""
     linear = [(s, sympy.factor(sympy.diff(expression, s))) for s in candidates if sympy.diff(expression, s, 2) == 0]
-    return min(linear, key=lambda pair: not pair[1].is_number, default=None)
+    return min(linear, key=lambda pair: (pair[1].is_zero is not False, sympy.count_ops(pair[1])), default=None)

@@ -8,16 +8,18 @@ import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
 from ...problem import OptimalControlProblem
-from .algorithm import Equation, Phase, SymbolicStratum, strata
+from ..result import IntegrabilityResult
+from .algorithm import Equation, Phase, SymbolicStratum, normal_form, strata
 from .trace import trace
 
 
 @dataclass(frozen=True, eq=False)
-class SymbolicClassification:
-    """What the integrability algorithm finds in exact algebra; the properties are those of ``Classification``.
+class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
+    """What the integrability algorithm finds in exact algebra.
 
     ``strata``: the pieces of ``P_f`` in closed form, largest dimension first. ``contradictions``: equations without a
-    solution that ended a branch, ``unsolved``: those without a solution in closed form, each with its level.
+    solution that ended a branch; ``unsolved``: those without one in closed form, and those that vanish on pieces of smaller
+    dimension too long to follow; each with its level.
     """
 
     problem: OptimalControlProblem
@@ -25,47 +27,6 @@ class SymbolicClassification:
     strata: tuple[SymbolicStratum, ...]
     contradictions: tuple[Equation, ...]
     unsolved: tuple[Equation, ...]
-
-    @property
-    def empty(self) -> bool:
-        """Whether ``P_f`` is empty."""
-        return not self.strata
-
-    @property
-    def stratum(self) -> SymbolicStratum:
-        """The piece of largest dimension. Raises ``InvalidInputError`` if ``P_f`` is empty."""
-        if self.empty:
-            raise InvalidInputError(f"P_f is empty\n{self}")
-        return self.strata[0]
-
-    @property
-    def k_f(self) -> int:
-        """Level at which ``S^k`` stops changing."""
-        return self.stratum.k_f
-
-    @property
-    def k_f_base(self) -> int:
-        """Level at which ``P^k`` stops changing."""
-        return self.stratum.k_f_base
-
-    @property
-    def dimension(self) -> int:
-        """Dimension of ``P_f``."""
-        return len(self.stratum.coordinates)
-
-    @property
-    def rank(self) -> int:
-        """Rank of ``omega_f``."""
-        return self.dimension - len(self.stratum.kernel)
-
-    @property
-    def gauge_controls(self) -> int:
-        """Number of controls that the necessary conditions leave free."""
-        return len(self.phase.u) - len(self.stratum.controls)
-
-    def report(self) -> None:
-        """Print the classification."""
-        print(self)
 
     def __str__(self) -> str:
         lines = [("H", str(self.phase.hamiltonian))]
@@ -75,7 +36,7 @@ class SymbolicClassification:
         for i, piece in enumerate(self.strata):
             mark = f"({i + 1}) " if len(self.strata) > 1 else ""
             lines += [(mark + name, text) for name, text in _lines(piece)]
-        lines += [("not followed", f"the branch {e} = 0 at level {level}: no closed form") for e, level in self.unsolved]
+        lines += [("not followed", f"the branch {e} = 0 at level {level}: no short closed form") for e, level in self.unsolved]
         width = max(len(name) for name, _ in lines)
         return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
 
@@ -88,7 +49,7 @@ def _lines(piece: SymbolicStratum) -> list[tuple[str, str]]:
         lines.append(("equation", "irregular: a power of it appears in the conditions"))
     lines += [("assuming", f"{piece.reduce(e)} != 0") for e in piece.nonzero]
     lines.append(("k_f", f"{piece.k_f} (S stops changing; P at {piece.k_f_base})"))
-    lines.append(("omega_f", f"rank {len(piece.coordinates) - len(kernel)}, kernel of dimension {len(kernel)}"))
+    lines.append(("omega_f", f"rank {piece.rank}, kernel of dimension {len(kernel)}"))
     symbols = (*piece.phase.q, *piece.phase.p)
     for vector in kernel:
         terms = sum((c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0))
@@ -112,7 +73,7 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
     u = _symbols("u", problem.controls)
     hamiltonian = sympy.simplify(trace(problem.hamiltonian, q, p, u).item())
     phase = Phase(hamiltonian, *(tuple(symbols.ravel()) for symbols in (q, p, u)))
-    homogeneous = sympy.simplify(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p)) == 0
+    homogeneous = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p)) == 0
     exclude = exclude_zero_costate
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
@@ -135,6 +96,5 @@ def _distinct(pieces: list[SymbolicStratum]) -> list[SymbolicStratum]:
     """Pieces with different solutions, the first of each."""
     seen: dict[Any, SymbolicStratum] = {}
     for piece in pieces:
-        key = frozenset((s, piece.reduce(s)) for s in (*piece.solution, *piece.controls))
-        seen.setdefault(key, piece)
+        seen.setdefault(frozenset({**piece.solution, **piece.controls}.items()), piece)
     return list(seen.values())

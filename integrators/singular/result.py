@@ -1,0 +1,100 @@
+"""What a numeric and a symbolic classification have in common."""
+
+from typing import Generic, Protocol, TypeVar
+
+from ...manifolds import InvalidInputError
+from ..problem import OptimalControlProblem
+
+
+class Piece(Protocol):
+    """A piece of ``P_f`` of constant ranks."""
+
+    @property
+    def k_f(self) -> int: ...
+    @property
+    def k_f_base(self) -> int: ...
+    @property
+    def codimension(self) -> int: ...
+    @property
+    def rank(self) -> int: ...
+    @property
+    def free_controls(self) -> int: ...
+
+
+P = TypeVar("P", bound=Piece)
+
+
+class IntegrabilityResult(Generic[P]):
+    """What the integrability algorithm found.
+
+    ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties speak of the first.
+    """
+
+    problem: OptimalControlProblem
+    strata: tuple[P, ...]
+
+    @property
+    def empty(self) -> bool:
+        """Whether ``P_f`` is empty: no extremal of the kind that was asked for, with controls in the interior, exists."""
+        return not self.strata
+
+    @property
+    def stratified(self) -> bool:
+        """Whether ranks differ between the points found, so that ``P_f`` is not one manifold."""
+        return len(self.strata) > 1
+
+    @property
+    def stratum(self) -> P:
+        """The piece of largest dimension. Raises ``InvalidInputError`` if ``P_f`` is empty."""
+        if self.empty:
+            raise InvalidInputError(f"P_f is empty, so it has no dimension, form or controls\n{self}")
+        return self.strata[0]
+
+    @property
+    def k_f(self) -> int:
+        """Level at which ``S^k`` stops changing."""
+        return self.stratum.k_f
+
+    @property
+    def k_f_base(self) -> int:
+        """Level at which ``P^k`` stops changing; the controls may be determined later."""
+        return self.stratum.k_f_base
+
+    @property
+    def codimension(self) -> int:
+        """Number of independent equations of ``P_f`` in ``T*Q``."""
+        return self.stratum.codimension
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of ``P_f``."""
+        return 2 * self.problem.manifold.dimension - self.codimension
+
+    @property
+    def rank(self) -> int:
+        """Rank of ``omega_f``."""
+        return self.stratum.rank
+
+    @property
+    def first_class(self) -> int:
+        """Number of first-class equations: the dimension of the kernel of ``omega_f``."""
+        return self.dimension - self.rank
+
+    @property
+    def second_class(self) -> int:
+        """Number of second-class equations."""
+        return self.codimension - self.first_class
+
+    @property
+    def gauge_controls(self) -> int:
+        """Number of controls that the necessary conditions leave free."""
+        return self.stratum.free_controls
+
+    @property
+    def determined_controls(self) -> int:
+        """Number of controls that are functions of state and costate."""
+        return self.problem.controls.dimension - self.gauge_controls
+
+    def report(self) -> None:
+        """Print the classification."""
+        print(self)
