@@ -5,7 +5,9 @@
 Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 x^2/2 = 0 and then x u_1 = x u_2 = 0, whose
 solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2, whose kernel
 d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x = 0 and u = 0, and
-the crossing is a third piece of the report. All are cones: with p also c p is an extremal, and p = 0 is excluded.
+the crossing is a third piece of the report. All are cones: with p also c p is an extremal, and p = 0 is excluded. The
+symbolic algorithm finds every piece; the numeric one those that its random starts come to, which in the bent metric may all
+rest, and calls the equations irregular if some come to the crossing, where ranks cannot be read.
 
 In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for every
 p_3. Otherwise x = 0 is no normal extremal: those that start along it turn back at x = 2 epsilon / p_3, where their velocity
