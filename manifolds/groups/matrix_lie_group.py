@@ -6,11 +6,12 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve, expm, solve_triangular
+from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace, complex_entries, real
 from ..numerics import ambient as vec
+from ..numerics.matrices import exponential
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
 
@@ -118,7 +119,7 @@ class MatrixLieGroup(HomogeneousSpace):
     def random_point(self, key: Array) -> Array:
         """The exponential of a random element of the algebra whose squared norm is 1 on average."""
         c = jax.random.normal(key, (self.dimension,)) / np.sqrt(self.dimension)
-        return expm(vec.combine(_constant(self.lie_algebra.orthonormal, c), c))
+        return exponential(vec.combine(_constant(self.lie_algebra.orthonormal, c), c))
 
     def generators(self, x: Array) -> Array:
         return _constant(self.algebra, x) @ x

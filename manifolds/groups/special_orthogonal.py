@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..numerics.frames import qr_factor
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
 
@@ -79,7 +80,6 @@ def rotation_violations(name: str, x: Array) -> dict[str, Array]:
 
 def random_rotation(key: Array, n: int) -> Array:
     """A rotation drawn from the uniform distribution."""
-    q, r = jnp.linalg.qr(jax.random.normal(key, (n, n)))
-    q = q * jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)
+    q = qr_factor(jax.random.normal(key, (n, n)))
     # Not by q.at[:, 0].multiply: XLA 0.10 writes that over q where the caller takes one of a batch, jit(vmap(...))(...)[0].
     return q * jnp.where((jnp.arange(n) == 0) & (jnp.linalg.det(q) < 0), -1.0, 1.0)

@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from ..manifold import complex_entries
 from ..numerics import ambient as vec
+from ..numerics.frames import qr_factor
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
 from .special_orthogonal import nearly_orthogonal
@@ -42,9 +43,7 @@ def _gram_violation(x: Array) -> dict[str, Array]:
 
 def _random_unitary(key: Array, n: int) -> Array:
     """A unitary matrix drawn from the uniform distribution [Mezzadri 2007]."""
-    q, r = jnp.linalg.qr(vec.normal(key, complex_entries((n, n))))
-    d = jnp.diagonal(r)
-    return q * (d / jnp.abs(d))
+    return qr_factor(vec.normal(key, complex_entries((n, n))))
 
 
 def _without_phase(x: Array) -> Array:

@@ -24,21 +24,32 @@ def qr_factor(a: Frame) -> Frame:
     return q * (d / jnp.abs(d) if jnp.iscomplexobj(d) else jnp.where(d < 0, -1.0, 1.0))
 
 
-@jax.custom_jvp
 def polar_factor(a: Frame) -> Frame:
     """Orthonormal factor ``y`` of ``a = y s``, ``s`` symmetric positive definite: the nearest orthonormal frame.
 
-    Its derivative is ``y t + (I - yy') da s^-1`` with the skew ``t`` of ``s t + t s = y'da - da'y``.
+    Unitary, and ``s`` Hermitian, for a complex ``a``, which is worked on as the real ``[[Re a, -Im a], [Im a, Re a]]``.
     """
+    if not jnp.iscomplexobj(a):
+        return _real_polar_factor(a)
+    n, p = a.shape
+    y = _real_polar_factor(jnp.block([[a.real, -a.imag], [a.imag, a.real]]))
+    return y[:n, :p] + 1j * y[n:, :p]
+
+
+@jax.custom_jvp
+def _real_polar_factor(a: Frame) -> Frame:
+    """Derivative: ``y t + (I - yy') da s^-1`` with the skew ``t`` of ``s t + t s = y'da - da'y``."""
+    if a.shape[0] == a.shape[1]:
+        u, _, w = jnp.linalg.svd(a)
+        return u @ w
     q, r = jnp.linalg.qr(a)
-    u, _, w = jnp.linalg.svd(r)
-    return q @ (u @ w)
+    return q @ _real_polar_factor(r)
 
 
-@polar_factor.defjvp
-def _polar_factor_jvp(primals: tuple[Frame], tangents: tuple[Frame]) -> tuple[Frame, Frame]:
+@_real_polar_factor.defjvp
+def _real_polar_factor_jvp(primals: tuple[Frame], tangents: tuple[Frame]) -> tuple[Frame, Frame]:
     (a,), (da,) = primals, tangents
-    y = polar_factor(a)
+    y = _real_polar_factor(a)
     s, inside = y.T @ a, y.T @ da
     s = (s + s.T) / 2
     return y, y @ lyapunov(s, inside - inside.T) + jnp.linalg.solve(s, (da - y @ inside).T).T

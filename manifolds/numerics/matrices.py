@@ -4,16 +4,17 @@ from functools import partial
 
 import jax
 import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array, Float
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Shaped
 
 from . import series
 
-Matrix = Float[Array, "n n"]
+Matrix = Shaped[Array, "n n"]
 
 # Diagonal Pade approximant of degree 7: rounding accuracy up to norm 0.95 [Higham 2005, table 2.3].
 _PADE = (17297280.0, 8648640.0, 1995840.0, 277200.0, 25200.0, 1512.0, 56.0, 1.0)
 _PADE_RADIUS = 0.95
+_SIGN_STEPS = 60  # of Newton's method for the sign of a matrix: enough for eigenvalues from 1e-16 to 1e16
 _SQUARINGS = 16  # for norms to 6e4, of skew matrices; others overflow before
 
 
@@ -103,37 +104,84 @@ def _spd_log_jvp(primals: tuple[Matrix], tangents: tuple[Matrix]) -> tuple[Matri
 
 
 def symmetric_factor(a: Matrix, c: Matrix) -> Matrix:
-    """Symmetric ``t`` with ``a t + t a' = c`` for a symmetric ``c``; Hermitian both where ``a`` is complex."""
-    units = _triangular_units(a)
-    return _factor(a, c, units + units.conj().swapaxes(1, 2))
+    """Symmetric ``t`` with ``a t + t a' = c`` for a symmetric ``c``; Hermitian both where ``a`` is complex.
+
+    NaN unless all eigenvalues of ``a`` have positive real parts, where there is one such ``t``.
+    """
+    fixed = jax.lax.stop_gradient(a)
+    t = jax.lax.custom_linear_solve(
+        lambda t: a @ t + t @ a.conj().T,
+        c,
+        lambda _, right: _lyapunov_by_sign(fixed, right),
+        transpose_solve=lambda _, right: _lyapunov_by_sign(fixed.T, right),
+    )
+    return (t + t.conj().T) / 2
+
+
+def _lyapunov_by_sign(a: Matrix, c: Matrix) -> Matrix:
+    """Solution of ``a t + t a' = c`` by Newton's method for the sign of ``[[a, c], [0, -a']]``, ``[[I, 2t], [0, -I]]``.
+
+    Of two blocks only one has to be inverted; scaled so that both have one norm [Roberts 1980; Higham 2008, 5.5].
+    """
+    close, eye = float(jnp.finfo(c.dtype).eps ** 0.5), jnp.eye(a.shape[0], dtype=a.dtype)
+
+    def step(state: tuple[Matrix, Matrix, Array, Array]) -> tuple[Matrix, Matrix, Array, Array]:
+        a, c, _, count = state
+        inverse = jnp.linalg.inv(a)
+        scale = jnp.sqrt(jnp.linalg.norm(a) / jnp.linalg.norm(inverse))
+        new = (a / scale + scale * inverse) / 2
+        return new, (c / scale + scale * inverse @ c @ inverse.conj().T) / 2, jnp.linalg.norm(new - a), count + 1
+
+    def unfinished(state: tuple[Matrix, Matrix, Array, Array]) -> Array:
+        return (state[2] > close) & (state[3] < _SIGN_STEPS)
+
+    start = a, c, jnp.asarray(jnp.inf, c.real.dtype), jnp.zeros((), int)
+    sign, double, _, _ = jax.lax.while_loop(unfinished, step, start)
+    return jnp.where(jnp.linalg.norm(sign - eye) < 1, double / 2, jnp.nan)
 
 
 def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
     """Upper triangular ``t``, its diagonal real, with ``a t + t'a' = c`` for a symmetric (Hermitian) ``c``.
 
-    The determinant of the equations is that of the leading principal minors of ``a``, multiplied, up to a power of two.
+    With ``a = l u`` the matrix ``b = u t l'^-1`` is upper triangular, and ``b + b' = l^-1 c l'^-1`` tells its entries: as many
+    operations as a few factorisations. The solution exists where no leading principal minor of ``a`` is zero.
     """
-    return _factor(a, c, _triangular_units(a))
+    lower, upper = lu_factors(a)
+    pivots = jnp.diagonal(upper)
+
+    def solve(c: Matrix) -> Matrix:
+        half = solve_triangular(lower, c, lower=True, unit_diagonal=True)
+        total = solve_triangular(lower, half.conj().T, lower=True, unit_diagonal=True)
+        # The imaginary part of the diagonal is the one that makes t's real.
+        b = jnp.triu(total.conj().T, 1) + jnp.diag(jnp.diagonal(total).real / 2 * (pivots / pivots.real))
+        t = solve_triangular(upper, b @ lower.conj().T)
+        return jnp.triu(t, 1) + jnp.diag(jnp.diagonal(t).real)
+
+    t = solve(c)
+    moved = a @ t
+    return t + solve(c - moved - moved.conj().T)  # refined: the factors have no pivots
 
 
-def _factor(a: Matrix, c: Matrix, units: np.ndarray) -> Matrix:
-    """``t`` in the real span of ``units`` with ``a t + (a t)' = c``, from one dense system."""
-    moved = a @ jnp.asarray(units, a.dtype)
-    equations = jax.vmap(_hermitian_entries)(moved + moved.conj().swapaxes(1, 2)).T
-    coordinates = jnp.linalg.solve(equations, _hermitian_entries(c))
-    return jnp.tensordot(coordinates.astype(a.dtype), jnp.asarray(units, a.dtype), 1)
+@jax.custom_jvp
+def lu_factors(a: Matrix) -> tuple[Matrix, Matrix]:
+    """Unit lower and upper triangular ``l``, ``u`` with ``a = l u``; not finite where a leading principal minor is zero.
+
+    Derivatives are ``l tril(m)``, strictly, and ``triu(m) u`` with ``m = l^-1 da u^-1``.
+    """
+    rows = jnp.arange(a.shape[0])
+
+    def eliminate(k: Array, factors: tuple[Matrix, Matrix]) -> tuple[Matrix, Matrix]:
+        lower, upper = factors
+        column = jnp.where(rows > k, upper[:, k] / upper[k, k], 0)
+        return lower.at[:, k].add(column), upper - jnp.outer(column, upper[k])
+
+    lower, upper = jax.lax.fori_loop(0, a.shape[0], eliminate, (jnp.eye(a.shape[0], dtype=a.dtype), a))
+    return lower, jnp.triu(upper)
 
 
-def _triangular_units(a: Matrix) -> np.ndarray:
-    """Real basis, shape ``(k, n, n)``, of the upper triangular matrices with real diagonal, complex if ``a`` is."""
-    n = a.shape[0]
-    units = np.eye(n * n).reshape(n, n, n, n)
-    real = units[np.triu_indices(n)]
-    return np.concatenate([real, 1j * units[np.triu_indices(n, 1)]]) if jnp.iscomplexobj(a) else real
-
-
-def _hermitian_entries(h: Matrix) -> Float[Array, " k"]:
-    """Real coordinates of a symmetric or Hermitian matrix: its upper triangle, real parts and then imaginary ones."""
-    n = h.shape[0]
-    real = h.real[np.triu_indices(n)]
-    return jnp.concatenate([real, h.imag[np.triu_indices(n, 1)]]) if jnp.iscomplexobj(h) else real
+@lu_factors.defjvp
+def _lu_factors_jvp(primals: tuple[Matrix], tangents: tuple[Matrix]) -> tuple[tuple, tuple]:
+    lower, upper = lu_factors(*primals)
+    half = solve_triangular(lower, tangents[0], lower=True, unit_diagonal=True)
+    m = solve_triangular(upper, half.T, trans=1).T
+    return (lower, upper), (lower @ jnp.tril(m, -1), jnp.triu(m) @ upper)

@@ -5,7 +5,7 @@ from .grassmann import GrassmannCayley, GrassmannExponential, GrassmannPolar
 from .oblique import Columnwise
 from .positive_definite import SPDExponential, SPDLogEuclidean, SPDSecondOrder
 from .stiefel import StiefelCayley, StiefelPolar, StiefelQR
-from .stiefel_exponential import StiefelExponential
+from .stiefel_exponential import StiefelCanonicalExponential, StiefelExponential
 
 __all__ = [
     "Columnwise",
@@ -17,6 +17,7 @@ __all__ = [
     "SPDExponential",
     "SPDLogEuclidean",
     "SPDSecondOrder",
+    "StiefelCanonicalExponential",
     "StiefelCayley",
     "StiefelExponential",
     "StiefelPolar",

@@ -1,4 +1,4 @@
-"""Geodesics of the Stiefel manifold in the metric of its ambient space, and their logarithm."""
+"""Geodesics of the Stiefel manifold, in the metric of its ambient space and in the canonical one, and their logarithms."""
 
 from typing import final
 
@@ -7,9 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Stiefel
+from ...manifolds.numerics.frames import complement, polar_factor, qr_factor
 from ...manifolds.numerics.matrices import exponential
-from ...manifolds.numerics.root import approach_root
+from ...manifolds.numerics.root import approach_root, tolerance
+from ..groups.functions import rotations
 from ..retraction import Retraction, nan_unless, newton_preimage
+
+_TURNS = 60  # of the second half of the frame in the canonical logarithm
 
 
 @final
@@ -18,8 +22,9 @@ class StiefelExponential(Retraction):
 
         R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a).
 
-    Inverse (logarithm): Levenberg-Marquardt steps from the chord until Newton's method takes over. Its domain is the ball of
-    radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024]; its image the points nearer than pi.
+    Inverse (logarithm) by shooting [Zimmermann, Hueper 2022, section 5]: from the chord, Levenberg-Marquardt steps, with
+    derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
+    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024]; its image the points nearer than pi.
     """
 
     manifold: Stiefel
@@ -46,3 +51,55 @@ class StiefelExponential(Retraction):
         start = chord * length / jnp.maximum(jnp.sqrt(chord @ chord), jnp.finfo(x.dtype).tiny)
         c = approach_root(lambda c: jnp.ravel(self(x, jnp.tensordot(c, basis, 1)) - y), start)
         return jnp.tensordot(c, basis, 1)
+
+
+@final
+class StiefelCanonicalExponential(Retraction):
+    """Geodesics of ``CanonicalMetric`` [Edelman, Arias, Smith 1998, 2.4.2]: with ``a = x'v`` and ``k = v - xa``,
+
+        R(x, v) = [x, k] exp [[a, -k'k], [I, 0]] [I; 0].
+
+    Inverse (logarithm): algorithm 3.1 of [Zimmermann 2017], then Newton's method to rounding. Its domain is the ball of radius
+    ``sqrt(4/5) pi`` in this metric, which the injectivity radius is not below [Rentmeesters 2013].
+    """
+
+    manifold: Stiefel
+
+    def __call__(self, x: Array, v: Array) -> Array:
+        p = x.shape[1]
+        a, k = self.manifold.skew(x, v), v - x @ (x.T @ v)
+        flow = exponential(jnp.block([[a, -k.T @ k], [jnp.eye(p, dtype=x.dtype), jnp.zeros_like(a)]]))[:, :p]
+        return x @ flow[:p] + k @ flow[p:]
+
+    def preimage(self, x: Array, y: Array) -> Array:
+        v = newton_preimage(self, x, y, start=self._near(*jax.lax.stop_gradient((x, y))))
+        return nan_unless(self.domain(x, v), v)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        return jnp.sum(v * v) - jnp.sum((x.T @ v) ** 2) / 2 < 0.8 * jnp.pi**2
+
+    def _near(self, x: Array, y: Array) -> Array:
+        """The rotation of ``[x, q]`` that takes ``x`` to ``y`` and whose logarithm does not turn ``q`` in its own span."""
+        n, p = x.shape
+        # The factorisation of both frames keeps q orthogonal to x where y - x (x'y) has no digits.
+        q = complement(x) if n < 2 * p else qr_factor(jnp.concatenate([x, y - x @ (x.T @ y)], axis=1))[:, p:]
+        first = jnp.concatenate([x.T @ y, q.T @ y])
+        second = complement(first)
+        second = second @ polar_factor(second[p:]).T
+        second = second * jnp.where((jnp.arange(second.shape[1]) == 0) & (_determinant(first, second) < 0), -1.0, 1.0)
+        close = tolerance(x, 0.8)
+
+        def turn(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            second, _, count = state
+            log = rotations.logarithm(jnp.concatenate([first, second], axis=1))
+            return second @ rotations.exponential(-log[p:, p:]), log, count + 1
+
+        def unfinished(state: tuple[Array, Array, Array]) -> Array:
+            return (state[2] < 1) | ((jnp.max(jnp.abs(state[1][p:, p:])) > close) & (state[2] < _TURNS))
+
+        log = jax.lax.while_loop(unfinished, turn, (second, jnp.zeros((len(first),) * 2, x.dtype), jnp.zeros((), int)))[1]
+        return x @ log[:p, :p] + q @ log[p:, :p]
+
+
+def _determinant(first: Array, second: Array) -> Array:
+    return jnp.linalg.det(jnp.concatenate([first, second], axis=1))

@@ -199,3 +199,24 @@ def test_the_polar_factor_is_that_of_the_singular_value_decomposition_also_for_l
     np.testing.assert_allclose(y.T @ y, np.eye(3), atol=5e-15)
     assert norm(y.T @ a - a.T @ y) < 1e-6
     assert np.linalg.eigvalsh(y.T @ a)[0] > 0.5
+
+
+C = np.diag([1.0, 2.0, 3.0]) + 0.5
+SYMMETRIC = _derivatives(lambda a: matrices.symmetric_factor(a, C))
+TRIANGULAR = _derivatives(lambda a: matrices.triangular_factor(a, C))
+
+
+@pytest.mark.parametrize("kernel", [SYMMETRIC, TRIANGULAR], ids=["symmetric", "triangular"])
+@given(seed=SEEDS)
+def test_factors_have_their_derivatives(kernel, seed):
+    rng = np.random.default_rng(seed)
+    a, d = np.eye(3) + 0.2 * rng.standard_normal((3, 3)), rng.standard_normal((3, 3))
+    facts = kernel(a, 0.2 * d / np.linalg.norm(d))
+    np.testing.assert_allclose(facts["slope"], differences(facts["values"], STEP), atol=1e-8)
+    np.testing.assert_allclose(facts["second"], differences(facts["slopes"], STEP), atol=1e-8)
+    np.testing.assert_allclose(facts["forward reverse"], facts["height"], atol=1e-10)
+    np.testing.assert_allclose(facts["reverse reverse"], facts["height"], atol=1e-10)
+
+
+def test_no_symmetric_factor_is_given_where_an_eigenvalue_is_negative():
+    assert np.all(np.isnan(matrices.symmetric_factor(jnp.diag(jnp.array([1.0, -2.0])), jnp.eye(2))))

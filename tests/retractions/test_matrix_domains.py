@@ -7,7 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.manifolds import DomainError, FixedRank, Grassmann, Oblique, Stiefel
-from retrax.retractions import QR, Cayley, Columnwise, Exponential, FixedRankOrthographic, Polar, Projection
+from retrax.retractions import (
+    QR,
+    Cayley,
+    Columnwise,
+    Exponential,
+    FixedRankOrthographic,
+    Polar,
+    Projection,
+    StiefelCanonicalExponential,
+)
 from scipy.optimize import brentq
 
 from tests.support.matrices import draw, kernel, round_trip
@@ -24,6 +33,23 @@ def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(length):
         y, back, there = round_trip(Exponential(Stiefel(3, 2)), x, v)
         np.testing.assert_allclose(back, v, atol=2e-14)
         np.testing.assert_allclose(there, y, atol=1e-14)
+
+
+@pytest.mark.parametrize("size", [(5, 2), (3, 2), (6, 3)])
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 2.0, 2.7])
+def test_the_canonical_logarithm_of_frames_is_exact_in_its_domain(size, length):
+    for seed in range(3):
+        x, v = draw(Stiefel(*size), seed, length)
+        y, back, there = round_trip(StiefelCanonicalExponential(Stiefel(*size)), x, v)
+        np.testing.assert_allclose(back, v, atol=5e-14)
+        np.testing.assert_allclose(there, y, atol=1e-14)
+
+
+@pytest.mark.parametrize("family", [Polar, QR])
+def test_inverses_on_many_columns(family):
+    x, v = draw(Stiefel(40, 30), 0, 5.0)
+    _, back, _ = round_trip(family(Stiefel(40, 30)), x, v)
+    np.testing.assert_allclose(back, v, atol=1e-13)
 
 
 def test_the_logarithm_of_frames_reaches_the_edge_of_its_domain():

@@ -20,6 +20,7 @@ from retrax.retractions import (
     Polar,
     Projection,
     SphereExponential,
+    StiefelCanonicalExponential,
     StiefelPolar,
 )
 from scipy.linalg import expm
@@ -40,6 +41,11 @@ def stiefel_cayley(x, v):
     p = eye - x @ x.T / 2
     w = p @ v @ x.T - x @ v.T @ p
     return np.linalg.solve(eye - w / 2, (eye + w / 2) @ x)
+
+
+def stiefel_canonical(x, v):
+    p = np.eye(len(x)) - x @ x.T / 2
+    return expm(p @ v @ x.T - x @ v.T @ p) @ x
 
 
 def stiefel_qr(x, v):
@@ -70,6 +76,7 @@ def truncated(x, v):
 DEFINITIONS = {
     "Stiefel polar": (Polar(Stiefel(4, 2)), stiefel_polar),
     "Stiefel QR": (QR(Stiefel(4, 2)), stiefel_qr),
+    "Stiefel canonical": (StiefelCanonicalExponential(Stiefel(4, 2)), stiefel_canonical),
     "Stiefel Cayley": (Cayley(Stiefel(4, 2)), stiefel_cayley),
     "Grassmann exponential": (Exponential(Grassmann(4, 2)), rotated(expm)),
     "Grassmann Cayley": (

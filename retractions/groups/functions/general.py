@@ -2,10 +2,10 @@
 
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import expm
 from jaxtyping import Array, Bool, Shaped
 
 from ....manifolds.manifold import default_tolerance, same_point
+from ....manifolds.numerics.matrices import exponential
 
 Matrix = Shaped[Array, "n n"]
 
@@ -13,8 +13,6 @@ _HALVINGS = 5
 _FIRST, _LATER = 30, 8  # iterations of the first square root, up to 1e-8 from the negative axis, and of those after it
 _ROUNDING = 1e-12  # largest remainder that is taken for rounding
 _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
-
-exponential = expm
 
 
 def logarithm(a: Matrix) -> Matrix:
@@ -27,7 +25,7 @@ def logarithm(a: Matrix) -> Matrix:
         root = _product_root(root, _LATER)
     log = 2.0**_HALVINGS * gregory(root)
     # The rounding of the roots comes 2^5-fold; what is left of a short logarithm commutes with it, almost.
-    left = jax.lax.stop_gradient(expm(-log) @ a - jnp.eye(a.shape[0], dtype=a.dtype))
+    left = jax.lax.stop_gradient(exponential(-log) @ a - jnp.eye(a.shape[0], dtype=a.dtype))
     return log + jnp.where(jnp.max(jnp.abs(left)) < _ROUNDING, left, 0.0)
 
 

@@ -1,11 +1,10 @@
 """Functions of twists ``[[Omega, v], [0, 0]]`` and rigid motions ``[[R, t], [0, 1]]`` from those of rotations."""
 
 import jax.numpy as jnp
-from jax.scipy.linalg import expm
 from jaxtyping import Array, Bool, Float
 
 from ....manifolds.numerics import series
-from . import rotations
+from . import general, rotations
 
 Matrix = Float[Array, "n+1 n+1"]
 Block = Float[Array, "n n"]
@@ -45,7 +44,7 @@ def left_jacobian(omega: Block) -> Block:
         s = rotations.squared_angle(omega)
         return eye + series.cosc(s) * omega + series.sine_remainder(s) * (omega @ omega)
     zero = jnp.zeros_like(omega)
-    return expm(jnp.block([[omega, eye], [zero, zero]]))[:n, n:]
+    return general.exponential(jnp.block([[omega, eye], [zero, zero]]))[:n, n:]
 
 
 def square_root(a: Matrix) -> Matrix:

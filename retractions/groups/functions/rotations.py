@@ -4,7 +4,6 @@ In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omeg
 polynomial.
 """
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -37,7 +36,7 @@ def exponential(omega: Matrix) -> Matrix:
     if omega.shape[0] <= 3:
         s = squared_angle(omega)
         return jnp.eye(omega.shape[0], dtype=omega.dtype) + series.sinc(s) * omega + series.cosc(s) * (omega @ omega)
-    return jax.scipy.linalg.expm(omega)
+    return general.exponential(omega)
 
 
 def logarithm(a: Matrix) -> Matrix:

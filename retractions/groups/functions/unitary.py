@@ -1,15 +1,13 @@
 """Functions of skew-Hermitian and unitary matrices, real ones included, with derivatives that are right everywhere."""
 
-from collections.abc import Callable
-
 import jax
 import jax.numpy as jnp
-from jax.scipy.linalg import expm
 from jaxtyping import Array, Bool, Shaped
 
 from ....manifolds.numerics import ambient as vec
-from ....manifolds.numerics import series
-from ....manifolds.numerics.matrices import spd_sqrt
+from ....manifolds.numerics import frames, series
+from ....manifolds.numerics.matrices import exponential as matrix_exponential
+from ....manifolds.numerics.matrices import triangular_factor
 from .general import gregory
 
 Matrix = Shaped[Array, "n n"]
@@ -21,7 +19,7 @@ _DEFECT = 1e-7  # of the squared angles, where rounding has mixed planes that ar
 def exponential(a: Matrix) -> Matrix:
     """Exponential of a skew-Hermitian matrix; for n = 2 a phase times ``cos t I + (sin t / t) A``."""
     if a.shape[0] != 2:
-        return expm(a)
+        return matrix_exponential(a)
     eye = jnp.eye(2, dtype=a.dtype)
     phase = jnp.trace(a) / 2
     traceless = a - phase * eye
@@ -90,24 +88,9 @@ def logarithm_by_roots(a: Matrix) -> Matrix:
     return 2.0**_HALVINGS * gregory(a)
 
 
-def _realified(function: Callable[[Matrix], Matrix]) -> Callable[[Matrix], Matrix]:
-    """A function of real matrices that commutes with rotations, on complex ones: ``a + ib`` as ``[[a, -b], [b, a]]``."""
-
-    def on_complex(a: Matrix) -> Matrix:
-        if not jnp.iscomplexobj(a):
-            return function(a)
-        n = a.shape[0]
-        value = function(jnp.block([[a.real, -a.imag], [a.imag, a.real]]))
-        return value[:n, :n] + 1j * value[n:, :n]
-
-    return on_complex
-
-
-@_realified
 def polar(a: Matrix) -> Matrix:
-    """Unitary polar factor ``b (b^H b)^(-1/2)`` of ``b = I + a`` for a skew-Hermitian or unitary ``a``."""
-    b = jnp.eye(a.shape[0], dtype=a.dtype) + a
-    return jnp.linalg.solve(spd_sqrt(b.T @ b), b)
+    """Unitary polar factor of ``I + a``."""
+    return frames.polar_factor(jnp.eye(a.shape[0], dtype=a.dtype) + a)
 
 
 def polar_inverse(a: Matrix) -> Matrix:
@@ -118,27 +101,15 @@ def polar_inverse(a: Matrix) -> Matrix:
 
 def qr_factor(a: Matrix) -> Matrix:
     """Unitary factor of ``I + A = q r`` with a positive diagonal of ``r``."""
-    q, r = jnp.linalg.qr(jnp.eye(a.shape[0], dtype=a.dtype) + a)
-    d = jnp.diagonal(r)
-    return q * (d / jnp.abs(d) if jnp.iscomplexobj(d) else jnp.where(d < 0, -1.0, 1.0))
+    return frames.qr_factor(jnp.eye(a.shape[0], dtype=a.dtype) + a)
 
 
 def qr_inverse(a: Matrix) -> tuple[Matrix, Matrix]:
-    """Skew-Hermitian ``A`` and upper triangular ``t`` with ``a t = I + A``, column by column [Kaneko, Fiori, Tanaka 2013].
+    """Skew-Hermitian ``A`` and upper triangular ``t``, its diagonal real, with ``a t = I + A``.
 
-    The inverse exists where the diagonal of ``t`` is positive; it is real, for complex ``a`` by the choice of the imaginary
-    diagonal of ``A``.
+    The inverse exists where the diagonal of ``t`` is positive.
     """
-    n = a.shape[0]
-    t = jnp.zeros_like(a)
-    for i in range(n):
-        above = jnp.stack([a[i, : j + 1] @ t[: j + 1, j] for j in range(i)]) if i else jnp.zeros(0, a.dtype)
-        right = jnp.concatenate([-above.conj(), jnp.ones(1, a.dtype)])
-        block = a[: i + 1, : i + 1]
-        column = jnp.linalg.solve(block, right)
-        if jnp.iscomplexobj(a):
-            turned = jnp.linalg.solve(block, 1j * jnp.zeros_like(right).at[i].set(1.0))
-            column = column - column[i].imag / turned[i].imag * turned
-        t = t.at[: i + 1, i].set(column)
-    skew = a @ t
-    return (skew - skew.conj().T) / 2, t
+    eye = jnp.eye(a.shape[0], dtype=a.dtype)
+    change = triangular_factor(a, 2 * eye - a - a.conj().T)
+    skew = a + a @ change
+    return (skew - skew.conj().T) / 2, eye + change

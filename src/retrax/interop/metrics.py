@@ -9,6 +9,7 @@ from ..manifolds import (
     SPD,
     SU,
     AffineInvariantMetric,
+    CanonicalMetric,
     EmbeddedMetric,
     Euclidean,
     Grassmann,
@@ -34,6 +35,7 @@ from ..retractions import (
     ProductRetraction,
     Retraction,
     SEDecoupled,
+    StiefelCanonicalExponential,
     default_retraction,
 )
 
@@ -79,6 +81,8 @@ def exponential_map(metric: Metric) -> Retraction:
             return ProductRetraction(*map(exponential_map, metric.factors))
         case PowerMetric():
             return PowerRetraction(exponential_map(metric.factor), metric.k)
+        case CanonicalMetric():
+            return StiefelCanonicalExponential(metric.manifold)
         case EmbeddedMetric(manifold=SE() as group):
             return SEDecoupled(group)
         case EmbeddedMetric(manifold=Stiefel()) | AffineInvariantMetric() | LorentzMetric():
