@@ -1,14 +1,15 @@
-"""A spacecraft slew that keeps its camera off the sun: a path planned by pymanopt starts the optimal control solver.
+"""A rigid body moves between two poses past an obstacle: a path planned by pymanopt starts the optimal control solver.
 
-    R' = R hat(w),    J w' + w x J w = u,    minimise  int |u|^2 / 2 + b(R) dt,    b = W exp(S (<R c, s> - cos A))
+    x' = x hat(xi),    minimise  int (J |omega|^2 + m |v|^2) / 2 + b(t) dt,    xi = (omega, v),    x = (R, t)
 
-on SO(3) x R^3, from rest to rest. The camera's axis c is fixed to the body, s points to the sun; b rises steeply where the angle
-between them falls below A. The shortest slew would sweep the camera across the sun.
+on SE(3): the kinetic energy of the motion, and a barrier b = W exp(S (1 - |t - c|^2 / r^2)) around a ball of radius r, which the
+straight way would cross.
 
-First the path: the nodes between start and end are one point of Power(SO(3), N - 1). Riemannian trust regions of pymanopt
-minimise N sum |R_k - R_(k-1)|^2 / 2 plus the barrier over them. Without a barrier the minimum is the geodesic, with the energy
-2 N^2 (1 - cos(angle / N)): the number that is checked. The path has no dynamics; `solve` takes it, with the rates and
-torques that it implies, as its guess.
+First the path: the nodes between start and end are one point of Power(SE(3), N - 1). Riemannian trust regions of pymanopt
+minimise its discrete energy plus the barrier over them. Without the barrier the minimum is the geodesic, a straight line turned
+at a constant rate, with the energy J N^2 (1 - cos(angle / N)) + m |d|^2 / 2: the first number that is checked. `solve` takes
+the path, with the twists between its nodes, as its guess. The second number: the way is not shorter than a string pulled taut
+around the ball, two tangents and an arc, and little longer.
 
     python examples/path_planning.py [--steps 40] [--output examples/output]
 """
@@ -22,107 +23,127 @@ import matplotlib as mpl
 import numpy as np
 from retrax.integrators import Guess, OptimalControlProblem, solve
 from retrax.interop import to_pymanopt
-from retrax.manifolds import SO, Euclidean, Power, hat, vee
-from retrax.retractions import Cayley, Exponential, Midpoint
+from retrax.manifolds import SE, Power, hat
+from retrax.retractions import Exponential, Midpoint, PowerRetraction, SEDecoupled
 
 jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 import pymanopt
 
-INERTIA = jnp.array([1.2, 1.0, 0.8])  # kg m^2, principal axes
-HORIZON = 10.0  # s
-ANGLE = np.deg2rad(120)  # of the slew, about the third axis
-KEEP_OUT = np.deg2rad(20)
-WEIGHT, STEEPNESS = 0.01, 60.0
-CAMERA = jnp.array([1.0, 0.0, 0.0])  # in the body frame
-SUN = jnp.array([np.cos(ANGLE / 2), np.sin(ANGLE / 2), 0.1]) / np.sqrt(1.01)  # half way, a little to the side
+Q = SE(3)
+INERTIA, MASS = 0.5, 1.0
+ANGLE = np.deg2rad(120)
+CENTRE, RADIUS = jnp.array([0.0, -0.3, 0.0]), 1.0
+WEIGHT, STEEPNESS = 2.0, 10.0
 
-EXP = Exponential(SO(3))
-START = jnp.eye(3)
-END = EXP(START, hat(jnp.array([0.0, 0.0, ANGLE])))
-Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w in rad/s
-
-
-def barrier(attitude):
-    """Cost rate of looking near the sun."""
-    return WEIGHT * jnp.exp(STEEPNESS * ((attitude @ CAMERA) @ SUN - jnp.cos(KEEP_OUT)))
+TURN = jnp.array([1.0, 1.0, 1.0]) * ANGLE / jnp.sqrt(3.0)
+STRAIGHT = SEDecoupled(Q)
+START = Q.pose(jnp.eye(3), jnp.array([-2.0, 0.0, 0.0]))
+WAY = jnp.array([4.0, 0.0, 0.0])
+END = STRAIGHT(START, Q.tangent(hat(TURN), WAY))
 
 
-def dynamics(q, u):
-    """Velocity of the attitude and of the body rate under a torque u in the body frame, N m."""
-    attitude, rate = q
-    return attitude @ hat(rate), (u - jnp.cross(rate, INERTIA * rate)) / INERTIA
+def barrier(pose):
+    """Cost rate of being near the ball."""
+    away = Q.parts(pose)[1] - CENTRE
+    return WEIGHT * jnp.exp(STEEPNESS * (1 - away @ away / RADIUS**2))
 
 
-PROBLEM = OptimalControlProblem(Q, dynamics, lambda q, u: u @ u / 2 + barrier(q[0]), controls=3)
+def energy_rate(pose, twist):
+    """Kinetic energy of a twist in the body frame, and the barrier."""
+    omega, v = twist[:3], twist[3:]
+    return (INERTIA * omega @ omega + MASS * v @ v) / 2 + barrier(pose)
+
+
+PROBLEM = OptimalControlProblem(Q, lambda pose, twist: pose @ Q.hat(twist), energy_rate, controls=6)
 
 
 @jax.jit
 def path_energy(nodes, weight):
     """Discrete energy of a path, and ``weight`` times the barrier along it."""
     path = jnp.concatenate([START[None], nodes, END[None]])
-    steps = len(path) - 1
-    return steps * jnp.sum((path[1:] - path[:-1]) ** 2) / 2 + weight * jnp.mean(jax.vmap(barrier)(path))
+    steps, change = len(path) - 1, path[1:] - path[:-1]
+    turns, shifts = jax.vmap(Q.parts)(change)
+    kinetic = INERTIA * jnp.sum(turns**2) / 2 + MASS * jnp.sum(shifts**2)
+    return steps * kinetic / 2 + weight * jnp.mean(jax.vmap(barrier)(path))
 
 
 def plan(steps, weight):
     """Nodes of the path of least energy with ``weight`` times the barrier, from the geodesic; and pymanopt's record."""
-    space = to_pymanopt(Power(SO(3), steps - 1))
-    geodesic = [EXP(START, s * EXP.inverse(START, END)) for s in np.arange(1, steps) / steps]
+    space = to_pymanopt(Power(Q, steps - 1), PowerRetraction(STRAIGHT, steps - 1))
+    geodesic = [STRAIGHT(START, s * STRAIGHT.inverse(START, END)) for s in np.arange(1, steps) / steps]
 
     @pymanopt.function.jax(space)
     def cost(nodes):
         return path_energy(nodes, weight)
 
-    optimiser = pymanopt.optimizers.TrustRegions(verbosity=0, max_iterations=200, min_gradient_norm=1e-8)
+    optimiser = pymanopt.optimizers.TrustRegions(verbosity=0, max_iterations=200, min_gradient_norm=1e-7)
     result = optimiser.run(pymanopt.Problem(space, cost), initial_point=np.stack(geodesic))
     return jnp.concatenate([START[None], result.point, END[None]]), result
 
 
 @jax.jit
 def guess_from(path):
-    """The guess that a path makes: midpoints and rates between its nodes, and the torques that the rates take."""
-    h = HORIZON / (len(path) - 1)
-    turns = jax.vmap(EXP.preimage)(path[:-1], path[1:])
-    attitudes = jax.vmap(lambda x, v: EXP(x, v / 2))(path[:-1], turns)
-    rates = jax.vmap(lambda x, v: vee(x.T @ v) / h)(path[:-1], turns)
-    torques = INERTIA * jnp.gradient(rates, h, axis=0) + jnp.cross(rates, INERTIA * rates)
-    return Guess((attitudes, rates), torques)
+    """The guess that a path makes: poses midway between its nodes, and the twists that lead from one node to the next."""
+    exponential = Exponential(Q)
+    tangents = jax.vmap(exponential.preimage)(path[:-1], path[1:])
+    poses = jax.vmap(lambda x, v: exponential(x, v / 2))(path[:-1], tangents)
+    twists = jax.vmap(lambda x, v: Q.vee(Q.left_trivialise(x, v)))(path[:-1], tangents)
+    return Guess(poses, (len(path) - 1) * twists)
 
 
-def sun_angles(attitudes):
-    """Angles between the camera's axis and the sun, rad."""
-    return np.arccos(np.clip(np.asarray(attitudes @ CAMERA @ SUN), -1, 1))
+def positions(poses):
+    """Where the body is, shape ``(N, 3)``."""
+    return np.asarray(poses)[:, :3, 3]
+
+
+def distance(poses):
+    """Least distance to the centre of the ball, between the nodes too."""
+    t = positions(poses)
+    between = np.linspace(t[:-1], t[1:], 20).reshape(-1, 3)
+    return np.min(np.linalg.norm(between - np.asarray(CENTRE), axis=1))
+
+
+def length(poses):
+    """Length of the way."""
+    return np.sum(np.linalg.norm(np.diff(positions(poses), axis=0), axis=1))
+
+
+def taut_string():
+    """Length of the shortest way around the ball: two tangents and an arc of a great circle between them."""
+    a, b = (np.asarray(Q.parts(pose)[1] - CENTRE) for pose in (START, END))
+    far = np.linalg.norm([a, b], axis=1)
+    angle = np.arccos(a @ b / np.prod(far)) - np.sum(np.arccos(RADIUS / far))
+    return np.sum(np.sqrt(far**2 - RADIUS**2)) + RADIUS * angle
 
 
 def plot(paths, path):
-    """The camera's axis on the sphere of directions, with the keep-out cone, and its angle to the sun."""
+    """The ways around the ball with the body's axes on the optimal one, and the distances to the ball."""
     figure = plt.figure(figsize=(11, 5), layout="constrained")
-    sphere, axis = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
+    space, axis = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
     polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
-    ball = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
-    sphere.plot_wireframe(*ball, color="0.85", linewidth=0.5)
-    across = np.linalg.svd(np.asarray(SUN)[None])[2][1:]
-    turn = np.linspace(0, 2 * np.pi, 100)[:, None]
-    circle = np.cos(KEEP_OUT) * SUN + np.sin(KEEP_OUT) * (np.cos(turn) * across[0] + np.sin(turn) * across[1])
-    sphere.plot(*circle.T, color="0.3", linestyle="--")
-    for name, attitudes in paths.items():
-        sphere.plot(*np.asarray(attitudes @ CAMERA).T, label=name)
-        axis.plot(np.linspace(0, HORIZON, len(attitudes)), np.rad2deg(sun_angles(attitudes)), label=name)
-    sphere.set_box_aspect((1, 1, 1), zoom=1.4)
-    sphere.view_init(20, 60)
-    sphere.set_axis_off()
-    axis.axhline(np.rad2deg(KEEP_OUT), color="0.3", linestyle="--", label="keep-out cone")
-    axis.set_xlabel("time [s]")
-    axis.set_ylabel("camera to sun [deg]")
+    ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
+    space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
+    for name, poses in paths.items():
+        space.plot(*positions(poses).T, label=name)
+        away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
+        axis.plot(np.linspace(0, 1, len(poses)), away, label=name)
+    for pose in np.asarray(poses)[:: max(1, len(poses) // 8)]:
+        for column, colour in enumerate(("C3", "C2", "C0")):
+            space.quiver(*pose[:3, 3], *(0.4 * pose[:3, column]), color=colour, linewidth=1)
+    space.set_aspect("equal")
+    space.view_init(50, -70)
+    axis.axhline(RADIUS, color="0.3", linestyle="--", label="the ball")
+    axis.set_xlabel("time")
+    axis.set_ylabel("distance to the centre")
     axis.legend()
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
 def main(arguments=None):
-    """Plan, solve, compare, plot; returns the solution, its least angle to the sun, and the error of the geodesic's energy."""
+    """Plan, solve, compare, plot; returns the solution, its least distance, its length, and the error of the first energy."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
@@ -130,20 +151,21 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
 
     geodesic, free = plan(options.steps, weight=0.0)
-    error = abs(free.cost / (2 * options.steps**2 * (1 - np.cos(ANGLE / options.steps))) - 1)
+    exact = INERTIA * options.steps**2 * (1 - np.cos(ANGLE / options.steps)) + MASS * WAY @ WAY / 2
+    error = abs(free.cost / exact - 1)
     print(f"path without obstacle: energy {free.cost:.10f}, relative error {error:.1e}")
-    path, planned = plan(options.steps, weight=100.0)
+    path, planned = plan(options.steps, weight=1.0)
     print(f"planned path: energy {planned.cost:.4f}, {planned.iterations} iterations, |gradient| {planned.gradient_norm:.1e}")
 
-    start, end = (START, jnp.zeros(3)), (END, jnp.zeros(3))
-    solution = solve(PROBLEM, Midpoint(Cayley(Q)), start, end, HORIZON, options.steps, guess=guess_from(path))
+    solution = solve(PROBLEM, Midpoint(Exponential(Q)), START, END, 1.0, options.steps, guess=guess_from(path))
     solution.report()
-    paths = {"geodesic": geodesic, "planned path": path, "optimal slew": jnp.asarray(solution.states[0])}
-    for name, attitudes in paths.items():
-        print(f"{name:13s} comes to {np.rad2deg(np.min(sun_angles(attitudes))):5.1f} degrees of the sun")
+    paths = {"geodesic": geodesic, "planned path": path, "optimal motion": solution.states}
+    for name, poses in paths.items():
+        print(f"{name:14s} comes to {distance(poses):.3f} of the centre, length {length(poses):.3f}")
+    print(f"a taut string has the length {taut_string():.3f}")
     plot(paths, options.output / "path_planning.png")
     print(f"written: {options.output / 'path_planning.png'}")
-    return solution, np.min(sun_angles(paths["optimal slew"])), error
+    return solution, distance(solution.states), length(solution.states), error
 
 
 if __name__ == "__main__":
