@@ -85,6 +85,18 @@ def test_abnormal_extremals(tmp_path):
     assert (tmp_path / "abnormal_extremals.png").exists()
 
 
+@pytest.mark.slow
+def test_singular_sphere(tmp_path):
+    module = example("singular_sphere")
+    defects, gaps, drifts = module.main(["--steps", "100000", "--output", str(tmp_path)])
+    assert gaps["rattle"] <= 1e-14
+    assert max(defects["rattle"]) <= 1e-13, "RATTLE preserves the form"
+    slope, _ = np.polyfit(np.log(module.SIZES), np.log(defects["project"]), 1)
+    assert slope == pytest.approx(3, abs=0.2), "the projection does not"
+    assert abs(drifts["rattle"][0]) <= 2 * drifts["rattle"][1]
+    assert (tmp_path / "singular_sphere.png").exists()
+
+
 def test_academic_singular(tmp_path):
     classification, errors, differences = example("academic_singular").main(["--output", str(tmp_path)])
     assert (classification.dimension, classification.rank, classification.gauge_controls) == (3, 2, 1)

@@ -38,6 +38,8 @@ def singular_integrator(
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
     if strategy is not None and strategy not in STRATEGIES:
         raise InvalidInputError(f"unknown strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}, or None")
+    if gauge is not None and not classification.gauge_controls:
+        raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
     classification.problem.check_discretization(discretization)
     lift, refusals = CotangentLift(discretization), list[str]()
     for name in STRATEGIES if strategy is None else (strategy,):

@@ -46,8 +46,6 @@ class FinalDynamics(eqx.Module):
         controls, free = classification.problem.controls, classification.gauge_controls
         if gauge is None and free and not isinstance(controls, Euclidean):
             raise NotApplicableError(f"controls on {controls} have no norm to choose {free} of them by: give gauge(t, q, p)")
-        if gauge is not None and not free:
-            raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
         return cls(classification.manifold, classification.stratum.feedback, gauge)
 
     @property
