@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array, ArrayLike, Bool
 
 from ...manifolds import Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import working_precision
@@ -156,10 +156,14 @@ def resting_control(controls: Manifold) -> Ambient:
 @eqx.filter_jit
 def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Ambient:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none near."""
-    rest = resting_control(problem.controls)
+    return find_control(problem, q, p, resting_control(problem.controls))[0]
+
+
+def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> tuple[Ambient, Bool[Array, ""]]:
+    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
     zero = jnp.zeros(problem.controls.dimension)
-    root, found = find_root(jax.grad(lambda c: problem.hamiltonian(q, p, _steer(problem, rest, c))), zero)
-    return _steer(problem, rest, jnp.where(found, root, zero))
+    root, found = find_root(jax.grad(lambda c: problem.hamiltonian(q, p, _steer(problem, near, c))), zero)
+    return _steer(problem, near, jnp.where(found, root, zero)), found
 
 
 def _steer(problem: OptimalControlProblem, u: Ambient, c: Array) -> Ambient:

@@ -1,12 +1,15 @@
 """Integrators on the final constraint manifold ``P_f`` of singular problems."""
 
 from .affine import ControlAffineSplitting
+from .chain import ReductionChain, reduce_until_regular
 from .choice import STRATEGIES, singular_integrator
 from .direct import DirectIntegrator
 from .dynamics import FinalDynamics
 from .leaves import leaf_flow
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
+from .reduced import ReducedIntegrator
+from .reduction import GohReduction
 from .stage import StageIntegrator
 from .strategy import NotApplicableError, SingularIntegrator
 
@@ -15,11 +18,15 @@ __all__ = [
     "ControlAffineSplitting",
     "DirectIntegrator",
     "FinalDynamics",
+    "GohReduction",
     "NotApplicableError",
     "ProjectedIntegrator",
     "RattleIntegrator",
+    "ReducedIntegrator",
+    "ReductionChain",
     "SingularIntegrator",
     "StageIntegrator",
     "leaf_flow",
+    "reduce_until_regular",
     "singular_integrator",
 ]

@@ -8,6 +8,7 @@ from ..integrability import Classification
 from .direct import DirectIntegrator
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
+from .reduced import ReducedIntegrator
 from .stage import StageIntegrator
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
@@ -15,6 +16,7 @@ from .strategy import Gauge, NotApplicableError, SingularIntegrator
 STRATEGIES: dict[str, type[SingularIntegrator]] = {
     "direct": DirectIntegrator,
     "rattle": RattleIntegrator,
+    "reduced": ReducedIntegrator,
     "stage": StageIntegrator,
     "project": ProjectedIntegrator,
 }

@@ -1,0 +1,230 @@
+"""Goh's reduction: singular controls that act along constant directions are replaced by what they integrate to.
+
+[Goh, Necessary conditions for singular extremals involving multiple control variables, 1966; Kelley, A transformation approach
+to singular subarcs in optimal trajectory and control problems, 1964]
+"""
+
+from typing import NamedTuple, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ....manifolds import Euclidean, InvalidInputError, Manifold, Product
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ...problem import OptimalControlProblem
+from .affine import check_splitting, merge_controls
+from .factors import EuclideanPart
+
+SAMPLES = 3  # random points at which a reduction is checked
+# Gauss-Legendre quadrature on [0, 1], exact for polynomials of degree 19.
+_NODES, _WEIGHTS = ((np.polynomial.legendre.leggauss(10)[i] + (1 - i)) / 2 for i in (0, 1))
+
+
+@final
+class GohReduction(eqx.Module):
+    """The reduction of ``q' = f(q, v) + sum_a u_a g_a``, cost ``F(q, v) + l(q) . u``, by singular controls ``u``.
+
+    The fields ``g_a`` must be constant, along Euclidean factors of Q: columns of the matrix ``G`` on the gathered Euclidean
+    part ``x = N y + G s``, ``N`` an orthonormal basis of the complement. Then ``s' = (f)_s + u``, so that ``s`` serves as
+    a control instead of ``u``, of a problem on ``Q_r``: Q without the directions ``G``. Where the primary constraints
+    ``phi_a = <p, g_a> - l_a`` commute there is a potential ``lambda(q)`` with ``d lambda / ds = l``, and
+
+        ``int F + l . u dt = int F - D lambda [f] dt + lambda(end) - lambda(begin)``.
+
+    ``reduced`` is the problem with the dynamics of ``(other factors, y)``, that running cost and the controls ``(v, s)``. On
+    ``{phi = 0}`` its costate is that of ``p - d lambda``, its Hamiltonian is ``H``, its canonical form that of T*Q, and
+    ``dH/ds = 0`` says that ``{phi, H} = 0``. Terminal cost and boundary conditions are not reduced: ``s`` may jump at
+    the ends of an arc.
+
+    ``singular``: indices of ``u`` among the controls. Raises ``InvalidInputError`` if the fields are not constant along
+    Euclidean factors or dependent, or if the constraints do not commute.
+    """
+
+    problem: OptimalControlProblem
+    singular: tuple[int, ...] = eqx.field(static=True)
+    directions: Float[Array, "k m"]
+    inverse: Float[Array, "m k"]
+    complement: Float[Array, "k k-m"]
+    costly: bool = eqx.field(static=True)
+
+    def __init__(self, problem: OptimalControlProblem, singular: tuple[int, ...]) -> None:
+        check_splitting(problem, singular)
+        self.problem, self.singular = problem, tuple(singular)
+        points = [problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), SAMPLES)]
+        samples = [jax.device_get(_sample(problem, self.singular, q)) for q in points]
+        directions = _constant_directions(problem, self.singular, samples)
+        columns = np.linalg.qr(directions, mode="complete")[0]
+        self.directions, self.inverse = jnp.asarray(directions), jnp.asarray(np.linalg.pinv(directions))
+        self.complement = jnp.asarray(columns[:, len(singular) :])
+        self.costly = any(np.any(sample.rates) for sample in samples)
+        if self.costly:
+            _check_potential(self, points)
+
+    @property
+    def part(self) -> EuclideanPart:
+        """Q as the product of a Euclidean space and its other factors."""
+        return EuclideanPart(self.problem.manifold)
+
+    @property
+    def manifold(self) -> Manifold:
+        """``Q_r``: the other factors of Q, then what remains of the Euclidean ones as one factor."""
+        flat = Euclidean(self.complement.shape[1])
+        return Product(*self.part.others, flat) if self.part.others else flat
+
+    @property
+    def reduced(self) -> OptimalControlProblem:
+        """The reduced problem on ``Q_r``, in the controls ``(v, s)``."""
+        return OptimalControlProblem(
+            self.manifold, self._velocity, self._cost, self.problem.controls.dimension, abnormal=self.problem.abnormal
+        )
+
+    def coordinates(self, q: Ambient) -> tuple[Ambient, Float[Array, " m"]]:
+        """Point of ``Q_r`` and ``s``."""
+        others, x = self.part.split(q)
+        return self._pack(others, self.complement.T @ x), self.inverse @ x
+
+    def point(self, q_r: Ambient, s: Float[Array, " m"]) -> Ambient:
+        """The point of Q with these coordinates."""
+        others, y = self._unpack(q_r)
+        return self.part.join(others, self.complement @ y + self.directions @ s)
+
+    def potential(self, q: Ambient) -> Array:
+        """``lambda(q)``: the integral of ``l . ds`` from ``s = 0``, all else kept."""
+        q_r, s = self.coordinates(q)
+        rates = jax.vmap(lambda t: control_rates(self.problem, self.singular, self.point(q_r, t * s)))(jnp.asarray(_NODES))
+        return _WEIGHTS @ (rates @ s)
+
+    def down(self, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
+        """The point ``(q_r, p_r)`` of ``T*Q_r`` that a point of ``{phi = 0}`` goes to."""
+        others, x = self.part.split(vec.subtract(p, self._shift(q)))
+        return self.coordinates(q)[0], self._pack(others, self.complement.T @ x)
+
+    def up(self, q_r: Ambient, p_r: Ambient, s: Float[Array, " m"]) -> tuple[Ambient, Ambient]:
+        """The point of ``{phi = 0}`` with reduced point ``(q_r, p_r)`` and coordinates ``s`` of Q along the directions."""
+        q, (others, y) = self.point(q_r, s), self._unpack(p_r)
+        return q, vec.add(self.part.join(others, self.complement @ y), self._shift(q))
+
+    def controls(self, q: Ambient, v: Float[Array, " r"], rate: Float[Array, " m"]) -> Float[Array, " r+m"]:
+        """All controls of the problem with which ``s`` has a given rate: ``u = s' - (f)_s``."""
+        drift = self.part.split(self._drift(q, v))[1]
+        return merge_controls(v, rate - self.inverse @ drift, self.singular)
+
+    def _drift(self, q: Ambient, v: Float[Array, " r"]) -> Ambient:
+        return self.problem.velocity(q, self._unforced(v))
+
+    def _unforced(self, v: Float[Array, " r"]) -> Float[Array, " r+m"]:
+        return merge_controls(v, jnp.zeros(len(self.singular)), self.singular)
+
+    def _velocity(self, q_r: Ambient, c: Float[Array, " r+m"]) -> Ambient:
+        v, s = self.parts(c)
+        others, x = self.part.split(self._drift(self.point(q_r, s), v))
+        return self._pack(others, self.complement.T @ x)
+
+    def _cost(self, q_r: Ambient, c: Float[Array, " r+m"]) -> Array:
+        v, s = self.parts(c)
+        q = self.point(q_r, s)
+        cost = self.problem.cost_rate(q, self._unforced(v))
+        return cost - jax.jvp(self.potential, (q,), (self._drift(q, v),))[1] if self.costly else cost
+
+    def parts(self, c: Float[Array, " r+m"]) -> tuple[Float[Array, " r"], Float[Array, " m"]]:
+        """``v`` and ``s`` of the reduced problem's controls."""
+        return c[: -len(self.singular)], c[-len(self.singular) :]
+
+    def _shift(self, q: Ambient) -> Ambient:
+        """``d lambda`` at ``q``."""
+        manifold = self.problem.manifold
+        return manifold.projection(q, vec.gradient(self.potential, q)) if self.costly else vec.zeros(manifold.ambient)
+
+    def _pack(self, others: tuple[Ambient, ...], y: Array) -> Ambient:
+        return (*others, y) if others else y
+
+    def _unpack(self, a: Ambient) -> tuple[tuple[Ambient, ...], Array]:
+        return (tuple(a[:-1]), a[-1]) if self.part.others else ((), a)
+
+
+def control_rates(problem: OptimalControlProblem, singular: tuple[int, ...], q: Ambient) -> Float[Array, " m"]:
+    """``l(q)``, the derivative of the running cost by the singular controls."""
+    return jax.grad(lambda u: problem.cost_rate(q, u))(jnp.zeros(problem.controls.dimension))[np.asarray(singular)]
+
+
+class _Sample(NamedTuple):
+    """At one point: the control fields in the other factors and in the Euclidean part, ``l``, and the second derivatives."""
+
+    others: Array
+    fields: Array
+    rates: Array
+    curvature: Array
+
+
+@eqx.filter_jit
+def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], q: Ambient) -> _Sample:
+    controls, places = problem.controls, np.asarray(singular)
+    u = controls.random_point(jax.random.key(1))
+
+    def along(u: Array) -> tuple[Array, Array, Array]:
+        others, x = EuclideanPart(problem.manifold).split(problem.velocity(q, u))
+        leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(others)]
+        return jnp.concatenate([jnp.zeros(0), *leaves]), x, problem.cost_rate(q, u)
+
+    others, fields, rates = (leaf[..., places] for leaf in jax.jacfwd(along)(u))
+    second = [jnp.ravel(leaf[..., places, :]) for leaf in jax.hessian(along)(u)]
+    return _Sample(others, fields, rates, jnp.concatenate(second))
+
+
+def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ...], samples: list[_Sample]) -> np.ndarray:
+    """``G``. Raises ``InvalidInputError`` if there is none."""
+    fields = np.stack([sample.fields for sample in samples])
+    size = 1 + np.max(np.abs(fields), initial=0.0)
+    findings = {
+        "H is not affine in them: its second derivatives reach": [sample.curvature for sample in samples],
+        "their fields have parts along factors that are not Euclidean, of size": [sample.others for sample in samples],
+        "their fields are not constant: between two points they change by": [fields - fields[0]],
+    }
+    for words, values in findings.items():
+        worst = max(np.max(np.abs(value), initial=0.0) for value in values)
+        if not worst <= default_tolerance() * size:
+            raise InvalidInputError(
+                f"no reduction of the problem on {problem.manifold} by the controls {singular}: {words} {worst:.3g}, expected 0; "
+                "change coordinates so that they are constant"
+            )
+    values = np.linalg.svd(fields[0], compute_uv=False)
+    if len(values) < len(singular) or not values[-1] > default_tolerance() * values[0]:
+        raise InvalidInputError(
+            f"no reduction of the problem on {problem.manifold} by the controls {singular}: the singular values of their fields "
+            f"are {values}, expected {len(singular)} positive ones; a control without effect on the motion is gauge, or P_f empty"
+        )
+    return fields[0]
+
+
+def _check_potential(reduction: GohReduction, points: list[Ambient]) -> None:
+    """Raise if the derivative of ``lambda`` by ``s`` is not ``l``."""
+    for q in points:
+        missed, asymmetric = jax.device_get(_potential_gap(reduction, q))
+        if not asymmetric <= default_tolerance():
+            raise InvalidInputError(
+                f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is {asymmetric:.3g}, "
+                "expected 0; reduce by fewer controls"
+            )
+        if not missed <= 1e-4 * default_tolerance():
+            raise InvalidInputError(
+                f"the potential of the cost of the controls {reduction.singular} misses it by {missed:.3g}: their cost is too "
+                f"rough along their directions for the quadrature with {len(_NODES)} nodes; use the strategy 'rattle'"
+            )
+
+
+@eqx.filter_jit
+def _potential_gap(reduction: GohReduction, q: Ambient) -> tuple[Array, Array]:
+    """Relative size of ``d lambda / ds - l`` and of the brackets of the primary constraints."""
+    q_r, s = reduction.coordinates(q)
+
+    def rates(s: Array) -> Array:
+        return control_rates(reduction.problem, reduction.singular, reduction.point(q_r, s))
+
+    derivative = jax.grad(lambda s: reduction.potential(reduction.point(q_r, s)))(s)
+    among, size = jax.jacfwd(rates)(s), 1 + vec.size(rates(s))
+    return vec.size(derivative - rates(s)) / size, vec.size(among - among.T) / (1 + vec.size(among))
