@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -10,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import Composition, OptimalControlProblem, integrate
+from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate
 from retrax.integrators.initial_value.integrator import find_control
 from retrax.integrators.singular import (
     ControlAffineSplitting,
@@ -164,7 +163,8 @@ def kernel(name: str) -> Callable:
 
     def facts(h: Array, y: tuple) -> tuple:
         z, lift = jax.linearize(lambda y: chain.up(y, rest)[:2], y)
-        z1, push = jax.linearize(lambda z: integrator.step(problem, h, *z, integrator.begin(problem, *z))[:2], z)
+        memory = integrator.begin(problem, *z)
+        z1, push = jax.linearize(lambda z: integrator.step(problem, h, *z, memory)[:2], z)
         frame = jax.vmap(lift)(below.basis(y))
         return (
             two_form(above, z, frame),
@@ -186,8 +186,7 @@ def test_steps_keep_the_final_manifold_and_its_form(name):
         assert vec.size(constraints) < 1e-14
 
 
-@cache
-def runner(integrator: Any) -> Callable:
+def runner(integrator: Integrator) -> Callable:
     """Compiled ``(z, h, n) -> `` the state after ``n`` steps of size ``h``, for the curved problem."""
     problem = chain_of("curved").problem
 
@@ -210,8 +209,8 @@ def curved_start() -> tuple:
 @pytest.mark.parametrize("order", [2, pytest.param(4, marks=pytest.mark.slow)])
 def test_order(order):
     step = integrator_of("curved")
-    run, counts = runner(step if order == 2 else Composition(step)), np.array([10, 20, 40, 160])
-    ends = [np.asarray(run(curved_start(), 1.0 / n, n)) for n in counts]
+    run, start, counts = runner(step if order == 2 else Composition(step)), curved_start(), np.array([10, 20, 40, 160])
+    ends = [np.asarray(run(start, 1.0 / n, n)) for n in counts]
     errors = np.array([np.max(np.abs(end - ends[-1])) for end in ends[:-1]])
     assert slope(1 / counts[:-1], errors, 1e-13) == pytest.approx(order, abs=0.06)
 
@@ -219,8 +218,8 @@ def test_order(order):
 @pytest.mark.slow
 def test_reduction_and_rattle_converge_to_one_trajectory():
     rattle = RattleIntegrator(midpoint(chain_of("curved").problem), (0,))
-    counts = np.array([10, 20, 40])
-    ends = [[run(curved_start(), 1.0 / n, n) for n in counts] for run in (runner(integrator_of("curved")), runner(rattle))]
+    start, counts = curved_start(), np.array([10, 20, 40])
+    ends = [[run(start, 1.0 / n, n) for n in counts] for run in (runner(integrator_of("curved")), runner(rattle))]
     apart = np.max(np.abs(np.array(ends[0]) - np.array(ends[1])), axis=1)
     assert apart[-1] < 1e-3
     assert slope(1 / counts, apart, 1e-13) == pytest.approx(2, abs=0.06)
