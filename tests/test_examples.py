@@ -121,3 +121,17 @@ def test_rolling_ball(tmp_path):
     assert max(energy[2:]) <= 1.1 * max(energy[:2]) <= 2e-5, "no drift"
     assert slip <= 1e-14
     assert (tmp_path / "rolling_ball.png").exists()
+
+
+def test_singular_gallery(tmp_path):
+    agree, numbers = example("singular_gallery").main(["--output", str(tmp_path)])
+    assert len(agree) == 9
+    assert all(agree.values()), "what the algorithm finds is what is known"
+    # Of order 2 at 120 steps; the two zeros to rounding.
+    assert all(value <= 5e-5 for value in numbers["aly-chan"].values())
+    assert all(value <= 3e-4 for value in numbers["massless particle"].values())
+    assert numbers["brown"]["error of q4 - q2"] <= 2e-3
+    assert numbers["brown"]["seen of the gauge"] <= 1e-13
+    assert numbers["gauge"]["error of x1"] <= 5e-4
+    assert numbers["gauge"]["p"] <= 1e-14
+    assert (tmp_path / "singular_gallery.png").exists()
