@@ -76,10 +76,10 @@ class ReductionChain(eqx.Module):
         def ascend(level: int, z: Point) -> tuple[Point, Array]:
             if level == len(self.reductions):
                 return z, control(z)
-            (below, c), (_, rates) = jax.jvp(lambda y: ascend(level + 1, y), (z,), (motion(z),))
+            ((q, p), c), (_, rates) = jax.jvp(lambda y: ascend(level + 1, y), (z,), (motion(z),))
             reduction = self.reductions[level]
             (v, s), (_, rate) = reduction.parts(c), reduction.parts(rates)
-            q, p = reduction.up(*below, s)
+            q, p = reduction.up(q, p, s)
             return (q, p), reduction.controls(q, v, rate)
 
         (q, p), u = ascend(0, z)

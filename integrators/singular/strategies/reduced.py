@@ -11,7 +11,7 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldE
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....retractions import Addition, CotangentLift, DiscretizationMap, ProductRetraction, Retraction, Theta
+from ....retractions import CotangentLift, DiscretizationMap, ProductRetraction, Retraction, Theta, default_retraction
 from ...initial_value.integrator import PresymplecticIntegrator, find_control
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
@@ -68,7 +68,7 @@ class ReducedIntegrator(SingularIntegrator):
         if classification.gauge_controls:
             raise NotApplicableError("a gauge control has no value that a reduction to a regular problem would leave")
         try:
-            integrator = cls(lift, reduce_until_regular(problem))
+            integrator = cls(lift=lift, chain=reduce_until_regular(problem))
         except InvalidInputError as error:
             raise NotApplicableError(str(error)) from error
         reduced, count = integrator.chain.reduced.manifold, len(integrator.chain.reductions)
@@ -128,12 +128,12 @@ def _restricted(discretization: DiscretizationMap, reduced: Manifold) -> Discret
 
 
 def _restricted_retraction(retraction: Retraction, reduced: Manifold) -> Retraction:
-    if isinstance(reduced, Euclidean):
-        return Addition(reduced)
+    if not isinstance(reduced, Product):
+        return default_retraction(reduced)
     kept = [r for r in _factors(retraction) if not isinstance(r.manifold, Euclidean)]
     if any(isinstance(r.manifold, Product) for r in kept):
         raise _unrestricted(retraction, reduced)
-    return ProductRetraction(*kept, Addition(reduced.factors[-1]))
+    return ProductRetraction(*kept, default_retraction(reduced.factors[-1]))
 
 
 def _factors(retraction: Retraction) -> list[Retraction]:

@@ -97,7 +97,7 @@ class GohReduction(eqx.Module):
         """``lambda(q)``: the integral of ``l . ds`` from ``s = 0``, all else kept."""
         q_r, s = self.coordinates(q)
         rates = jax.vmap(lambda t: control_rates(self.problem, self.singular, self.point(q_r, t * s)))(jnp.asarray(_NODES))
-        return _WEIGHTS @ (rates @ s)
+        return jnp.asarray(_WEIGHTS) @ (rates @ s)
 
     def down(self, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
         """The point ``(q_r, p_r)`` of ``T*Q_r`` that a point of ``{phi = 0}`` goes to."""
