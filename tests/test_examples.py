@@ -123,6 +123,7 @@ def test_rolling_ball(tmp_path):
     assert (tmp_path / "rolling_ball.png").exists()
 
 
+@pytest.mark.slow
 def test_singular_gallery(tmp_path):
     agree, numbers = example("singular_gallery").main(["--output", str(tmp_path)])
     assert len(agree) == 9
