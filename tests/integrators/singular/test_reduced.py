@@ -249,6 +249,7 @@ def test_aly_chan_is_an_oscillator_that_the_midpoint_rule_turns_exactly():
     np.testing.assert_allclose(path.stage_times, path.times[1:], atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_chain_of_integrators_reduces_to_a_point():
     problem = SINGULAR["chain of 2"]().problem
     chain = reduce_until_regular(problem)
