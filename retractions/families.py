@@ -34,7 +34,6 @@ from .groups import (
     GroupExponential,
     SEDecoupled,
     SOCayley,
-    SOExponential,
     SOPolar,
     UPolar,
 )
@@ -127,7 +126,6 @@ Exponential = RetractionFamily(
         Hyperbolic: HyperbolicExponential,
         Simplex: SimplexExponential,
         SPD: SPDExponential,
-        SO: SOExponential,
         MatrixLieGroup: GroupExponential,
         Stiefel: StiefelExponential,
         Grassmann: GrassmannExponential,

@@ -37,6 +37,7 @@ def test_spherical_pendulum(tmp_path):
     assert (tmp_path / "spherical_pendulum_energy.png").exists()
 
 
+@pytest.mark.slow
 def test_path_planning(tmp_path):
     module = example("path_planning")
     solution, distance, length, error = module.main(["--steps", "20", "--output", str(tmp_path)])

@@ -38,27 +38,27 @@ class SE(MatrixLieGroup):
 
     def pose(self, rotation: Float[Array, "n n"], translation: Float[Array, " n"]) -> Array:
         """The motion ``y -> R y + t``."""
-        return _stack(jnp.asarray(rotation), jnp.asarray(translation), 1.0)
+        return homogeneous(jnp.asarray(rotation), jnp.asarray(translation), 1.0)
 
     def tangent(self, turn: Float[Array, "n n"], shift: Float[Array, " n"]) -> Array:
         """``[[turn, shift], [0, 0]]``: the tangent vector ``(R Omega, R v)`` or the element ``(Omega, v)`` of the algebra."""
-        return _stack(jnp.asarray(turn), jnp.asarray(shift), 0.0)
+        return homogeneous(jnp.asarray(turn), jnp.asarray(shift), 0.0)
 
     def parts(self, x: Array) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
         """The blocks ``(R, t)`` of a motion, or those of a tangent vector."""
-        return x[:-1, :-1], x[:-1, -1]
+        return blocks(x)
 
     def algebra_part(self, a: Array) -> Array:
         block, v = self.parts(a)
-        return _stack((block - block.T) / 2, v, 0.0)
+        return homogeneous((block - block.T) / 2, v, 0.0)
 
     def inverse(self, x: Array) -> Array:
         rotation, translation = self.parts(x)
-        return _stack(rotation.T, -rotation.T @ translation, 1.0)
+        return homogeneous(rotation.T, -rotation.T @ translation, 1.0)
 
     def restore(self, x: Array) -> Array:
         rotation, translation = self.parts(x)
-        return _stack(nearly_orthogonal(rotation), translation, 1.0)
+        return homogeneous(nearly_orthogonal(rotation), translation, 1.0)
 
     def violations(self, x: Array) -> dict[str, Array]:
         last = jnp.max(jnp.abs(x[-1] - jnp.eye(self.n + 1, dtype=x.dtype)[-1]))
@@ -67,10 +67,15 @@ class SE(MatrixLieGroup):
     def random_point(self, key: Array) -> Array:
         """A uniformly distributed rotation and a normally distributed translation."""
         turn, shift = jax.random.split(key)
-        return _stack(random_rotation(turn, self.n), jax.random.normal(shift, (self.n,)), 1.0)
+        return homogeneous(random_rotation(turn, self.n), jax.random.normal(shift, (self.n,)), 1.0)
 
 
-def _stack(block: Array, column: Array, corner: float) -> Array:
+def blocks(x: Array) -> tuple[Array, Array]:
+    """``block`` and ``column`` of ``[[block, column], [0, corner]]``."""
+    return x[:-1, :-1], x[:-1, -1]
+
+
+def homogeneous(block: Array, column: Array, corner: float) -> Array:
     """``[[block, column], [0, corner]]``."""
     last = jnp.zeros((1, block.shape[0] + 1), block.dtype).at[0, -1].set(corner)
     return jnp.concatenate([jnp.concatenate([block, column[:, None]], axis=1), last])

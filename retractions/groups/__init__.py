@@ -3,7 +3,7 @@
 from .group_map import GroupRetraction, SymmetricGroupRetraction, Translated
 from .matrix_group import GroupCayley, GroupExponential
 from .special_euclidean import SEDecoupled
-from .special_orthogonal import SOQR, SOCayley, SOExponential, SOPolar
+from .special_orthogonal import SOQR, SOCayley, SOPolar
 from .unitary import UQR, UPolar
 
 __all__ = [
@@ -14,7 +14,6 @@ __all__ = [
     "GroupRetraction",
     "SEDecoupled",
     "SOCayley",
-    "SOExponential",
     "SOPolar",
     "SymmetricGroupRetraction",
     "Translated",

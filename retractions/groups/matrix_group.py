@@ -5,10 +5,10 @@ from typing import Any, NamedTuple, final
 
 from jaxtyping import Array, Bool, Shaped
 
-from ...manifolds import SE, SU, MatrixLieGroup, U, UnknownRetractionError
+from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
 from ...manifolds.manifold import default_tolerance, same_point
 from ..retraction import nan_unless
-from .functions import general, rigid_motions, unitary
+from .functions import general, rigid_motions, rotations, unitary
 from .group_map import SymmetricGroupRetraction
 
 Matrix = Shaped[Array, "n n"]
@@ -25,6 +25,14 @@ class _MatrixFunctions(NamedTuple):
     cayley_inverse: Callable[[Matrix], Matrix] = general.cayley_inverse
 
 
+_ROTATIONS = _MatrixFunctions(
+    rotations.exponential,
+    rotations.logarithm,
+    rotations.rotation_sqrt,
+    unitary.injective,
+    rotations.cayley,
+    rotations.cayley_inverse,
+)
 _UNITARY = _MatrixFunctions(unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective)
 _RIGID = _MatrixFunctions(
     rigid_motions.exponential,
@@ -34,7 +42,7 @@ _RIGID = _MatrixFunctions(
     rigid_motions.cayley,
     rigid_motions.cayley_inverse,
 )
-_CLOSED_FORMS = {U: _UNITARY, SU: _UNITARY._replace(logarithm=unitary.special_logarithm), SE: _RIGID}
+_CLOSED_FORMS = {SO: _ROTATIONS, U: _UNITARY, SU: _UNITARY._replace(logarithm=unitary.special_logarithm), SE: _RIGID}
 
 
 def _functions(group: MatrixLieGroup) -> _MatrixFunctions:
@@ -43,10 +51,11 @@ def _functions(group: MatrixLieGroup) -> _MatrixFunctions:
 
 @final
 class GroupExponential(SymmetricGroupRetraction):
-    """``R(x, x A) = x exp(A)``: translated one-parameter subgroups, not in general the geodesics of a metric.
+    """``R(x, x A) = x exp(A)``: translated one-parameter subgroups.
 
-    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SE, U and SU all angles
-    of ``A`` below pi, elsewhere where the logarithm comes back.
+    On SO, U and SU they are the geodesics of the bi-invariant metric, on other groups not in general those of a metric.
+    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU all
+    angles of ``A`` below pi, elsewhere where the logarithm comes back.
     """
 
     manifold: MatrixLieGroup

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import SE, SO, InvalidInputError
 from ..retraction import MidpointRetraction
-from .special_orthogonal import SOExponential
+from .matrix_group import GroupExponential
 
 
 @final
@@ -24,7 +24,7 @@ class SEDecoupled(MidpointRetraction):
     def __init__(self, manifold: SE, rotations: MidpointRetraction | None = None) -> None:
         if not isinstance(manifold, SE):
             raise InvalidInputError(f"SEDecoupled takes a group SE(n), got {manifold!r}")
-        chosen = SOExponential(SO(manifold.n)) if rotations is None else rotations
+        chosen = GroupExponential(SO(manifold.n)) if rotations is None else rotations
         if not isinstance(chosen, MidpointRetraction) or chosen.manifold != SO(manifold.n):
             raise InvalidInputError(f"SEDecoupled takes a symmetric retraction of SO({manifold.n}), got {rotations!r}")
         self.manifold, self.rotations = manifold, chosen

@@ -22,23 +22,6 @@ class _SymmetricRotation(SymmetricGroupRetraction):
 
 
 @final
-class SOExponential(_SymmetricRotation):
-    """``R(x, x Omega) = x exp(Omega)``, the geodesics of the bi-invariant metric.
-
-    Inverse: the principal logarithm, for rotations without the eigenvalue -1; domain: all angles of ``Omega`` below pi.
-    """
-
-    def group_map(self, a: Array) -> Array:
-        return rotations.exponential(a)
-
-    def group_map_inverse(self, b: Array) -> Array:
-        return rotations.logarithm(b)
-
-    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return unitary.injective(self.manifold.left_trivialise(x, v))
-
-
-@final
 class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, x Omega) = x (I - Omega/2)^-1 (I + Omega/2)``.
 

@@ -51,7 +51,7 @@ def test_a_problem_is_made_of_manifolds_and_functions(options, words):
     ("options", "words"),
     [
         ({"problem": turning}, r"OptimalControlProblem, got <function"),
-        ({"discretization": Exponential(SO3)}, r"discretization map, got SOExponential.*Midpoint"),
+        ({"discretization": Exponential(SO3)}, r"discretization map, got GroupExponential.*Midpoint"),
         ({"discretization": CotangentLift(MAP)}, r"discretization acts on .*the problem on"),
         ({"discretization": Midpoint(Cayley(RIGID))}, r"discretization acts on .*the problem on"),
         ({"discretization": Midpoint(Exponential(Euclidean(3)))}, r"discretization acts on .*the problem on"),

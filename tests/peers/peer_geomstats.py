@@ -99,9 +99,7 @@ def of(name, suffix, case):
     """A test class of geomstats for one of our spaces."""
     theirs = SPACES[name][0]
     manifold, retraction, metric, conventions = from_geomstats(theirs)
-    radius = None
-    if name == "Stiefel" and suffix == "Metric":
-        metric, radius = None, 0.5  # ours, of which the exponential map is known, in place of geomstats' canonical one
+    radius = 0.5 if name == "Stiefel" and suffix else None
     ours = to_geomstats(manifold, retraction, metric, conventions)
     body = {"space": ours, "other_space": theirs, "data_generator": NearbyData(ours, radius), "testing_data": drawn_data(case)}
     return DataBasedParametrizer(f"Test{name}{suffix}", (case,), body)

@@ -11,13 +11,13 @@ from retrax.retractions import (
     BundleRetraction,
     Cayley,
     Exponential,
+    GroupExponential,
     LevelSetProjection,
     Polar,
     ProductRetraction,
     Projection,
     RetractionFamily,
     SOCayley,
-    SOExponential,
     SOPolar,
     SphereExponential,
     SphereProjection,
@@ -27,7 +27,7 @@ from retrax.retractions import (
 from tests.support.cases import MANIFOLDS, NESTED
 
 MEMBERS = {
-    "Exponential": (Exponential, {"R2x3": Addition, "S2": SphereExponential, "SO3": SOExponential}),
+    "Exponential": (Exponential, {"R2x3": Addition, "S2": SphereExponential, "SO3": GroupExponential}),
     "Projection": (
         Projection,
         {
@@ -94,7 +94,7 @@ def test_the_default_is_the_first_family_that_knows_a_manifold(space, kind):
 
 def test_the_default_of_a_product_is_chosen_factor_by_factor():
     chosen = default_retraction(MANIFOLDS["ellipsoid"] * SO(3))
-    assert chosen.factors == (LevelSetProjection(MANIFOLDS["ellipsoid"]), SOExponential(SO(3)))
+    assert chosen.factors == (LevelSetProjection(MANIFOLDS["ellipsoid"]), GroupExponential(SO(3)))
 
 
 @final

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ....manifolds.groups.special_euclidean import blocks, homogeneous
 from ....manifolds.numerics import series
 from . import general, rotations
 
@@ -10,30 +11,21 @@ Matrix = Float[Array, "n+1 n+1"]
 Block = Float[Array, "n n"]
 
 
-def _parts(a: Matrix) -> tuple[Block, Float[Array, " n"]]:
-    return a[:-1, :-1], a[:-1, -1]
-
-
-def _joined(block: Block, column: Float[Array, " n"], last: float) -> Matrix:
-    bottom = jnp.zeros((1, block.shape[0] + 1), block.dtype).at[0, -1].set(last)
-    return jnp.concatenate([jnp.concatenate([block, column[:, None]], axis=1), bottom])
-
-
 def exponential(a: Matrix) -> Matrix:
     """``(exp Omega, V v)`` with ``V`` the integral of ``exp(s Omega)`` over ``s`` in [0, 1] [Lynch, Park 2017, 3.3.3]."""
-    omega, v = _parts(a)
-    return _joined(rotations.exponential(omega), left_jacobian(omega) @ v, 1.0)
+    omega, v = blocks(a)
+    return homogeneous(rotations.exponential(omega), left_jacobian(omega) @ v, 1.0)
 
 
 def logarithm(a: Matrix) -> Matrix:
     """Principal logarithm of a motion whose rotation has no eigenvalue -1, NaN for others."""
-    rotation, translation = _parts(a)
+    rotation, translation = blocks(a)
     omega = rotations.logarithm(rotation)
     if omega.shape[0] <= 3:
         s = rotations.squared_angle(omega)
         turned = omega @ translation
-        return _joined(omega, translation - turned / 2 + series.cotangent_remainder(s) * (omega @ turned), 0.0)
-    return _joined(omega, jnp.linalg.solve(left_jacobian(omega), translation), 0.0)
+        return homogeneous(omega, translation - turned / 2 + series.cotangent_remainder(s) * (omega @ turned), 0.0)
+    return homogeneous(omega, jnp.linalg.solve(left_jacobian(omega), translation), 0.0)
 
 
 def left_jacobian(omega: Block) -> Block:
@@ -49,26 +41,26 @@ def left_jacobian(omega: Block) -> Block:
 
 def square_root(a: Matrix) -> Matrix:
     """The motion whose square is ``a``, for a rotation without the eigenvalue -1: ``t = (I + R_h) t_h``."""
-    rotation, translation = _parts(a)
+    rotation, translation = blocks(a)
     half = rotations.rotation_sqrt(rotation)
     eye = jnp.eye(half.shape[0], dtype=half.dtype)
-    return _joined(half, jnp.linalg.solve(eye + half, translation), 1.0)
+    return homogeneous(half, jnp.linalg.solve(eye + half, translation), 1.0)
 
 
 def injective(a: Matrix) -> Bool[Array, ""]:
     """Whether all angles of a twist are below pi."""
-    return jnp.linalg.norm(_parts(a)[0], 2) < jnp.pi
+    return jnp.linalg.norm(blocks(a)[0], 2) < jnp.pi
 
 
 def cayley(a: Matrix) -> Matrix:
     """Cayley transform of the homogeneous matrix: ``(C, (I - Omega/2)^-1 v)`` with ``(I - Omega/2)^-1 = (I + C)/2``."""
-    omega, v = _parts(a)
+    omega, v = blocks(a)
     turned = rotations.cayley(omega)
-    return _joined(turned, (v + turned @ v) / 2, 1.0)
+    return homogeneous(turned, (v + turned @ v) / 2, 1.0)
 
 
 def cayley_inverse(a: Matrix) -> Matrix:
     """``(Omega, (I - Omega/2) t)`` with the rotation's inverse ``Omega``, for a rotation without the eigenvalue -1."""
-    rotation, translation = _parts(a)
+    rotation, translation = blocks(a)
     omega = rotations.cayley_inverse(rotation)
-    return _joined(omega, translation - omega @ translation / 2, 0.0)
+    return homogeneous(omega, translation - omega @ translation / 2, 0.0)
