@@ -122,11 +122,8 @@ class Theta(DiscretizationMap):
         return self.forward
 
     def __call__(self, x: Ambient, v: Ambient) -> Pair:
-        if self.other is None and 0 < self.theta < 1:
-            # One batched evaluation: half as much to compile as two.
-            both = jax.vmap(lambda s: self.backward(x, vec.scale(s, v)))(jnp.array([-self.theta, 1 - self.theta]))
-            first, second = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in (0, 1))
-            return first, second
+        if self.other is None and self.theta == 0.5:
+            return self.backward.both_ways(x, vec.scale(0.5, v))
         start = x if self.theta == 0 else self.backward(x, vec.scale(-self.theta, v))
         end = x if self.theta == 1 else self.forward(x, vec.scale(1 - self.theta, v))
         return start, end

@@ -28,6 +28,17 @@ class Retraction(eqx.Module):
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
         """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off ``TM``."""
 
+    def chart(self, x: Ambient, c: Array) -> Ambient:
+        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``."""
+        return self(x, vec.combine(self.manifold.basis(x), c))
+
+    def both_ways(self, x: Ambient, v: Ambient) -> tuple[Ambient, Ambient]:
+        """The two points ``R(x, -v)`` and ``R(x, v)``."""
+        # One batched evaluation: half as much to compile as two.
+        both = jax.vmap(lambda s: self(x, vec.scale(s, v)))(jnp.array([-1.0, 1.0]))
+        first, second = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in (0, 1))
+        return first, second
+
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:
         """The tangent vector ``v`` at ``x`` with ``R(x, v) = y``; entries are NaN where there is none."""
         return newton_preimage(self, x, y)

@@ -33,9 +33,7 @@ class ControlStage(Stage):
     def move(self, y: Unknowns, d: Array) -> Unknowns:
         x, u = y
         n = self.manifold.dimension
-        controls = self.problem.controls
-        moved = default_retraction(controls)(u, vec.combine(controls.basis(u), d[n:]))
-        return self.discretization.retraction(x, vec.combine(self.manifold.basis(x), d[:n])), moved
+        return self.discretization.retraction.chart(x, d[:n]), default_retraction(self.problem.controls).chart(u, d[n:])
 
     def sizes(self, y: Unknowns) -> Array:
         x, u = y

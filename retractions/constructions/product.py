@@ -3,6 +3,7 @@
 from typing import final
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from ...manifolds import InvalidInputError, Product
@@ -27,6 +28,14 @@ class ProductRetraction(DifferentiatedRetraction):
 
     def __call__(self, x: tuple, v: tuple) -> tuple:
         return tuple(r(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True))
+
+    def chart(self, x: tuple, c: Array) -> tuple:
+        ends = np.cumsum([factor.manifold.dimension for factor in self.factors])[:-1]
+        return tuple(r.chart(xi, ci) for r, xi, ci in zip(self.factors, x, jnp.split(c, ends), strict=True))
+
+    def both_ways(self, x: tuple, v: tuple) -> tuple[tuple, tuple]:
+        pairs = [r.both_ways(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]
+        return tuple(first for first, _ in pairs), tuple(second for _, second in pairs)
 
     def preimage(self, x: tuple, y: tuple) -> tuple:
         return tuple(r.preimage(xi, yi) for r, xi, yi in zip(self.factors, x, y, strict=True))

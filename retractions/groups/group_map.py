@@ -39,6 +39,11 @@ class GroupRetraction(Retraction):
     def __call__(self, x: Array, v: Array) -> Array:
         return x @ self.group_map(self.manifold.left_trivialise(x, v))
 
+    def chart(self, x: Array, c: Array) -> Array:
+        if self.manifold.lie_algebra.acts_unitarily:  # then the translated basis is orthonormal: no way there and back
+            return x @ self.group_map(vec.combine(jnp.asarray(self.manifold.lie_algebra.orthonormal, x.dtype), c))
+        return super().chart(x, c)
+
     def preimage(self, x: Array, y: Array) -> Array:
         return x @ self.group_map_inverse(self.manifold.inverse(x) @ y)
 

@@ -18,6 +18,12 @@ class Addition(MidpointRetraction):
     def __call__(self, x: Array, v: Array) -> Array:
         return x + v
 
+    def chart(self, x: Array, c: Array) -> Array:
+        return x + c.reshape(x.shape)
+
+    def both_ways(self, x: Array, v: Array) -> tuple[Array, Array]:
+        return x - v, x + v
+
     def preimage(self, x: Array, y: Array) -> Array:
         return y - x
 
