@@ -1,8 +1,50 @@
-"""Options of the compiler for the large kernels of this library."""
+"""Compiled functions of what a user passes: arrays are data, everything else is fixed when the function is compiled."""
 
+import time
+from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
+import numpy as np
+
+from ..manifolds.manifold import working_precision
+
+_compiled: dict[Any, Any] = {}  # executables by function and structure of the arguments, oldest first
+MOST_COMPILED = 256
+
+
+def _is_data(leaf: Any) -> bool:
+    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
+
+
+def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
+    """Value of ``function(*arguments)``; seconds to trace and compile it, 0 if that was done before, and to run it.
+
+    Arrays in the arguments are data, all other leaves are part of the function and hashable.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    data = [leaf for leaf in leaves if _is_data(leaf)]
+    fixed = tuple(_is_data if _is_data(leaf) else leaf for leaf in leaves)
+    key = (function, fixed, structure, tuple((a.shape, a.dtype) for a in data), working_precision())
+    began = time.perf_counter()
+    seconds = 0.0
+    if key not in _compiled:
+        compiled = jax.jit(lambda data: function(*_merged(structure, fixed, data))).lower(data).compile(compiler_options())
+        if len(_compiled) >= MOST_COMPILED:
+            del _compiled[next(iter(_compiled))]
+        _compiled[key] = compiled
+        seconds = time.perf_counter() - began
+    began = time.perf_counter()
+    value = _compiled[key](data)
+    jax.block_until_ready(jax.tree.leaves(value)[:1])  # all outputs of one executable become ready together
+    return value, seconds, time.perf_counter() - began
+
+
+def _merged(structure: Any, fixed: tuple, data: list) -> Any:
+    """The arguments: ``fixed`` with ``data`` in the places that are marked."""
+    remaining = iter(data)
+    return jax.tree.unflatten(structure, [next(remaining) if leaf is _is_data else leaf for leaf in fixed])
 
 
 @cache

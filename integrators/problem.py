@@ -14,6 +14,7 @@ from ..manifolds.manifold import default_tolerance, same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import DiscretizationMap
+from .compilation import call_compiled
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -91,7 +92,7 @@ class OptimalControlProblem(eqx.Module):
 
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
-        normal, size, costs = jax.device_get(_probe(self, q, u))
+        normal, size, costs = jax.tree.map(float, call_compiled(_probe, self, q, u)[0])
         if not np.all(np.isfinite((normal, size, *costs))):
             raise InvalidInputError(
                 f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size}, running and terminal "
@@ -104,7 +105,6 @@ class OptimalControlProblem(eqx.Module):
             )
 
 
-@eqx.filter_jit
 def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array, tuple[Array, Array]]:
     """Largest normal part and size of the velocity, for ``u`` and for a random control, and both costs."""
 

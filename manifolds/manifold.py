@@ -75,7 +75,11 @@ class Manifold(eqx.Module):
         if wrong:
             return Verdict(False, wrong)
         limit = default_tolerance() if tolerance is None else tolerance
-        for words, value in jax.device_get(_violations(self, jax.tree.map(jnp.asarray, x))).items():
+        return self.judge(_violations(self, jax.tree.map(jnp.asarray, x)), limit)
+
+    def judge(self, violations: dict[str, Array], limit: float) -> Verdict:
+        """The verdict on a point with these violations of the defining equations."""
+        for words, value in jax.device_get(violations).items():
             if not value <= limit:
                 return Verdict(False, f"not on {self}: {words} is {value:.3g}, expected at most {limit:.1g}")
         return Verdict(True, f"a point of the manifold to {limit:.1g}")

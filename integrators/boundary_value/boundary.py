@@ -1,6 +1,7 @@
 """Boundary conditions: a node of the trajectory that is fixed, free, or fixed in some factors of a product."""
 
-from typing import Any, final
+from collections.abc import Iterator
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -9,7 +10,17 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
+from ..compilation import call_compiled
+
+
+class _Part(NamedTuple):
+    """A point of a manifold or of a factor of it, None where it is free, and what it is called."""
+
+    name: str
+    manifold: Manifold
+    given: Any
 
 
 @final
@@ -42,15 +53,17 @@ def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) 
     the whole trajectory. Raises ``NotOnManifoldError`` for a prescribed part that is off its manifold.
     """
     first, last = _merge(manifold, start, end), _merge(manifold, end, start)
-    conditions = []
+    conditions, prescribed = [], []
     for name, given, merged in (("start", start, first), ("end", end, last)):
         missing = [leaf is None for leaf in jax.tree.leaves(merged, is_leaf=lambda leaf: leaf is None)]
         if any(missing) and not guided:
             raise InvalidInputError(f"{name} = {given!r} leaves a factor free that is free at the other end too; pass a guess")
-        fixed = list(_fixed(manifold, given, name))
-        leaves = tuple(flag for flag, factor in fixed for _ in jax.tree.leaves(factor.ambient))
-        coordinates = tuple(flag for flag, factor in fixed for _ in range(factor.dimension))
+        parts = list(_parts(manifold, given, name))
+        prescribed += [part for part in parts if part.given is not None]
+        leaves = tuple(part.given is not None for part in parts for _ in jax.tree.leaves(part.manifold.ambient))
+        coordinates = tuple(part.given is not None for part in parts for _ in range(part.manifold.dimension))
         conditions.append(NodeCondition(_fill(manifold, merged), leaves, coordinates))
+    _require_membership(prescribed)
     return conditions[0], conditions[1]
 
 
@@ -65,18 +78,30 @@ def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
     return other if given is None else given
 
 
-def _fixed(manifold: Manifold, given: Any, name: str) -> Any:
-    """Pairs ``(is it fixed, factor)``, after a check of every fixed part."""
-    if given is None:
-        yield False, manifold
-    elif isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Part]:
+    """The parts of a point, after a check of the structure of every prescribed one."""
+    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
         for i, (factor, part) in enumerate(zip(manifold.factors, given, strict=True)):
-            yield from _fixed(factor, part, f"{name}, factor {i}")
-    else:
-        verdict = manifold.contains(given)
+            yield from _parts(factor, part, f"{name}, factor {i}")
+        return
+    wrong = "" if given is None else manifold.describe_mismatch(given, "a point")
+    if wrong:
+        raise NotOnManifoldError(f"{name}: {wrong}")
+    yield _Part(name, manifold, given)
+
+
+def _require_membership(parts: list[_Part]) -> None:
+    """Raise for a part that is off its manifold; all are looked at in one compiled function."""
+    points = [jax.tree.map(np.asarray, part.given) for part in parts]
+    found, *_ = call_compiled(_violations, [part.manifold for part in parts], points)
+    for part, violations in zip(parts, jax.tree.map(np.asarray, found), strict=True):
+        verdict = part.manifold.judge(violations, default_tolerance())
         if not verdict:
-            raise NotOnManifoldError(f"{name}: {verdict.reason}")
-        yield True, manifold
+            raise NotOnManifoldError(f"{part.name}: {verdict.reason}")
+
+
+def _violations(manifolds: list[Manifold], points: list[Ambient]) -> list[dict[str, Array]]:
+    return [manifold.violations(point) for manifold, point in zip(manifolds, points, strict=True)]
 
 
 def _fill(manifold: Manifold, merged: Any) -> Ambient:

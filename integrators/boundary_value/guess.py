@@ -2,7 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -11,6 +10,7 @@ from ...manifolds import DomainError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap
+from ..compilation import call_compiled
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 
@@ -35,9 +35,9 @@ def default_guess(
     opposite to each other, and the user has to say which way round.
     """
     first, last = jax.tree.map(jnp.asarray, (start, end))
-    guess, arrived = _curve(problem, discretization, first, last, steps)
+    (guess, arrived), *_ = call_compiled(_curve, problem, discretization, first, last, steps)
     if not arrived:
-        guess, arrived = _walk(problem, discretization, first, last, steps)
+        (guess, arrived), *_ = call_compiled(_walk, problem, discretization, first, last, steps)
     if not arrived:
         raise DomainError(
             "no default guess: the end is opposite to the start (for rotations: half a turn away), so no direction leads "
@@ -46,7 +46,6 @@ def default_guess(
     return guess
 
 
-@eqx.filter_jit
 def _curve(
     problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
 ) -> tuple[Guess, Array]:
@@ -58,7 +57,6 @@ def _curve(
     return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v))
 
 
-@eqx.filter_jit
 def _walk(
     problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
 ) -> tuple[Guess, Array]:

@@ -1,9 +1,7 @@
 """The boundary-value problem: from a problem and its boundary conditions to a solution."""
 
-import time
 from typing import Any, NamedTuple, cast
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,7 +11,7 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
 from ...retractions import DiscretizationMap
-from ..compilation import compiler_options
+from ..compilation import call_compiled
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
@@ -64,7 +62,7 @@ def solve(
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
     stage = ControlStage(problem=problem, discretization=discretization, step=np.asarray(horizon / steps, working_precision()))
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
-    output, *seconds = _timed(discrete, guess, _checked_tolerance(tolerance), np.asarray(max_iterations))
+    output, *seconds = call_compiled(_kernel, discrete, guess, _checked_tolerance(tolerance), np.asarray(max_iterations))
     _require_tangent_dynamics(problem, float(output.diagnostics.normal))
     solution = _record(output, discretization.theta, float(horizon), *seconds)
     return solution.require_success() if throw else solution
@@ -122,14 +120,13 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
             raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")
     kinds = Guess(problem.manifold.ambient, problem.controls.ambient, problem.manifold.ambient)
     filled = jax.tree.map(lambda kind, leaf: jnp.asarray(leaf, kind.dtype), kinds, filled)
-    for name, value in jax.device_get(_worst_violations(problem.manifold, filled.states)).items():
+    for name, value in call_compiled(_worst_violations, problem.manifold, filled.states)[0].items():
         if not value <= default_tolerance():
             raise InvalidInputError(f"guess: states are not on {problem.manifold}: {name} reaches {value:.3g}, expected 0")
     problem.check(jax.tree.map(lambda leaf: leaf[0], filled.states), resting_control(problem.controls))
     return filled
 
 
-@eqx.filter_jit
 def _worst_violations(manifold: Manifold, points: Ambient) -> dict[str, Array]:
     return jax.tree.map(jnp.max, jax.vmap(manifold.violations)(points))
 
@@ -160,36 +157,9 @@ def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: Array, max_it
     return _Output(*trajectory, *checks, newton.iterations, newton.result == Result.successful, newton.result, diagnostics)
 
 
-_compiled: dict[Any, Any] = {}  # executables by the structure of their arguments, oldest first
-MOST_COMPILED = 64
-
-
-def _is_data(leaf: Any) -> bool:
-    return isinstance(leaf, jax.Array | np.ndarray | np.generic)
-
-
-def _timed(*arguments: Any) -> tuple[_Output, float, float]:
-    """Run the kernel; seconds to trace and compile (0 if it was compiled before), and to run."""
-    dynamic, static = eqx.partition(arguments, _is_data)
-    leaves, structure = jax.tree.flatten(static)
-    shapes = jax.tree.map(lambda a: (a.shape, a.dtype), jax.tree.leaves(dynamic))
-    key = (tuple(leaves), structure, tuple(shapes), working_precision())
-    began = time.perf_counter()
-    seconds = 0.0
-    if key not in _compiled:
-        lowered = jax.jit(lambda arrays: _kernel(*eqx.combine(arrays, static))).lower(dynamic)
-        _compiled[key] = lowered.compile(compiler_options())
-        if len(_compiled) > MOST_COMPILED:
-            del _compiled[next(iter(_compiled))]
-        seconds = time.perf_counter() - began
-    began = time.perf_counter()
-    output = jax.block_until_ready(_compiled[key](dynamic))
-    return output, seconds, time.perf_counter() - began
-
-
 def _record(output: _Output, theta: float, horizon: float, compiling: float, running: float) -> Solution:
     """The solution from the kernel's output, and the seconds that it took to compile and to run."""
-    found: Any = jax.device_get(output)
+    found: Any = jax.tree.map(np.asarray, output)
     diagnostics = found.diagnostics
     steps = len(diagnostics.hamiltonians)
     checks = Checks(

@@ -1,5 +1,6 @@
 """The rotation group."""
 
+from functools import cache
 from itertools import combinations
 from typing import final
 
@@ -14,12 +15,14 @@ from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
 
 
+@cache
 def skew_basis(n: int) -> np.ndarray:
     """Basis ``e_i`` of the skew ``n x n`` matrices, shape ``(n(n-1)/2, n, n)``: ``hat`` of the axes for n = 3."""
     planes = [(1, 2), (2, 0), (0, 1)] if n == 3 else list(combinations(range(n), 2))
     out = np.zeros((len(planes), n, n))
     for k, (i, j) in enumerate(planes):
         out[k, j, i], out[k, i, j] = 1.0, -1.0
+    out.setflags(write=False)
     return out
 
 
