@@ -92,7 +92,11 @@ class OptimalControlProblem(eqx.Module):
 
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
-        normal, size, costs = jax.tree.map(float, call_compiled(_probe, self, q, u)[0])
+        try:
+            probed, *_ = call_compiled(_probe, self, q, u)
+        except (TypeError, ValueError, IndexError) as error:
+            raise self._in_words(error, q, u) from error
+        normal, size, costs = jax.tree.map(float, probed)
         if not np.all(np.isfinite((normal, size, *costs))):
             raise InvalidInputError(
                 f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size}, running and terminal "
@@ -103,6 +107,26 @@ class OptimalControlProblem(eqx.Module):
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
+
+    def _in_words(self, error: Exception, q: Ambient, u: Ambient) -> Exception:
+        """The error that the problem's functions raise at ``(q, u)``, as one that says what they are given."""
+        if isinstance(error, InvalidInputError):
+            return error
+        shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
+        hint = "try another number of controls, or index what is there"
+        if not self._has_velocity(q, u) and self._has_velocity(u, q):
+            hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
+        return InvalidInputError(
+            f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
+            f"{self.controls}, shape {shapes[1]}: {error}; {hint}"
+        )
+
+    def _has_velocity(self, *arguments: Ambient) -> bool:
+        try:
+            jax.eval_shape(self.velocity, *arguments)
+        except (TypeError, ValueError, IndexError):
+            return False
+        return True
 
 
 def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array, tuple[Array, Array]]:

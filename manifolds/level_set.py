@@ -10,7 +10,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .manifold import Manifold, default_tolerance, real
-from .numerics.ambient import Ambient
+from .numerics.ambient import Ambient, is_traced
+from .numerics.errors import InvalidInputError
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
 
@@ -91,4 +92,8 @@ def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Arr
     nowhere = jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.nan, leaf.dtype), manifold.ambient)
     _, found, _ = jax.lax.while_loop(unfinished, again, (key, nowhere, jnp.zeros((), int)))
     message = f"no point of {manifold} was found from {RANDOM_STARTS} random starts; check its equations"
+    if not is_traced(found):
+        if off(found):
+            raise InvalidInputError(message)
+        return found
     return eqx.error_if(found, off(found), message)

@@ -101,7 +101,8 @@ class Manifold(eqx.Module):
         """Words on how the structure of ``a`` differs from an ambient vector of this manifold; empty if it does not."""
         expected, given = jax.tree.structure(self.ambient), jax.tree.structure(a)
         if expected != given:
-            return f"{role} of {self} has the structure {expected}, got {given}"
+            hint = "; a list is no array, try numpy.array" if isinstance(a, list) else ""
+            return f"{role} of {self} has the structure {expected}, got {given}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
                 return f"{role} of {self} has shape {shape.shape} where {np.shape(leaf)} came"

@@ -101,7 +101,9 @@ class Theta(DiscretizationMap):
     def __init__(self, retraction: Retraction, theta: float, forward: Retraction | None = None) -> None:
         for given in (retraction, forward or retraction):
             if not isinstance(given, Retraction):
-                raise InvalidInputError(f"a discretization map is made from retractions, got {given!r}; try Cayley(manifold)")
+                raise InvalidInputError(
+                    f"a discretization map is made from retractions, got {given!r}; try default_retraction(manifold)"
+                )
         if not 0 <= theta <= 1:
             raise InvalidInputError(f"theta must lie in [0, 1], got {theta}")
         # By class and shape only: the data of a manifold may be traced where this runs.

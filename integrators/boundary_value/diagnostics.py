@@ -4,13 +4,16 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Manifold, MatrixLieGroup
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.product import homogeneous_factors
+from ..problem import OptimalControlProblem
 from ..stages import ControlStage
+from ..stages.stage import positive
 
 
 class Diagnostics(NamedTuple):
@@ -18,29 +21,54 @@ class Diagnostics(NamedTuple):
 
     stage_costates: Ambient
     hamiltonians: Array
+    hamiltonian_size: Array  # largest of the two parts <p, X> and F over the stages
     momenta: dict[str, Array]
     body: dict[str, Array]
     spatial: dict[str, Array]
     violations: dict[str, Array]  # of the manifold's equations, largest over the nodes
+    brackets: dict[str, Array]  # {J_i, H} of every momentum, relative to its parts: largest over three stages
     normal: Array  # normal part of the dynamics, relative to 1 + its size, largest over the stages
 
 
 def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambient) -> Diagnostics:
     """Diagnostics of a trajectory from the stages' unknowns and the states and costates at the nodes."""
 
-    def at_stage(y: Any, p0: Ambient, p1: Ambient) -> tuple[Ambient, Array, Array]:
+    def at_stage(y: Any, p0: Ambient, p1: Ambient) -> tuple[Ambient, Array, Array, Array]:
         x, u = y
         _, v = stage.tangent(y)
         _, pull = vec.pullback(lambda w: stage.discretization(x, w), v)
         covector = stage.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])
-        normal, size = stage.problem.normal_size(x, u)
-        return covector, stage.problem.hamiltonian(x, covector, u), normal / (1 + size)
+        normal, speed = stage.problem.normal_size(x, u)
+        power, rate = vec.pairing(covector, stage.problem.velocity(x, u)), stage.problem.cost_rate(x, u)
+        size = jnp.maximum(jnp.abs(power), jnp.abs(rate))
+        return covector, power - rate, size, normal / (1 + speed)
 
     before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], costates) for s in (slice(None, -1), slice(1, None)))
-    stage_costates, hamiltonians, normal = jax.vmap(at_stage)(unknowns, before, after)
+    stage_costates, hamiltonians, sizes, normal = jax.vmap(at_stage)(unknowns, before, after)
+    sample = np.array([0, len(hamiltonians) // 2, len(hamiltonians) - 1])
+    looked_at = jax.tree.map(lambda leaf: leaf[sample], (unknowns, stage_costates))
+    brackets = jax.tree.map(lambda b: jnp.max(b, axis=0), jax.vmap(lambda y, p: _brackets(stage.problem, y, p))(*looked_at))
     frames = jax.vmap(lambda q, p: _group_frames(stage.manifold, q, p))(nodes, costates)
     violations = jax.tree.map(jnp.max, jax.vmap(stage.manifold.violations)(nodes))
-    return Diagnostics(stage_costates, hamiltonians, *frames, violations, jnp.max(normal))
+    return Diagnostics(stage_costates, hamiltonians, jnp.max(sizes), *frames, violations, brackets, jnp.max(normal))
+
+
+def _brackets(problem: OptimalControlProblem, y: Any, p: Ambient) -> dict[str, Array]:
+    """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their parts.
+
+    They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
+    """
+    x, u = y
+    slope = vec.gradient(lambda q: problem.hamiltonian(q, p, u), x)
+    parts = [homogeneous_factors(problem.manifold, part) for part in (x, p, slope, problem.velocity(x, u))]
+    out = {}
+    for (name, factor, q), (_, _, covector), (_, _, force), (_, _, v) in zip(*parts, strict=True):
+        generators = factor.generators(q)
+        turned = vec.components(generators, force)
+        moved = jax.jvp(lambda z, f=factor, c=covector: f.momentum(z, c), (q,), (v,))[1]
+        size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
+        out[name] = jnp.abs(turned - moved) / positive(jnp.max(size))
+    return out
 
 
 def _group_frames(manifold: Manifold, q: Ambient, p: Ambient) -> tuple[dict[str, Array], dict[str, Array], dict[str, Array]]:

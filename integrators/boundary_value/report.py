@@ -30,11 +30,16 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     for equation, violation in checks.violations.items():
         yield "constraint error", f"{equation}: {violation:.1e}"
     yield "Hamiltonian", f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e}"
+    if checks.too_coarse:
+        share = checks.hamiltonian_spread / checks.hamiltonian_size
+        yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         first = np.array2string(momentum[0], precision=8) if momentum.shape[1] <= LONGEST_MOMENTUM else "at the start"
         size = np.max(np.abs(momentum))
-        yield title, f"{name}: {first}, size {size:.3g}, spread over the nodes {checks.momentum_spreads[name]:.1e}"
+        kept = f"the problem conserves {checks.conserved[name]} of {momentum.shape[1]} components"
+        spread = f"spread over the nodes {checks.momentum_spreads[name]:.1e}"
+        yield title, f"{name}: {first}, size {size:.3g}, {spread}; {kept}"
 
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:

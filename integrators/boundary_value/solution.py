@@ -9,6 +9,8 @@ import numpy as np
 from ...manifolds import ConvergenceError, InvalidInputError
 from .guess import Guess
 
+TOO_COARSE = 0.1
+
 
 @dataclass(frozen=True)
 class Statistics:
@@ -26,9 +28,10 @@ class Checks:
     ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, relative to
     1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``violations``: of each equation
     of the manifold, the largest at the nodes (for a rotation, the orthogonality error). ``hamiltonian``: value at the first
-    stage, and spread over the stages. ``momentum_spreads``: for each factor on which a group acts, largest spread of a
-    component of its momentum over the nodes. ``strict_minimum``: whether the Hessian is positive definite on the null space
-    of the constraints.
+    stage, spread over the stages, and size, the largest of its parts ``<p, X>`` and ``F``. ``momentum_spreads``: for each
+    factor on which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
+    components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is positive definite on the null
+    space of the constraints.
     """
 
     gap: float
@@ -36,13 +39,20 @@ class Checks:
     violations: dict[str, float]
     hamiltonian: float
     hamiltonian_spread: float
+    hamiltonian_size: float
     momentum_spreads: dict[str, float]
+    conserved: dict[str, int]
     strict_minimum: bool
 
     @property
     def constraint(self) -> float:
         """Largest violation of the manifold's equations at the nodes."""
         return max(self.violations.values(), default=0.0)
+
+    @property
+    def too_coarse(self) -> bool:
+        """Whether the Hamiltonian, constant along an exact extremal, varies by more than a tenth of its parts."""
+        return self.hamiltonian_spread > TOO_COARSE * self.hamiltonian_size
 
 
 @dataclass(frozen=True)

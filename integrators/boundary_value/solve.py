@@ -72,7 +72,9 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
     if not isinstance(discretization, DiscretizationMap):
-        raise InvalidInputError(f"solve takes a discretization map, got {discretization!r}; try Midpoint(Cayley(manifold))")
+        raise InvalidInputError(
+            f"solve takes a discretization map, got {discretization!r}; try Midpoint(default_retraction(manifold))"
+        )
     problem.check_discretization(discretization)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
@@ -168,7 +170,9 @@ def _record(output: _Output, theta: float, horizon: float, compiling: float, run
         violations={name: float(value) for name, value in diagnostics.violations.items()},
         hamiltonian=float(diagnostics.hamiltonians[0]),
         hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
+        hamiltonian_size=float(diagnostics.hamiltonian_size),
         momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
+        conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
         strict_minimum=bool(found.strict_minimum),
     )
     stage_states, controls = found.unknowns

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Result, solve
 from retrax.manifolds import ConvergenceError, DomainError, Euclidean, InvalidInputError, NotOnManifoldError, hat
-from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Projection
+from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Midpoint, Projection
 
 from tests.support.numerics import norm
 
@@ -83,7 +83,7 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
         ({"end": -END}, r"end: not on SO.*det x - 1.* is 2, expected at most"),
         ({"end": np.eye(2)}, r"end: .*shape \(3, 3\) where \(2, 2\) came"),
         ({"start": np.nan * END}, r"start: .*NaN"),
-        ({"end": END.tolist()}, r"end: .*structure PyTreeDef\(\*\), got"),
+        ({"end": END.tolist()}, r"end: .*structure PyTreeDef\(\*\), got.*a list is no array, try numpy.array"),
         ({"end": (END,)}, r"end: .*structure PyTreeDef\(\*\), got"),
     ],
 )
@@ -125,6 +125,13 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
         ({"dynamics": lambda q, u: hat(u)}, NotOnManifoldError, "leaves the tangent space"),
         ({"dynamics": lambda q, u: u}, InvalidInputError, r"dynamics.*shape \(3, 3\) where \(3,\) came"),
         ({"dynamics": lambda q, u: (q @ hat(u),)}, InvalidInputError, "dynamics.*structure"),
+        ({"controls": 2}, InvalidInputError, r"fail at .*control u of Euclidean\(shape=\(2,\)\).*try another number of controls"),
+        (
+            {"dynamics": lambda u, q: q @ hat(u.reshape(3))},
+            InvalidInputError,
+            r"fail at .*its arguments are \(q, u\), in this order",
+        ),
+        ({"cost": lambda q, u: u @ np.ones(4)}, InvalidInputError, r"fail at .*shape \(3,\): .*try another number"),
         ({"cost": lambda q, u: u * u}, InvalidInputError, r"running_cost must return a scalar, got .*\(3,\)"),
         ({"terminal_cost": lambda q: q}, InvalidInputError, r"terminal_cost must return a scalar, got .*\(3, 3\)"),
         ({"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)}, InvalidInputError, "finite"),
@@ -263,3 +270,23 @@ def test_dynamics_that_is_tangent_at_the_start_alone_is_refused():
     forgotten = problem(dynamics=lambda q, u: hat(u))
     with pytest.raises(NotOnManifoldError, match=r"along the trajectory.*R @ hat\(w\)"):
         slew(problem=forgotten)
+
+
+@pytest.mark.parametrize(("steps", "coarse"), [(2, True), (20, False)])
+def test_the_report_says_when_steps_are_too_coarse_for_the_hamiltonian(steps, coarse):
+    """``F = u^2 / 2 + 50 q^4``, from 1 to 0: the spread is 0.29 of the size in 2 steps, 0.027 in 20."""
+    line = Euclidean(1)
+    quartic = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2 + 50 * (q @ q) ** 2, 1)
+    solution = solve(quartic, Midpoint(Addition(line)), np.ones(1), np.zeros(1), 1.0, steps)
+    assert solution.success
+    assert solution.checks.too_coarse == coarse
+    assert ("too coarse to be trusted, increase steps" in str(solution)) == coarse
+
+
+def test_the_report_says_which_momenta_the_problem_conserves():
+    """A top with gravity along the third axis conserves the third component alone, a free body all three."""
+    heavy = problem(cost=lambda q, u: u @ u / 2 + q[2, 0])
+    for given, count in ((KINEMATIC, 3), (heavy, 1)):
+        solution = slew(given)
+        assert list(solution.checks.conserved.values()) == [count]
+        assert f"the problem conserves {count} of 3 components" in str(solution)
