@@ -94,8 +94,10 @@ class OptimalControlProblem(eqx.Module):
         """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
         try:
             probed, *_ = call_compiled(_probe, self, q, u)
+        except InvalidInputError:
+            raise
         except (TypeError, ValueError, IndexError) as error:
-            raise self._in_words(error, q, u) from error
+            raise InvalidInputError(self._failure(error, q, u)) from error
         normal, size, costs = jax.tree.map(float, probed)
         if not np.all(np.isfinite((normal, size, *costs))):
             raise InvalidInputError(
@@ -108,15 +110,13 @@ class OptimalControlProblem(eqx.Module):
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
 
-    def _in_words(self, error: Exception, q: Ambient, u: Ambient) -> Exception:
-        """The error that the problem's functions raise at ``(q, u)``, as one that says what they are given."""
-        if isinstance(error, InvalidInputError):
-            return error
+    def _failure(self, error: Exception, q: Ambient, u: Ambient) -> str:
+        """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
         shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
         hint = "try another number of controls, or index what is there"
         if not self._has_velocity(q, u) and self._has_velocity(u, q):
             hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
-        return InvalidInputError(
+        return (
             f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
             f"{self.controls}, shape {shapes[1]}: {error}; {hint}"
         )

@@ -10,6 +10,7 @@ import scipy.linalg
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from retrax.manifolds import SE, SL, SO, SU, DomainError, Euclidean, InvalidInputError, MatrixLieGroup, U, UnknownRetractionError
+from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import QR, SOQR, Cayley, Exponential, GroupCayley, Polar, SEDecoupled, SOPolar, Translated
 from retrax.retractions.groups.functions import rigid_motions, rotations, unitary
 
@@ -237,3 +238,17 @@ def test_the_decoupled_exponential_turns_and_shifts():
     y = SEDecoupled(group)(group.identity, a)
     np.testing.assert_allclose(y[:3, :3], scipy.linalg.expm(np.asarray(a)[:3, :3]), atol=1e-14)
     np.testing.assert_allclose(y[:3, 3], v, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "retraction", [Cayley(SO(3) * Euclidean(2)), Polar(SO(4)), Exponential(SU(2)), Exponential(SE(2)), QR(SO(3))], ids=str
+)
+def test_charts_and_pairs_are_the_retraction_itself(retraction):
+    """Closed forms of ``R(x, sum c_k E_k)`` and of ``R(x, -v)``, ``R(x, v)``."""
+    manifold = retraction.manifold
+    x = manifold.random_point(jax.random.key(0))
+    c = np.random.default_rng(0).standard_normal(manifold.dimension)
+    v = vec.combine(manifold.basis(x), c)
+    forwards, backwards = retraction(x, v), retraction(x, vec.scale(-1.0, v))
+    for found, expected in ((retraction.chart(x, c), forwards), (retraction.both_ways(x, v), (backwards, forwards))):
+        assert vec.size(vec.subtract(found, expected)) < 1e-14
