@@ -24,6 +24,9 @@ class GeodesicRetraction(Retraction):
     through the product alone, so whatever the number of steps the result is a retraction, of second order for the metric; with
     an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The inverse is
     Newton's method.
+
+    Second derivatives are those of ``jax.hessian``, forward over reverse: of a loop over steps JAX keeps the rule of implicit
+    differentiation in one reverse sweep only, and raises in a second one.
     """
 
     metric: Metric

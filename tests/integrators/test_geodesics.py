@@ -9,8 +9,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from retrax.integrators import Composition, GeodesicRetraction, SymplecticIntegrator
-from retrax.manifolds import SO, SPD, AffineInvariantMetric, EmbeddedMetric, InvalidInputError, Metric, Sphere
+from retrax.manifolds import (
+    SO,
+    SPD,
+    AffineInvariantMetric,
+    EmbeddedMetric,
+    InvalidInputError,
+    LeftInvariantMetric,
+    Metric,
+    Sphere,
+    hat,
+    vee,
+)
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Projection, Retraction, SPDSecondOrder
+from scipy.linalg import expm
 
 from tests.support.cases import Ellipsoid
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent, unflat
@@ -36,9 +48,11 @@ def geodesics(retraction: Retraction, metric: Metric | None = None) -> GeodesicR
     return GeodesicRetraction(metric, steps=4, integrator=integrator)
 
 
+TOP = np.array([1.0, 1.0, 2.0])
 GEODESICS = {
     "sphere": geodesics(Projection(Sphere(2))),
     "rotations": geodesics(Cayley(SO(3))),
+    "symmetric top": geodesics(Cayley(SO(3)), LeftInvariantMetric(SO(3), TOP)),
     "cone": geodesics(SPDSecondOrder(SPD(2)), AffineInvariantMetric(SPD(2))),
     "ellipsoid": geodesics(Central(Ellipsoid())),
 }
@@ -70,11 +84,19 @@ def facts_at(name: str, seed: int) -> dict:
     facts = _kernel(name)(x, v)
     if name != "ellipsoid":
         x, v = unflat(manifold)(x), unflat(manifold)(v)
-        facts["exact"] = np.stack([Exponential(manifold)(x, length * v) for length in LENGTHS])
+        exact = spun if name == "symmetric top" else Exponential(manifold)
+        facts["exact"] = np.stack([exact(x, length * v) for length in LENGTHS])
     return facts
 
 
-@pytest.mark.parametrize("name", ["sphere", "rotations", "cone"])
+def spun(x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Attitude of a free symmetric top after unit time: it turns with its angular momentum, and spins back about its axis."""
+    omega = np.asarray(vee(x.T @ v))
+    back = np.array([0.0, 0.0, (TOP[0] - TOP[2]) * omega[2]])
+    return x @ expm(np.asarray(hat(TOP * omega))) @ expm(np.asarray(hat(back)))
+
+
+@pytest.mark.parametrize("name", ["sphere", "rotations", "symmetric top", "cone"])
 @settings(max_examples=4)
 @given(seed=SEEDS)
 def test_geodesics_are_exponentials_to_order_four(name, seed):

@@ -6,17 +6,13 @@ import jax
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import Oblique
-from retrax.retractions import DifferentiatedRetraction, Exponential
+from retrax.retractions import DifferentiatedRetraction
 from retrax.testing.checks.retraction import flat_retraction
 
 from tests.support.cases import RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, compiled, draw_point, draw_tangent, flat, unflat
 
-CLOSED_FORMS = {
-    **{name: retraction for name, retraction in RETRACTIONS.items() if isinstance(retraction, DifferentiatedRetraction)},
-    "exponential-oblique32": Exponential(Oblique(3, 2)),
-}
+CLOSED_FORMS = {name: retraction for name, retraction in RETRACTIONS.items() if isinstance(retraction, DifferentiatedRetraction)}
 
 
 @lru_cache

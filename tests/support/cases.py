@@ -29,6 +29,7 @@ from retrax.manifolds import (
     Simplex,
     Sphere,
     Stiefel,
+    Submanifold,
     TangentBundle,
     U,
 )
@@ -40,14 +41,19 @@ from retrax.retractions import (
     DiscretizationMap,
     Exponential,
     FixedRankOrthographic,
+    Orthographic,
     Polar,
     Projection,
     Retraction,
+    SecondOrder,
     SPDLogEuclidean,
     SPDSecondOrder,
     SphereExponential,
+    Stabilized,
     Theta,
+    Translated,
 )
+from retrax.retractions.groups.functions import general
 
 
 @final
@@ -92,10 +98,14 @@ MANIFOLDS: dict[str, Manifold] = {
     "SO2": SO(2),
     "SO3": SO(3),
     "SO4": SO(4),
+    "SE2": SE(2),
     "SE3": SE(3),
     "U2": U(2),
+    "U3": U(3),
     "SU2": SU(2),
+    "SU3": SU(3),
     "SL2": SL(2),
+    "SL3": SL(3),
     "heisenberg": Heisenberg(),
     "ellipsoid": Ellipsoid(),
     "intersection": Intersection(),
@@ -116,7 +126,7 @@ MANIFOLDS: dict[str, Manifold] = {
     "rank1-3x3": FixedRank(3, 3, 1),
 }
 
-RETRACTIONS: dict[str, Retraction] = {
+_MAPPED: dict[str, Retraction] = {
     "addition-R2x3": Exponential(Euclidean((2, 3))),
     "exponential-S2": Exponential(Sphere(2)),
     "exponential-S4": Exponential(Sphere(4)),
@@ -161,6 +171,34 @@ RETRACTIONS: dict[str, Retraction] = {
     "orthographic-rank1-3x3": FixedRankOrthographic(FixedRank(3, 3, 1)),
 }
 
+# A closed curve on the sphere.
+CURVE = Submanifold(Sphere(2), lambda x: x[2:] - x[0] * x[1] - 0.25)
+
+
+# No discretization maps are made of the latter ones: a map does not know from which closed form a retraction comes.
+RETRACTIONS: dict[str, Retraction] = {
+    **_MAPPED,
+    "exponential-U2": Exponential(U(2)),
+    "exponential-U3": Exponential(U(3)),
+    "exponential-SU2": Exponential(SU(2)),
+    "exponential-SU3": Exponential(SU(3)),
+    "exponential-SE3": Exponential(SE(3)),
+    "exponential-SL2": Exponential(SL(2)),
+    "exponential-SL3": Exponential(SL(3)),
+    "exponential-heisenberg": Exponential(Heisenberg()),
+    "exponential-oblique32": Exponential(Oblique(3, 2)),
+    "cayley-SL2": Cayley(SL(2)),
+    "polar-U2": Polar(U(2)),
+    "polar-U3": Polar(U(3)),
+    "qr-U2": QR(U(2)),
+    "qr-U3": QR(U(3)),
+    "stabilized-SO3": Stabilized(Cayley(SO(3))),
+    "corrected-SO3": SecondOrder(QR(SO(3))),
+    "translated-SE2": Translated(SE(2), general.cayley, side="right"),
+    "translated-U2": Translated(U(2), general.cayley, general.cayley_inverse),
+    "orthographic-curve": Orthographic(CURVE, Exponential(Sphere(2))),
+}
+
 # Longest tangent vector (Euclidean norm in the ambient space) that the facts about inverses use, where it is not 3.
 # It is below pi, and on rotations the largest angle is at most that norm over the square root of 2.
 # On projectors it is the square root of 2 times the root of the sum of squares of the singular values.
@@ -174,10 +212,16 @@ REACH = {
     "cayley-Gr42": 2.5,
     "truncation": 0.4,
     "orthographic": 0.4,
+    "orthographic-curve": 0.1,
+    "exponential-SL2": 1.0,
+    "exponential-SL3": 1.0,
+    "cayley-SL2": 1.0,
+    "corrected-SO3": 0.5,
+    "translated-SE2": 1.0,
 }
 
 # Retractions of first order, and those of second order for a metric that is not the ambient one.
-FIRST_ORDER = ("qr", "bundle", "softmax", "log")
+FIRST_ORDER = ("qr", "bundle", "softmax", "log", "translated")
 METRICS: dict[str, Metric] = {
     "exponential-H2": LorentzMetric(Hyperbolic(2)),
     "projection-H2": LorentzMetric(Hyperbolic(2)),
@@ -185,6 +229,19 @@ METRICS: dict[str, Metric] = {
     "quadratic-SPD2": AffineInvariantMetric(SPD(2)),
     "cayley-St42": CanonicalMetric(Stiefel(4, 2)),
 }
+# On these groups one-parameter subgroups are not geodesics: rigid motions are screws.
+_NOT_GEODESIC = ("SE2", "SE3", "SL2", "SL3", "heisenberg")
+
+# Those that take more than 10 s to compile.
+SLOW = (
+    "exponential-U3",
+    "exponential-SU3",
+    "exponential-SL2",
+    "exponential-SL3",
+    "exponential-heisenberg",
+    "corrected-SO3",
+    "orthographic-curve",
+)
 
 # One retraction for each closed form of an inverse. Newton's method is compared with them, and their discretization maps are
 # lifted: a lift does not know from which closed form a retraction comes.
@@ -214,7 +271,7 @@ LIFTED_MAPS: dict[str, DiscretizationMap] = {
 }
 
 MAPS: dict[str, DiscretizationMap] = {
-    **{f"theta=0.3, {name}": Theta(retraction, 0.3) for name, retraction in RETRACTIONS.items()},
+    **{f"theta=0.3, {name}": Theta(retraction, 0.3) for name, retraction in _MAPPED.items()},
     **{f"theta=0.5, {name}": Theta(RETRACTIONS[name], 0.5) for name in REPRESENTATIVES},
     **LIFTED_MAPS,
 }
@@ -228,5 +285,5 @@ def reach(name: str) -> float:
 
 def order(name: str) -> int:
     """Order of a retraction, for its metric in ``METRICS`` or that of the ambient space."""
-    # One-parameter subgroups of rigid motions are screws, not geodesics.
-    return 1 if name == "exponential-SE2" or name.split("-")[0] in FIRST_ORDER else 2
+    family, _, space = name.partition("-")
+    return 1 if family in FIRST_ORDER or (family in ("exponential", "cayley") and space in _NOT_GEODESIC) else 2

@@ -21,8 +21,7 @@ def logarithm(a: Matrix) -> Matrix:
     Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10.
     """
     root = _product_root(a, _FIRST)
-    for _ in range(_HALVINGS - 1):
-        root = _product_root(root, _LATER)
+    root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_HALVINGS - 1)
     log = 2.0**_HALVINGS * gregory(root)
     # The rounding of the roots comes 2^5-fold; what is left of a short logarithm commutes with it, almost.
     left = jax.lax.stop_gradient(exponential(-log) @ a - jnp.eye(a.shape[0], dtype=a.dtype))
