@@ -9,10 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate
+from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate, singular_integrator
 from retrax.integrators.initial_value.integrator import find_control
 from retrax.integrators.singular import (
     ControlAffineSplitting,
+    NotApplicableError,
     RattleIntegrator,
     ReducedIntegrator,
     reduce_until_regular,
@@ -23,6 +24,7 @@ from retrax.problems import SINGULAR
 from retrax.retractions import Adjoint, Cayley, CotangentLift, Euler, Midpoint, default_retraction
 
 from tests.integrators.problems import SPHERE
+from tests.integrators.singular.cases import classified
 from tests.support.numerics import slope
 
 STEPS = np.array([0.2, 0.1, 0.05])
@@ -257,6 +259,43 @@ def test_a_chain_of_integrators_reduces_to_a_point():
     rest = (jnp.zeros(2), jnp.zeros(2))
     path = integrate(problem, ReducedIntegrator(midpoint(problem), chain), rest, 0.1, 3)
     assert vec.size((path.q, path.p, path.controls)) == 0
+
+
+def test_it_is_made_from_a_classification_where_it_applies():
+    found = classified("aly-chan")
+    method = singular_integrator(found, Midpoint(default_retraction(found.problem.manifold)), "reduced")
+    assert isinstance(method, ReducedIntegrator)
+    assert method.reason == "reduced: P_f is the cotangent bundle of Euclidean(shape=(1,)), by Goh's reduction once"
+    with pytest.raises(NotApplicableError, match="gauge control"):
+        ReducedIntegrator.suited(classified("academic"), method.lift, None)
+
+
+class Weighted(eqx.Module):
+    """Aly and Chan's running cost with another weight of ``x1``, the frequency squared."""
+
+    weight: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return (q[1] ** 2 - self.weight * q[0] ** 2) / 2
+
+
+@pytest.mark.slow
+def test_derivatives_by_the_data_of_the_problem_and_batches():
+    problem, n, h = chain_of("aly-chan").problem, 5, 0.1
+
+    def end(weight: Array) -> Array:
+        cost = Weighted(weight)
+        system = OptimalControlProblem(problem.manifold, problem.dynamics, cost, problem.controls)
+        return integrate(system, integrator_of("aly-chan"), (jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0])), h, n).q[-1, 0]
+
+    def exact(weight: Array) -> Array:
+        frequency = jnp.sqrt(weight)
+        return jnp.sin(2 * n * jnp.arctan(frequency * h / 2)) / frequency
+
+    weights = jnp.array([1.0, 2.0])
+    values, slopes = jax.jit(jax.vmap(jax.value_and_grad(end)))(weights)
+    expected = jax.vmap(jax.value_and_grad(exact))(weights)
+    np.testing.assert_allclose((values, slopes), expected, rtol=1e-12)
 
 
 def test_the_discretization_is_restricted_factor_by_factor():
