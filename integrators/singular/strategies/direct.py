@@ -37,7 +37,7 @@ class DirectIntegrator(SingularIntegrator):
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
-        found = cls(lift, FinalDynamics.of(classification, gauge), "")
+        found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason="")
         gap = float(_departure(found, classification.problem, classification.stratum.states))
         if not gap <= default_tolerance():
             raise NotApplicableError(

@@ -35,7 +35,8 @@ class ProjectedIntegrator(SingularIntegrator):
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
         dynamics = FinalDynamics.of(classification, gauge)
-        return cls(lift, dynamics, "a projection needs P_f only; it is not presymplectic: omega_f changes by O(h^3) a step")
+        reason = "a projection needs P_f only; it is not presymplectic: omega_f changes by O(h^3) a step"
+        return cls(lift=lift, dynamics=dynamics, reason=reason)
 
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
         self.dynamics.check(system, self.lift, (q, p))

@@ -62,7 +62,8 @@ class RattleIntegrator(SingularIntegrator):
             if obstacle:
                 raise NotApplicableError(obstacle)
         many = "controls" if len(singular) > 1 else "control"
-        return cls(lift, singular, f"H is affine in the {many} {singular}, and the arc is of first order")
+        reason = f"H is affine in the {many} {singular}, and the arc is of first order"
+        return cls(lift=lift, singular=singular, reason=reason)
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)

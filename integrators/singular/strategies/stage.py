@@ -39,7 +39,7 @@ class StageIntegrator(SingularIntegrator):
                 "stable step"
             )
         reason = "the primary constraints determine all controls along their motion; they hold at the stages, at nodes to O(h^2)"
-        return cls(lift, FinalDynamics.of(classification, gauge), reason)
+        return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason=reason)
 
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
         self.dynamics.check(system, self.lift, (q, p))
