@@ -14,6 +14,7 @@ from geomstats.geometry.hypersphere import Hypersphere
 from geomstats.geometry.nfold_manifold import NFoldManifold
 from geomstats.geometry.product_manifold import ProductManifold
 from geomstats.geometry.spd_matrices import SPDMatrices
+from geomstats.geometry.special_euclidean import SpecialEuclidean
 from geomstats.geometry.special_orthogonal import SpecialOrthogonal
 from geomstats.geometry.stiefel import Stiefel
 from geomstats.test.data import TestData
@@ -41,6 +42,7 @@ SPACES = {
     "Euclidean": (Euclidean(3), EuclideanTestCase),
     "Hypersphere": (Hypersphere(3), HypersphereExtrinsicTestCase),
     "SpecialOrthogonal": (SpecialOrthogonal(3), SpecialOrthogonalMatricesTestCase),
+    "SpecialEuclidean": (SpecialEuclidean(2), Space),
     "Stiefel": (Stiefel(4, 2), StiefelTestCase),
     "Grassmannian": (Grassmannian(4, 2), Space),
     "SPDMatrices": (SPDMatrices(3), SPDMatricesTestCase),
