@@ -137,3 +137,14 @@ def test_singular_gallery(tmp_path):
     assert numbers["gauge"]["error of x1"] <= 5e-4
     assert numbers["gauge"]["p"] <= 1e-14
     assert (tmp_path / "singular_gallery.png").exists()
+def test_singular_attitude(tmp_path):
+    found = example("singular_attitude").main(["--output", str(tmp_path)])
+    facts = {name: (c.dimension, c.rank, c.k_f, c.second_class, c.gauge_controls) for name, (c, *_) in found.items()}
+    assert facts == {"free actuator": (10, 10, 2, 2, 0), "failed actuator": (8, 8, 2, 4, 0)}
+    for name, (_, numbers, _, _) in found.items():
+        assert numbers["P_f"] <= 1e-14, name
+        assert max(numbers["omega_f"]) <= 1e-13, name
+        assert numbers["momentum"] <= 1e-12, name
+        coarse, fine = numbers["energy"]
+        assert np.log2(coarse / fine) == pytest.approx(2, abs=0.05), name
+    assert (tmp_path / "singular_attitude.png").exists()

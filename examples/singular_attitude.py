@@ -1,0 +1,141 @@
+"""Attitude control with a cost-free or a failed actuator: singular extremals on SO(3) x R^3, integrated on P_f.
+
+    R' = R hat(w),    J w' + w x J w = u
+
+Two problems: with a third torque that costs nothing, ``min int (u1^2 + u2^2)/2 + |w|^2``, and with the third actuator failed
+and the other two free of cost, ``min int |w|^2``. Pontryagin's Hamiltonian does not determine the free torques; its extremals
+live on a symplectic ``P_f``, of dimension 10 and 8 in the 12 of ``T*Q``. RATTLE keeps ``P_f`` and its form to rounding, and the
+spatial angular costate, a momentum of the symmetry of both problems, as well.
+
+    python examples/singular_attitude.py [--output examples/output]
+"""
+
+import argparse
+from functools import partial
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+from retrax.integrators import OptimalControlProblem, classify, integrate, singular_integrator
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.manifolds.numerics import ambient as vec
+from retrax.problems import SINGULAR
+from retrax.retractions import Cayley, Midpoint
+
+jax.config.update("jax_enable_x64", True)
+mpl.use("Agg")
+import matplotlib.pyplot as plt
+
+INERTIA = jnp.array([1.0, 1.7, 2.3])
+Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w
+RATE, BODY_COSTATE, RATE_COSTATE = jnp.array([0.3, -0.2, 0.4]), jnp.array([0.6, -0.5, 0.8]), jnp.array([0.2, -0.3, 0.1])
+HORIZON = 1.5
+COUNTS = np.array([80, 160])
+SIZES = np.array([0.2, 0.1, 0.05])
+
+
+def dynamics(q, u):
+    """Velocity of the attitude and of the body rate; nothing drives the third axis."""
+    attitude, rate = q
+    torque = jnp.concatenate([u, jnp.zeros(1)])
+    return attitude @ hat(rate), (torque - jnp.cross(rate, INERTIA * rate)) / INERTIA
+
+
+PROBLEMS = {
+    "free actuator": SINGULAR["free actuator"]().problem,
+    "failed actuator": OptimalControlProblem(Q, dynamics, lambda q, u: q[1] @ q[1], controls=2),
+}
+
+
+@eqx.filter_jit
+def form_defect(problem, final, method, z, h):
+    """Largest change of ``omega_f`` over one step from ``z``, on an orthonormal basis of ``T P_f``."""
+
+    def step(z):
+        new = method.step(problem, h, *z, method.begin(problem, *z))
+        return new.q, new.p
+
+    def table(x, vectors):
+        return jax.vmap(lambda a: jax.vmap(partial(final.parent.two_form, x, a))(vectors))(vectors)
+
+    frame = final.basis(z)
+    images = jax.vmap(lambda a: jax.jvp(step, (z,), (a,))[1])(frame)
+    return jnp.max(jnp.abs(table(step(z), images) - table(z, frame)))
+
+
+@eqx.filter_jit
+def along(problem, classification, path):
+    """Hamiltonian, with the control as a function of the state, equations of ``P_f`` and spatial angular costate at the nodes."""
+
+    def at(q, p):
+        energy = problem.hamiltonian(q, p, classification.control(q, p))
+        return energy, vec.size(classification.equations((q, p))), SO(3).spatial(q[0], p[0])
+
+    return jax.vmap(at)(path.q, path.p)
+
+
+def examine(problem):
+    """Classification of a problem, what its discrete extremals from one start preserve, and the finest of them."""
+    classification = classify(problem)
+    method = singular_integrator(classification, Midpoint(Cayley(Q)), "rattle")
+    print(f"{classification}\n{method.reason}")
+    final = classification.manifold
+    attitude = jnp.eye(3)
+    z = final.nearby(((attitude, RATE), (SO(3).covector(attitude, BODY_COSTATE), RATE_COSTATE)))
+    paths = [integrate(problem, method, z, HORIZON / n, int(n), save_every=int(n) // 40) for n in COUNTS]
+    energy, gaps, momentum = (np.asarray(a) for a in zip(*(along(problem, classification, path) for path in paths), strict=True))
+    numbers = {
+        "P_f": np.max(gaps),
+        "omega_f": np.array([form_defect(problem, final, method, z, jnp.asarray(h)) for h in SIZES]),
+        "momentum": np.max(np.abs(momentum - momentum[0, 0])),
+        "energy": np.max(np.abs(energy - energy[:, :1]), axis=1),
+    }
+    return classification, numbers, paths[-1], energy[-1] - energy[-1, 0]
+
+
+def plot(found, path):
+    """Body rates, torques and the energy error of both problems, and the defects of the form."""
+    figure, axes = plt.subplots(2, 3, figsize=(13, 7), sharex=True, layout="constrained")
+    for row, (name, (_, numbers, run, error)) in zip(axes, found.items(), strict=True):
+        row[0].plot(run.times, run.q[1], label=["1", "2", "3"])
+        row[0].set_ylabel(f"{name}\nbody rate")
+        row[1].plot(run.stage_times, run.controls, label=[str(i + 1) for i in range(run.controls.shape[1])])
+        row[1].set_ylabel("torque")
+        row[2].plot(run.times, error)
+        row[2].set_ylabel("energy error")
+        row[2].set_title(f"$\\omega_f$ changes by {np.max(numbers['omega_f']):.0e} a step", fontsize="medium")
+    axes[0, 0].legend(title="body axis", fontsize="small")
+    for axis in axes[1]:
+        axis.set_xlabel("time")
+    figure.savefig(path, dpi=150)
+    plt.close(figure)
+
+
+def main(arguments=None):
+    """Returns for each problem its classification, the numbers, the finest trajectory and its energy error."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    options = parser.parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+
+    found = {}
+    for name, problem in PROBLEMS.items():
+        print(f"{name}\n")
+        found[name] = examine(problem)
+        numbers = found[name][1]
+        print(f"    equations of P_f along {COUNTS} steps: {numbers['P_f']:.1e}")
+        print(f"    omega_f changes over one step of {SIZES} by {numbers['omega_f']}")
+        print(f"    spatial angular costate changes by {numbers['momentum']:.1e}")
+        print(f"    max |energy error|: {numbers['energy']}")
+        print()
+    path = options.output / "singular_attitude.png"
+    plot(found, path)
+    print(f"written: {path}")
+    return found
+
+
+if __name__ == "__main__":
+    main()
