@@ -20,7 +20,7 @@ from .points import Points, make_consistent, random_starts, select, with_order
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
 
-ORDERS = (3, 5, 9, 15)  # of the derivative array: each is compiled only if the one before did not suffice
+ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
 
 
@@ -104,9 +104,10 @@ def _check(problem: OptimalControlProblem, starts: int) -> None:
 
 
 def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
-    """The levels until nothing changes or no point is consistent, and the points at the last of them.
+    """The levels until ``P^k`` stops or no point is consistent, and the points at the last of them.
 
-    The batch keeps its size, so that one kernel serves all levels up to the order of the array.
+    ``P^k = P^{k-1}`` makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k``: nothing changes after it. The
+    batch keeps its size, so that one kernel serves all levels up to the order of the array.
     """
     points, levels, morse = first, [], None
     while True:
@@ -118,9 +119,14 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         levels.append(summarise(points, level, ranks))
         if level == 0 and ranks:
             morse = _morse(select(points, points.consistent))
-        settled = level > 0 and set(levels[-1].strata) == set(levels[-2].strata)
+        settled = level > 0 and _extent(levels[-1]) == _extent(levels[-2])
         if not ranks or settled:
             return levels, morse, points
+
+
+def _extent(level: Level) -> set[tuple[int, int]]:
+    """What the strata of ``P^k`` are: codimension and rank of the form."""
+    return {(signature.codimension, signature.form_rank) for signature in level.strata}
 
 
 def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:

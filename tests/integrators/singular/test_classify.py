@@ -117,7 +117,7 @@ def test_classes_levels_and_controls(name, classes, names, determined_at):
 
 def test_a_chain_of_integrators_loses_one_dimension_per_level():
     c = classified("chain of 2")
-    assert [next(iter(level.strata)).codimension for level in c.levels] == [1, 2, 3, 4, 4, 4]
+    assert [next(iter(level.strata)).codimension for level in c.levels] == [1, 2, 3, 4, 4]
     np.testing.assert_allclose(np.concatenate([c.stratum.q, c.stratum.p, c.stratum.u]), 0, atol=1e-12)
 
 
