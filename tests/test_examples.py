@@ -137,6 +137,9 @@ def test_singular_gallery(tmp_path):
     assert numbers["gauge"]["error of x1"] <= 5e-4
     assert numbers["gauge"]["p"] <= 1e-14
     assert (tmp_path / "singular_gallery.png").exists()
+
+
+@pytest.mark.slow
 def test_singular_attitude(tmp_path):
     found = example("singular_attitude").main(["--output", str(tmp_path)])
     facts = {name: (c.dimension, c.rank, c.k_f, c.second_class, c.gauge_controls) for name, (c, *_) in found.items()}
