@@ -64,10 +64,10 @@ def _departure(integrator: DirectIntegrator, problem: OptimalControlProblem, sta
 
     def one(z: tuple[Ambient, Ambient]) -> Array:
         z = integrator.dynamics.manifold.restore(z)
-        first = integrator.begin(problem, *z)
+        first = integrator.begin(problem, z[0], z[1])
         speed = vec.size(problem.velocity(z[0], first.control))
         h = TEST_STEP * jnp.where(speed > 0, vec.size(z) / jnp.where(speed > 0, speed, 1.0), 1.0)
-        new = integrator.step(problem, h, *z, first)
+        new = integrator.step(problem, h, z[0], z[1], first)
         gaps = integrator.dynamics.manifold.violations((new.q, new.p)).values()
         return jnp.where(new.converged, jnp.max(jnp.stack(list(gaps))), jnp.nan)
 

@@ -80,7 +80,9 @@ class FinalDynamics(eqx.Module):
         middle = previous.time + lift.theta * h
 
         def stage(u: Ambient) -> HamiltonianStage:
-            return HamiltonianStage(lambda x, pi: self.problem.hamiltonian(x, pi, u), lift.discretization, h)
+            return HamiltonianStage(
+                hamiltonian=lambda x, pi: self.problem.hamiltonian(x, pi, u), discretization=lift.discretization, step=h
+            )
 
         last: Memory = jax.lax.stop_gradient(previous)
         begun = StepEquations(stage(last.control), q, p, None)
