@@ -44,7 +44,8 @@ class _State(NamedTuple):
     shift: Array
     best: Array
     trials: Array
-    fast: Array
+    fast: Array  # the last step gained two digits: its matrices serve for the next
+    late: Array  # the step to the trial is one of the chord method
     done: Array
 
 
@@ -75,12 +76,12 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         return problem.evaluate(trial, near)
 
     def body(state: _State) -> _State:
-        factorised = state.fast & (state.shift == 0)
+        factorised, evaluated = state.fast & (state.shift == 0), state.fast
         assembled = jax.lax.cond(state.fast, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
         state, good = _judge(assembled, state)
         residual = _residual(state.assembled)
-        # A chord step more, where each gains digits and this one has only just arrived: Newton's last step goes to rounding.
-        done = (residual <= tolerance) & ~(state.fast & (residual > FAST * tolerance))
+        # A chord step more, where the last one gained digits and has only just arrived: as near as Newton's method would be.
+        done = (residual <= tolerance) & ~(state.late & state.fast & (residual > FAST * tolerance))
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
         # The last elimination is of the unchanged system: its inertia tells which. It may have been made already.
         keep = done | (good & (residual <= jnp.sqrt(tolerance)))
@@ -88,7 +89,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         shift, factors = _regularised(state.assembled, state.factors, shift, keep, done & factorised)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
-        return state._replace(trial=trial, factors=factors, model=model, shift=shift, done=done)
+        return state._replace(trial=trial, factors=factors, model=model, shift=shift, late=evaluated, done=done)
 
     def going(state: _State) -> Array:
         return ~state.done & _solvable(state) & (state.trials <= max_iterations)
@@ -97,7 +98,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     factors = _zeros(jax.eval_shape(eliminate, assembled.blocks))
     zero, infinity, no = jnp.zeros(()), jnp.asarray(jnp.inf), jnp.array(False)
     promise = _Model(infinity, zero, zero)
-    state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), no, no)
+    state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), no, no, no)
     state = jax.lax.while_loop(going, body, state)
     result = _outcome(state, tolerance, max_iterations)
     strict = is_strict_minimum(state.factors) & (state.shift == 0)
