@@ -6,7 +6,7 @@ if __package__ != "retrax.integrators":
         "a second copy of its classes would not match the first"
     )
 
-from .boundary_value import Checks, Guess, Solution, Statistics, default_guess, load_solution, solve
+from .boundary_value import Checks, Guess, SingularArc, Solution, Statistics, default_guess, load_solution, solve
 from .dirac import DiracIntegrator, DiracSystem
 from .initial_value import (
     KAHAN_LI_6,
@@ -60,6 +60,7 @@ __all__ = [
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",
+    "SingularArc",
     "SingularIntegrator",
     "Solution",
     "Stage",

@@ -10,15 +10,19 @@ import numpy as np
 from jaxtyping import Array
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
-from ..manifolds.manifold import default_tolerance, same_manifold
+from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..retractions import DiscretizationMap
+from ..retractions import DiscretizationMap, default_retraction
 from .compilation import call_compiled
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
 TerminalCost = Callable[[Any], Any]
+
+CURVATURES = 3  # random controls and covectors at which d2H/du2 is looked at
+SPREAD = 0.3  # size of the coordinates of these controls around the resting one
+ROUNDING_POWER, SINGULAR_POWER = 0.9, 0.67  # of the machine epsilon: rows that are zero, smallest singular value of the others
 
 
 @final
@@ -90,15 +94,18 @@ class OptimalControlProblem(eqx.Module):
                 f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one manifold"
             )
 
-    def check(self, q: Ambient, u: Ambient) -> None:
-        """Raise if the functions of the problem return something of the wrong kind at ``(q, u)``."""
+    def check(self, q: Ambient, u: Ambient) -> bool:
+        """Whether the problem is regular; raises if its functions return something of the wrong kind at ``(q, u)``.
+
+        Regular: ``d2H/du2`` is invertible at one of a few random controls and covectors at ``q``.
+        """
         try:
-            probed, *_ = call_compiled(_probe, self, q, u)
+            probed, *_ = call_compiled(_probe, self, q, u, *self._directions())
         except InvalidInputError:
             raise
         except (TypeError, ValueError, IndexError) as error:
             raise InvalidInputError(self._failure(error, q, u)) from error
-        normal, size, costs = jax.tree.map(float, probed)
+        normal, size, costs, curvatures = jax.tree.map(np.asarray, probed)
         if not np.all(np.isfinite((normal, size, *costs))):
             raise InvalidInputError(
                 f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size}, running and terminal "
@@ -109,6 +116,13 @@ class OptimalControlProblem(eqx.Module):
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
+        return any(_invertible(curvature) for curvature in curvatures)
+
+    def _directions(self) -> tuple[np.ndarray, Ambient]:
+        """Random coordinates of controls and random ambient covectors, the same at every call."""
+        draw = np.random.default_rng(0).standard_normal
+        covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), self.manifold.ambient)
+        return SPREAD * draw((CURVATURES, self.controls.dimension)).astype(working_precision()), covectors
 
     def _failure(self, error: Exception, q: Ambient, u: Ambient) -> str:
         """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
@@ -129,15 +143,38 @@ class OptimalControlProblem(eqx.Module):
         return True
 
 
-def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Largest normal part and size of the velocity, for ``u`` and for a random control, and both costs."""
+def _probe(
+    problem: OptimalControlProblem, q: Ambient, u: Ambient, directions: Ambient, covectors: Ambient
+) -> tuple[Array, Array, tuple[Array, Array], Array]:
+    """Largest normal part and size of the velocity, for ``u`` and for another control, both costs, and ``d2H/du2``.
+
+    The last at controls in ``directions`` from ``u``, with the covectors that are projections of ``covectors``.
+    """
 
     def probe(control: Ambient) -> tuple[Array, Array]:
         return problem.normal_size(q, control)
 
-    parts = zip(probe(u), probe(problem.controls.random_point(jax.random.key(0))), strict=True)
-    normal, size = (jnp.maximum(a, b) for a, b in parts)
-    return normal, size, (problem.cost_rate(q, u), problem.final_cost(q))
+    def steer(c: Array) -> Ambient:
+        return default_retraction(problem.controls)(u, vec.combine(problem.controls.basis(u), c))
+
+    def curvature(c: Array, covector: Ambient) -> Array:
+        p = problem.manifold.projection(q, covector)
+        return jax.hessian(lambda c: problem.hamiltonian(q, p, steer(c)))(c)
+
+    normal, size = (jnp.maximum(a, b) for a, b in zip(probe(u), probe(steer(directions[0])), strict=True))
+    costs = problem.cost_rate(q, u), problem.final_cost(q)
+    return normal, size, costs, jax.vmap(curvature)(directions, covectors)
+
+
+def _invertible(curvature: np.ndarray) -> bool:
+    """Whether a symmetric matrix, in units of its rows, is invertible to rounding; so is one that is not finite."""
+    if not np.all(np.isfinite(curvature)) or not curvature.size:
+        return True
+    rows, rounding = np.max(np.abs(curvature), axis=1), np.finfo(curvature.dtype).eps
+    if np.min(rows) <= rounding**ROUNDING_POWER * np.max(rows):
+        return False
+    values = np.linalg.svd(curvature / np.sqrt(np.outer(rows, rows)), compute_uv=False)
+    return bool(values[-1] > rounding**SINGULAR_POWER)
 
 
 def _scalar(name: str, value: Any) -> Array:

@@ -31,6 +31,11 @@ class Result(eqx.Enumeration):
     wrong_point = (
         "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."
     )
+    no_extremal = (
+        "The boundary conditions cannot all be met by an interior singular extremal near this trajectory: their residual is "
+        "stationary and does not vanish. On P_f they contradict each other; free the components that are missed, where the "
+        "optimum has an impulse or a bang arc, or give a guess if the problem has several extremals."
+    )
     not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
 
 

@@ -13,27 +13,52 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Produc
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
 from ..compilation import call_compiled
+from ..initial_value.integrator import resting_control
 
 
-class _Part(NamedTuple):
+class Part(NamedTuple):
+    """A part of a point that is prescribed or free as a whole: a manifold, or a factor of a product, in words."""
+
+    name: str
+    fixed: bool
+    leaves: int
+    dimension: int
+
+
+class _Given(NamedTuple):
     """A point of a manifold or of a factor of it, None where it is free, and what it is called."""
 
     name: str
     manifold: Manifold
     given: Any
 
+    @property
+    def described(self) -> Part:
+        """The part without its point."""
+        leaves = len(jax.tree.leaves(self.manifold.ambient))
+        return Part(self.name, self.given is not None, leaves, self.manifold.dimension)
+
 
 @final
 class NodeCondition(eqx.Module):
     """The condition on the first or last node.
 
-    ``point`` holds the prescribed entries, and a first guess for the free ones. ``fixed_leaves`` says which of its arrays
-    are prescribed, ``fixed_coordinates`` the same for the coordinates in the basis of the tangent space.
+    ``point`` holds the prescribed entries, and a first guess for the free ones. ``parts`` says which of its arrays are
+    prescribed, in the order of the arrays and of the coordinates in the basis of the tangent space.
     """
 
     point: Ambient
-    fixed_leaves: tuple[bool, ...] = eqx.field(static=True)
-    fixed_coordinates: tuple[bool, ...] = eqx.field(static=True)
+    parts: tuple[Part, ...] = eqx.field(static=True)
+
+    @property
+    def fixed_leaves(self) -> tuple[bool, ...]:
+        """Which arrays of the point are prescribed."""
+        return tuple(part.fixed for part in self.parts for _ in range(part.leaves))
+
+    @property
+    def fixed_coordinates(self) -> tuple[bool, ...]:
+        """Which coordinates in the basis of the tangent space are prescribed."""
+        return tuple(part.fixed for part in self.parts for _ in range(part.dimension))
 
     def node(self, reached: Ambient) -> Ambient:
         """The node: prescribed where fixed, the reached end of the stage where free."""
@@ -49,22 +74,23 @@ class NodeCondition(eqx.Module):
 def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) -> tuple[NodeCondition, NodeCondition]:
     """Conditions at both ends from points of the manifold in which ``None`` marks what is free.
 
-    A free factor is first guessed equal to the one at the other end; free at both ends it needs ``guided``, a guess for
-    the whole trajectory. Raises ``NotOnManifoldError`` for a prescribed part that is off its manifold.
+    A free factor is first guessed equal to the one at the other end; free at both ends it is at rest, or zero if ``guided`` by a
+    guess for the whole trajectory. Raises ``NotOnManifoldError`` for a prescribed part that is off its manifold.
     """
+    at_start, at_end = (list(_parts(manifold, given, name)) for name, given in (("start", start), ("end", end)))
+    _require_membership([part for part in at_start + at_end if part.given is not None])
     first, last = _merge(manifold, start, end), _merge(manifold, end, start)
-    conditions, prescribed = [], []
-    for name, given, merged in (("start", start, first), ("end", end, last)):
-        missing = [leaf is None for leaf in jax.tree.leaves(merged, is_leaf=lambda leaf: leaf is None)]
-        if any(missing) and not guided:
-            raise InvalidInputError(f"{name} = {given!r} leaves a factor free that is free at the other end too; pass a guess")
-        parts = list(_parts(manifold, given, name))
-        prescribed += [part for part in parts if part.given is not None]
-        leaves = tuple(part.given is not None for part in parts for _ in jax.tree.leaves(part.manifold.ambient))
-        coordinates = tuple(part.given is not None for part in parts for _ in range(part.manifold.dimension))
-        conditions.append(NodeCondition(_fill(manifold, merged), leaves, coordinates))
-    _require_membership(prescribed)
-    return conditions[0], conditions[1]
+    return (
+        NodeCondition(_fill(manifold, first, guided), tuple(part.described for part in at_start)),
+        NodeCondition(_fill(manifold, last, guided), tuple(part.described for part in at_end)),
+    )
+
+
+def require_known_ends(manifold: Manifold, start: Any, end: Any) -> None:
+    """Raise if a factor is free at both ends, so that there is nothing to guess it from."""
+    merged = _merge(manifold, start, end)
+    if any(leaf is None for leaf in jax.tree.leaves(merged, is_leaf=lambda leaf: leaf is None)):
+        raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
 
 
 def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
@@ -78,7 +104,7 @@ def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
     return other if given is None else given
 
 
-def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Part]:
+def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:
     """The parts of a point, after a check of the structure of every prescribed one."""
     if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
         for i, (factor, part) in enumerate(zip(manifold.factors, given, strict=True)):
@@ -87,10 +113,10 @@ def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Part]:
     wrong = "" if given is None else manifold.describe_mismatch(given, "a point")
     if wrong:
         raise NotOnManifoldError(f"{name}: {wrong}")
-    yield _Part(name, manifold, given)
+    yield _Given(name, manifold, given)
 
 
-def _require_membership(parts: list[_Part]) -> None:
+def _require_membership(parts: list[_Given]) -> None:
     """Raise for a part that is off its manifold; all are looked at in one compiled function."""
     points = [jax.tree.map(np.asarray, part.given) for part in parts]
     found, *_ = call_compiled(_violations, [part.manifold for part in parts], points)
@@ -104,10 +130,13 @@ def _violations(manifolds: list[Manifold], points: list[Ambient]) -> list[dict[s
     return [manifold.violations(point) for manifold, point in zip(manifolds, points, strict=True)]
 
 
-def _fill(manifold: Manifold, merged: Any) -> Ambient:
-    """Arrays in the structure of a point, zero where nothing is known."""
-    if isinstance(manifold, Product) and isinstance(merged, tuple | list):
-        return tuple(_fill(factor, part) for factor, part in zip(manifold.factors, merged, strict=True))
+def _fill(manifold: Manifold, merged: Any, guided: bool) -> Ambient:
+    """Arrays in the structure of a point; where nothing is known, zero if ``guided``, else a point at rest."""
+    if isinstance(manifold, Product) and (merged is None or isinstance(merged, tuple | list)):
+        parts = (None,) * len(manifold.factors) if merged is None else merged
+        return tuple(_fill(factor, part, guided) for factor, part in zip(manifold.factors, parts, strict=True))
+    if merged is None and not guided:
+        return resting_control(manifold)
     if merged is None:
         return jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), manifold.ambient)
     return jax.tree.map(lambda a, s: np.asarray(a, s.dtype), merged, manifold.ambient)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from .solution import Solution
+from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
 
@@ -20,9 +20,25 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     yield "result", solution.result
     yield "cost", f"{solution.cost:.12g}"
+    if solution.singular is not None:
+        yield from _singular(solution.singular)
+        yield "residual", f"gap {checks.gap:.1e}, equations of P_f {checks.stationarity:.1e} (relative)"
+        return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
+
+
+def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
+    form = f"its form has a kernel of dimension {arc.kernel}" if arc.kernel else "symplectic"
+    gauge = f"; {arc.gauge_controls} gauge controls" if arc.gauge_controls else ""
+    yield "problem", f"singular: the extremal lies in P_f, of dimension {arc.dimension}, {form}{gauge}"
+    kind = "presymplectic" if arc.presymplectic else "not presymplectic"
+    yield "integrator", f"{arc.strategy} ({kind})"
+    yield "second order", arc.second_order
+    yield "ends", f"{len(arc.conditions)} conditions, {arc.independent} coordinates of them independent on P_f"
+    for name, violation in arc.conditions.items():
+        yield "", f"{name} missed by {violation:.1e}"
 
 
 def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -44,6 +60,11 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
     statistics, step = solution.statistics, solution.times[1] - solution.times[0]
-    yield "iterations", f"{statistics.iterations} Newton steps on {solution.steps} steps of {step:.6g}"
+    method = "Newton" if solution.singular is None else "Gauss-Newton"
+    yield "iterations", f"{statistics.iterations} {method} steps on {solution.steps} steps of {step:.6g}"
+    if solution.singular is not None:
+        seconds = statistics.compile_seconds + statistics.run_seconds
+        yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
+        return
     compiled = f"{statistics.compile_seconds:.2f} s" if statistics.compile_seconds else "none, compiled before"
     yield "time", f"{1e3 * statistics.run_seconds:.1f} ms to run; compilation: {compiled}"

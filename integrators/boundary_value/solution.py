@@ -1,6 +1,6 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +31,8 @@ class Checks:
     stage, spread over the stages, and size, the largest of its parts ``<p, X>`` and ``F``. ``momentum_spreads``: for each
     factor on which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
     components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is positive definite on the null
-    space of the constraints.
+    space of the constraints. Of a singular extremal ``stationarity`` is the largest violation of the equations of ``P_f`` at the
+    nodes, relative, and ``strict_minimum`` is not claimed: read ``singular.second_order``.
     """
 
     gap: float
@@ -56,13 +57,33 @@ class Checks:
 
 
 @dataclass(frozen=True)
+class SingularArc:
+    """What is particular to an interior singular extremal, a curve in the final manifold ``P_f``.
+
+    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the ``strategy`` of the integrator
+    with its reason, and whether it is ``presymplectic``. ``conditions``: by how much each boundary condition is violated,
+    relative to 1 + size; ``independent``: how many of them are independent on ``P_f``, to first order.
+    ``second_order``: what the generalised Legendre-Clebsch condition says.
+    """
+
+    dimension: int
+    kernel: int
+    gauge_controls: int
+    strategy: str
+    presymplectic: bool
+    conditions: dict[str, float]
+    independent: int
+    second_order: str
+
+
+@dataclass(frozen=True)
 class Solution:
     """A discrete extremal. Arrays are NumPy arrays with the nodes (N + 1) or stages (N) along the leading axis.
 
     ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
     ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
     factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how the
-    computation ended, ``success`` whether the conditions are met.
+    computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
     """
 
     times: np.ndarray
@@ -81,6 +102,7 @@ class Solution:
     result: str
     checks: Checks
     statistics: Statistics
+    singular: SingularArc | None = None
 
     @property
     def steps(self) -> int:
@@ -111,12 +133,13 @@ class Solution:
         flat: dict[str, np.ndarray] = {}
         for field in fields(self):
             value = getattr(self, field.name)
-            _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
+            if value is not None:
+                _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
         with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
             np.savez(file, allow_pickle=False, **flat)
 
 
-_RECORDS = {"checks": Checks, "statistics": Statistics}
+_RECORDS = {"checks": Checks, "statistics": Statistics, "singular": SingularArc}
 _MARKS = {tuple: "tuple", dict: "dict"}
 
 
@@ -145,13 +168,14 @@ def _unflatten(name: str, flat: Any) -> Any:
 def load_solution(path: str | Path) -> Solution:
     """Read a solution that ``Solution.save`` wrote. Raises ``InvalidInputError`` if the file is something else."""
     with _archive(path) as flat:
-        missing = [f.name for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
+        absent = [f for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
+        missing = [f.name for f in absent if f.default is MISSING]
         if missing:
             raise InvalidInputError(
                 f"{path} is not a saved solution: it lacks {', '.join(missing)}; expected a file from Solution.save"
             )
-        values = {f.name: _unflatten(f.name, flat) for f in fields(Solution)}
-    records = {name: record(**values[name]) for name, record in _RECORDS.items()}
+        values = {f.name: _unflatten(f.name, flat) for f in fields(Solution) if f not in absent}
+    records = {name: record(**values[name]) for name, record in _RECORDS.items() if name in values}
     return Solution(**{**values, **records})
 
 

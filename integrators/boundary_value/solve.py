@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple, cast
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,12 +16,14 @@ from ..compilation import call_compiled
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
+from ..singular import Classification, SingularIntegrator, classify
 from ..stages import ControlStage
 from .assembly import DiscreteTrajectory, Iterate
-from .boundary import boundary_conditions
+from .boundary import boundary_conditions, require_known_ends
 from .diagnostics import Diagnostics, diagnose
 from .globalisation import solve_kkt
 from .guess import Guess, default_guess
+from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Checks, Solution, Statistics
 
 DEFAULT_TOLERANCE_POWER = 0.7
@@ -37,6 +40,8 @@ def solve(
     tolerance: float | None = None,
     max_iterations: int = 100,
     throw: bool = True,
+    classification: Classification | None = None,
+    integrator: SingularIntegrator | None = None,
 ) -> Solution:
     """Solve an optimal control problem between two boundary conditions over ``[0, horizon]`` with ``steps`` equal steps.
 
@@ -45,27 +50,61 @@ def solve(
     step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of the
     retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or a ``Solution`` with as many steps.
 
+    A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the steps of
+    ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.
+
     Converged where the ambient gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
     double precision). Raises ``InvalidInputError``, ``NotOnManifoldError`` or ``DomainError`` for input that cannot be
-    solved as given, and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
+    solved as given (of a singular problem: boundary data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the
+    conditions are not met; otherwise read ``success``.
     """
     if is_traced(start, end, horizon, problem, guess):
         raise InvalidInputError("solve runs outside jit, vmap and grad: it checks its input and compiles its own kernel")
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
-    steps = int(steps)
+    steps, limit, h = int(steps), _checked_tolerance(tolerance), np.asarray(horizon / steps, working_precision())
     first, last = boundary_conditions(problem.manifold, start, end, guess is not None)
-    if guess is None:
-        problem.check(first.point, resting_control(problem.controls))
-        guess = default_guess(problem, discretization, first.point, last.point, steps)
-    else:
+    if guess is not None:
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
-    stage = ControlStage(problem=problem, discretization=discretization, step=np.asarray(horizon / steps, working_precision()))
+    known = first.point if guess is None else jax.tree.map(lambda leaf: leaf[0], guess.states)
+    regular = problem.check(known, resting_control(problem.controls))
+    c = classify(problem) if classification is None and not regular else classification
+    _check_method(problem, discretization, c, integrator)
+    if c is not None and not c.regular:
+        request = Request(problem, discretization, EndConditions(problem, first, last), guess, h, steps, limit, max_iterations)
+        solution = solve_on_final_manifold(request, c, integrator)
+        return solution.require_success() if throw else solution
+    if guess is None:
+        require_known_ends(problem.manifold, start, end)
+        guess = default_guess(problem, discretization, first.point, last.point, steps)
+    stage = ControlStage(problem=problem, discretization=discretization, step=h)
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
-    output, *seconds = call_compiled(_kernel, discrete, guess, _checked_tolerance(tolerance), np.asarray(max_iterations))
+    output, *seconds = call_compiled(_kernel, discrete, guess, limit, np.asarray(max_iterations))
     _require_tangent_dynamics(problem, float(output.diagnostics.normal))
     solution = _record(output, discretization.theta, float(horizon), *seconds)
     return solution.require_success() if throw else solution
+
+
+def _check_method(
+    problem: OptimalControlProblem,
+    discretization: DiscretizationMap,
+    classification: Classification | None,
+    integrator: SingularIntegrator | None,
+) -> None:
+    """Raise if the classification or the integrator belongs to something else than the problem."""
+    if classification is not None and not (
+        isinstance(classification, Classification) and eqx.tree_equal(classification.problem, problem)
+    ):
+        raise InvalidInputError(f"classification must be that of the problem, got {classification!r}; try classify(problem)")
+    if integrator is None:
+        return
+    if classification is None or classification.regular:
+        raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
+    if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, discretization)):
+        raise InvalidInputError(
+            f"integrator must be one on P_f by the same discretization, got {integrator!r}; "
+            "try singular_integrator(classification, discretization)"
+        )
 
 
 def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any, max_iterations: Any) -> None:
@@ -125,7 +164,6 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
     for name, value in call_compiled(_worst_violations, problem.manifold, filled.states)[0].items():
         if not value <= default_tolerance():
             raise InvalidInputError(f"guess: states are not on {problem.manifold}: {name} reaches {value:.3g}, expected 0")
-    problem.check(jax.tree.map(lambda leaf: leaf[0], filled.states), resting_control(problem.controls))
     return filled
 
 

@@ -10,9 +10,12 @@ from jaxtyping import Array
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.root import tolerance
 from ...retractions import DiscretizationMap
 
 Unknowns = Any
+
+SMALLEST_SIZE = 0.25  # power of the machine epsilon
 
 
 class Stage(eqx.Module):
@@ -68,5 +71,5 @@ class Stage(eqx.Module):
 
 
 def positive(size: Array) -> Array:
-    """``size`` where it is positive, 1 where it is zero."""
-    return jnp.where(size > 0, size, 1.0)
+    """``size`` where it can be measured by: a costate far below one may be the rounding of zero."""
+    return jnp.maximum(size, tolerance(size, SMALLEST_SIZE))

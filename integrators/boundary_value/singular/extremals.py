@@ -1,0 +1,210 @@
+"""Boundary-value problems for interior singular extremals: they live on the final manifold ``P_f`` of the problem."""
+
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import InvalidInputError, Manifold
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ....retractions import DiscretizationMap
+from ...compilation import compiler_options
+from ...problem import OptimalControlProblem
+from ...results import Result
+from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
+from ...stages import ControlStage
+from ..diagnostics import Diagnostics, diagnose
+from ..guess import Guess, default_guess
+from ..solution import Checks, SingularArc, Solution, Statistics
+from .conditions import EndConditions, points_at_ends
+from .least_squares import least_squares
+from .legendre import second_order
+from .newton import Found, meet_conditions
+from .shooting import Iterate, Nodes, Pair, Shooting, StepwiseGauge
+
+MOST_SEGMENTS = 12
+
+
+class Request(NamedTuple):
+    """What is asked for, checked: ``N = steps`` steps of size ``h`` and the tolerance of the conditions."""
+
+    problem: OptimalControlProblem
+    discretization: DiscretizationMap
+    conditions: EndConditions
+    guess: Guess | None
+    h: Array
+    steps: int
+    tolerance: float
+    max_iterations: int
+
+
+def solve_on_final_manifold(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
+    """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``.
+
+    Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm, constant on every
+    step. Raises ``InvalidInputError`` if ``P_f`` is empty, if the data of one end contradict its equations, or for abnormal
+    extremals, whose costates are known up to a factor only.
+    """
+    began = time.perf_counter()
+    if c.empty:
+        raise InvalidInputError(f"the problem is singular and has no interior singular extremal: P_f is empty\n{c}")
+    if request.problem.abnormal:
+        raise InvalidInputError(
+            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start (q0, p0)"
+        )
+    shooting, reason = _shooting(request, c, integrator)
+    first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
+    guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
+    prepared = time.perf_counter()
+    found = meet_conditions(shooting, request.conditions, guess, request.tolerance, request.max_iterations)
+    outcome = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
+    seconds = prepared - began, time.perf_counter() - prepared
+    return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
+
+
+def _shooting(request: Request, c: Classification, integrator: SingularIntegrator | None) -> tuple[Shooting, str]:
+    """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the time.
+
+    With the reason for the integrator.
+    """
+    length, h = -(-request.steps // min(MOST_SEGMENTS, request.steps)), jnp.asarray(request.h)
+    gauge = None
+    if integrator is None and c.gauge_controls:
+        gauge = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
+    method = singular_integrator(c, request.discretization, gauge=gauge) if integrator is None else integrator
+    if isinstance(method, StageIntegrator) or (integrator is not None and c.gauge_controls):
+        length = request.steps
+    # The reason has numbers in it, and is static: without it one compiled kernel serves problems that differ in their data.
+    return Shooting(request.problem, replace(method, reason=""), c.manifold, h, request.steps, length), method.reason
+
+
+def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegrator | None) -> Array:
+    """Gauge controls of all steps, zero; none if the integrator has a gauge of its own."""
+    return jnp.zeros((shooting.segments, shooting.length, c.gauge_controls if integrator is None else 0))
+
+
+def _first_points(shooting: Shooting, c: Classification, request: Request, first: Pair, last: Pair) -> Pair:
+    """Points of ``P_f`` near the guess, or near the curve of the retraction with costates between those at the ends."""
+    at = shooting.length * np.arange(shooting.segments)
+    if request.guess is None:
+        states = default_guess(request.problem, request.discretization, first[0], last[0], request.steps).states
+        fractions = at / request.steps
+        costates = jax.tree.map(lambda a, b: _blend(fractions, a, b), first[1], last[1])
+    else:
+        states, costates = request.guess.states, jax.tree.map(lambda leaf: leaf[at], request.guess.costates)
+    states = jax.tree.map(lambda leaf: leaf[at], states)
+    points = _near_final(request.problem.manifold, c.equations, states, costates)
+    if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
+        raise InvalidInputError(
+            "no points of P_f found near the guess of the trajectory; pass a guess with states and costates near P_f, for "
+            "instance along integrate(problem, singular_integrator(classification, discretization), ...)"
+        )
+    return points
+
+
+def _blend(fractions: np.ndarray, a: Array, b: Array) -> Array:
+    s = fractions.reshape(-1, *[1] * a.ndim)
+    return (1 - s) * a + s * b
+
+
+@eqx.filter_jit
+def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, costates: Ambient) -> Pair:
+    """States with costates moved to where they violate the equations of ``P_f`` least."""
+
+    def one(q: Ambient, p: Ambient) -> Pair:
+        frame = manifold.basis(q)
+        c, _ = least_squares(lambda c: equations((q, vec.combine(frame, c))), vec.components(frame, p))
+        return q, vec.combine(frame, c)
+
+    return jax.vmap(one)(states, costates)
+
+
+class _Outcome(NamedTuple):
+    """The trajectory of an iterate: nodes, stages, cost, and the largest violation of the equations of ``P_f`` at the nodes."""
+
+    nodes: Pair
+    stage_states: Ambient
+    controls: Any
+    cost: Array
+    residual: Array
+    diagnostics: Diagnostics
+
+
+@lru_cache
+def _outcome() -> Callable[..., _Outcome]:
+    """States at the stages are base points of the discretization map between the nodes."""
+
+    def outcome(shooting: Shooting, equations: FinalEquations, nodes: Nodes) -> _Outcome:
+        problem, discretization = shooting.problem, shooting.integrator.lift.discretization
+        z, controls = nodes
+        before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], z[0]) for s in (slice(None, -1), slice(1, None)))
+        states, _ = jax.vmap(discretization.preimage)(before, after)
+        stage = ControlStage(problem=problem, discretization=discretization, step=shooting.step)
+        cost = jnp.sum(jax.vmap(stage.cost)((states, controls)))
+        cost = cost + problem.final_cost(jax.tree.map(lambda leaf: leaf[-1], z[0]))
+        residual = jnp.max(jnp.abs(jax.vmap(equations)(z)), initial=0.0)
+        return _Outcome(z, states, controls, cost, residual, diagnose(stage, (states, controls), *z))
+
+    options: dict[str, Any] = {"compiler_options": compiler_options()}
+    return eqx.filter_jit(outcome, **options)
+
+
+def _record(
+    request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
+) -> Solution:
+    diagnostics = outcome.diagnostics
+    (states, costates), controls = outcome.nodes, outcome.controls
+    arc = SingularArc(
+        dimension=c.dimension,
+        kernel=c.first_class,
+        gauge_controls=c.gauge_controls,
+        strategy=method.reason,
+        presymplectic=method.presymplectic,
+        conditions={name: float(value) for name, value in found.ends.violations.items()},
+        independent=found.independent,
+        second_order=second_order(request.problem, jax.tree.map(lambda leaf: leaf[:-1], outcome.nodes), controls),
+    )
+    times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
+    return Solution(
+        times=times,
+        states=states,
+        costates=costates,
+        stage_times=times[:-1] + request.discretization.theta * float(request.h),
+        stage_states=outcome.stage_states,
+        stage_costates=diagnostics.stage_costates,
+        controls=controls,
+        hamiltonians=diagnostics.hamiltonians,
+        momenta=diagnostics.momenta,
+        body_costates=diagnostics.body,
+        spatial_costates=diagnostics.spatial,
+        cost=float(outcome.cost),
+        success=found.result == Result.successful,
+        result=Result[found.result],
+        checks=_checks(max(float(found.at.distance), *arc.conditions.values()), outcome),
+        statistics=Statistics(found.iterations, *seconds),
+        singular=arc,
+    )
+
+
+def _checks(gap: float, outcome: _Outcome) -> Checks:
+    diagnostics = outcome.diagnostics
+    return Checks(
+        gap=gap,
+        stationarity=float(outcome.residual),
+        violations={name: float(value) for name, value in diagnostics.violations.items()},
+        hamiltonian=float(diagnostics.hamiltonians[0]),
+        hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
+        hamiltonian_size=float(diagnostics.hamiltonian_size),
+        momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
+        conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
+        strict_minimum=False,
+    )

@@ -1,0 +1,57 @@
+"""Damped Gauss-Newton steps of least norm for systems whose equations may repeat or contradict each other."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+NEGLIGIBLE = 1e-11  # singular values below this fraction of the largest are taken for zero
+FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-3, 1e4, 10.0  # in units of the largest singular value
+MAX_STEPS = 60
+SOLVED = 1e-13
+
+
+def least_squares(
+    residual: Callable[[Float[Array, " n"]], Float[Array, " m"]], start: Float[Array, " n"]
+) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
+    """A stationary point of ``|residual|^2`` near ``start``, and the residual there: zero to rounding where that is possible.
+
+    Levenberg's method [Nocedal, Wright 2006, 10.3] with steps of least norm; ``m`` and ``n`` are any, the rank too.
+    """
+
+    def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
+        x, r, damping, count = state
+        u, s, vt = jnp.linalg.svd(jax.jacfwd(residual)(x), full_matrices=False)
+        kept = s > NEGLIGIBLE * s[0]
+        scales = jnp.where(kept, s / jnp.where(kept, s * s + (damping * s[0]) ** 2, 1.0), 0.0)
+        tried = x - vt.T @ (scales * (u.T @ r))
+        missed = residual(tried)
+        better = missed @ missed < r @ r
+        damping = damping * jnp.where(better, 1 / FACTOR, FACTOR)
+        return jnp.where(better, tried, x), jnp.where(better, missed, r), damping, count + 1
+
+    def going(state: tuple[Array, Array, Array, Array]) -> Array:
+        _, r, damping, count = state
+        return (jnp.max(jnp.abs(r)) > SOLVED) & (damping < LARGEST_DAMPING) & (count < MAX_STEPS)
+
+    first = residual(start)
+    if not first.size:
+        return start, first
+    state = start, first, jnp.asarray(FIRST_DAMPING, start.dtype), jnp.zeros((), int)
+    x, r, _, _ = jax.lax.while_loop(going, step, state)
+    return x, r
+
+
+def shortest_step(matrix: np.ndarray, residual: np.ndarray, excess: np.ndarray, damping: float) -> tuple[np.ndarray, int]:
+    """The ``d`` with ``matrix d = -residual``, in the least-squares sense, for which ``|excess + d|`` is least, and the rank.
+
+    With ``damping``, in units of the largest singular value, it is Levenberg's step instead.
+    """
+    u, s, vt = np.linalg.svd(matrix, full_matrices=False)
+    kept = s > NEGLIGIBLE * s[0]
+    u, s, vt = u[:, kept], s[kept], vt[kept]
+    shortest = -vt.T @ (s / (s**2 + (damping * s[0]) ** 2) * (u.T @ residual)) if s.size else np.zeros(matrix.shape[1])
+    free = np.zeros_like(shortest) if damping else vt.T @ (vt @ excess) - excess
+    return shortest + free, len(s)

@@ -1,0 +1,147 @@
+"""Gauss-Newton on the conditions of multiple shooting: many of them repeat each other on ``P_f``, and some may contradict."""
+
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ....manifolds.numerics.ambient import Frame
+from ...compilation import compiler_options
+from ...results import Result
+from .conditions import AtEnds, EndConditions
+from .least_squares import shortest_step
+from .shooting import Iterate, Linearised, Shooting
+
+MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary conditions
+FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
+FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-4, 1e2, 10.0
+STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
+SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
+
+
+class Found(NamedTuple):
+    """The last iterate with its conditions, and how the iteration ended. ``independent``: rank of the boundary conditions."""
+
+    iterate: Iterate
+    at: Linearised
+    ends: AtEnds
+    iterations: int
+    independent: int
+    result: Result
+
+
+class _State(NamedTuple):
+    """An iterate, the bases of ``T P_f`` at its points, and the conditions there."""
+
+    iterate: Iterate
+    frames: Frame
+    at: Linearised
+    ends: AtEnds
+
+    @property
+    def rows(self) -> np.ndarray:
+        """The conditions: gaps, start, end."""
+        return np.concatenate([MATCHING * self.at.gaps.reshape(-1), self.ends.start, self.ends.end])
+
+    @property
+    def size(self) -> float:
+        """Norm of the conditions; infinite where they are not known."""
+        size = np.linalg.norm(self.rows)
+        return float(size) if self.at.solved and np.isfinite(size) else np.inf
+
+    def meets(self, tolerance: float) -> bool:
+        """Whether the trajectory has no gaps and meets the conditions at both ends."""
+        missed = [float(self.at.distance), *(float(value) for value in self.ends.violations.values())]
+        return bool(self.at.solved) and bool(np.all(np.asarray(missed) <= tolerance))
+
+
+def meet_conditions(
+    shooting: Shooting, conditions: EndConditions, guess: Iterate, tolerance: float, max_iterations: int
+) -> Found:
+    """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
+
+    Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary and does
+    not vanish: the conditions contradict each other there.
+    """
+    still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
+    weights = _weights(shooting, guess)
+    state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
+    damping, rank, count, result = 0.0, 0, 0, Result.too_many_iterations
+    for count in range(max_iterations + 1):
+        if not np.isfinite(state.size):
+            return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
+        matrix, excess = _matrix(state), _excess(shooting, state.iterate)
+        d, rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
+        slope = _slope(matrix, state.rows)
+        result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, damping)
+        if result != Result.too_many_iterations or count == max_iterations:
+            break
+        tried = _evaluate(shooting, conditions, state.iterate, state.frames, weights * d.reshape(weights.shape))
+        if tried.meets(tolerance) or tried.size < (1 - 1e-6) * state.size:
+            state, damping = tried, damping / FACTOR if damping > FIRST_DAMPING else 0.0
+        else:
+            damping = max(FACTOR * damping, FIRST_DAMPING)
+    return Found(state.iterate, state.at, state.ends, count, rank - state.at.gaps.size, result)
+
+
+def _verdict(state: _State, tolerance: float, slope: float, change: float, damping: float) -> Result:
+    """Whether the iteration ends here, and how; ``too_many_iterations`` while it has to go on."""
+    if state.meets(tolerance):
+        settled = change <= SETTLED * (1 + np.max(np.abs(np.asarray(state.iterate.gauge)), initial=0.0))
+        return Result.successful if settled else Result.too_many_iterations
+    if slope <= (NEARLY_STATIONARY if damping > LARGEST_DAMPING else STATIONARY):
+        return Result.no_extremal
+    return Result.no_improvement if damping > LARGEST_DAMPING else Result.too_many_iterations
+
+
+@lru_cache
+def _kernels() -> tuple[Callable[..., Any], ...]:
+    """What places points on ``P_f``, what runs the segments from them, and what knows the boundary conditions."""
+    options: dict[str, Any] = {"compiler_options": compiler_options()}
+    methods = Shooting.place, Shooting.linearise, EndConditions.at
+    return tuple(eqx.filter_jit(lambda *arguments, f=f: f(*arguments), **options) for f in methods)
+
+
+def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, frames: Frame, d: np.ndarray) -> _State:
+    """The state at the iterate moved by coordinates in frames."""
+    place, linearise, at_ends = _kernels()
+    moved, frames = place(shooting, iterate, frames, jnp.asarray(d))
+    first = jax.tree.map(lambda leaf: leaf[0], (moved.points, frames))
+    at = linearise(shooting, moved, frames)
+    ends = at_ends(conditions, *first, at.end, at.end_moves)
+    return _State(moved, frames, *jax.device_get((at, ends)))
+
+
+def _matrix(state: _State) -> np.ndarray:
+    """Derivatives of the conditions by all coordinates of all segments."""
+    at, ends = state.at, state.ends
+    segments, size, dimension = len(at.pushes) + 1, ends.by_last.shape[1], ends.by_first.shape[1]
+    matching = np.zeros((segments - 1, dimension, segments, size))
+    for j, push in enumerate(at.pushes):
+        matching[j, :, j] = push
+        matching[j, :, j + 1, :dimension] = -np.eye(dimension)
+    boundary = np.zeros((2, len(ends.start), segments, size))
+    boundary[0, :, 0, :dimension], boundary[1, :, -1] = ends.by_first, ends.by_last
+    return np.concatenate([MATCHING * matching.reshape(-1, segments * size), boundary.reshape(-1, segments * size)])
+
+
+def _slope(matrix: np.ndarray, rows: np.ndarray) -> float:
+    """Largest derivative of ``|rows|^2 / 2`` relative to its parts: zero at a stationary point."""
+    parts = np.max(np.abs(matrix).T @ np.abs(rows))
+    return float(np.max(np.abs(matrix.T @ rows)) / parts) if parts else 0.0
+
+
+def _weights(shooting: Shooting, iterate: Iterate) -> np.ndarray:
+    """Weights of the coordinates, ``(M, d + L g)``: the gauge controls are made small before their changes are."""
+    states = np.full((shooting.segments, shooting.final.dimension), FREEDOM)
+    return np.concatenate([states, np.ones((shooting.segments, iterate.gauge[0].size))], axis=1)
+
+
+def _excess(shooting: Shooting, iterate: Iterate) -> np.ndarray:
+    """What the norm of a step is measured from: the gauge controls themselves, but no more than the steps of the states."""
+    gauge = np.asarray(iterate.gauge).reshape(shooting.segments, iterate.gauge[0].size)
+    return np.concatenate([np.zeros((shooting.segments, shooting.final.dimension)), gauge], axis=1).reshape(-1)

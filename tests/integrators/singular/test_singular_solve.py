@@ -1,0 +1,246 @@
+"""Singular boundary-value problems: extremals in closed form, and boundary data that admit none."""
+
+from functools import cache
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
+from retrax.integrators.boundary_value.singular.legendre import second_order
+from retrax.integrators.initial_value.integrator import resting_control
+from retrax.integrators.singular import Classification, RattleIntegrator
+from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
+from retrax.problems import SINGULAR
+from retrax.retractions import CotangentLift, Exponential, Midpoint, Theta
+
+from tests.support.numerics import norm
+
+LINE = Euclidean(1)
+PLANE = LINE * LINE  # the two states are factors, so that each can be free
+MIDPOINT = Midpoint(Exponential(PLANE))
+ZERO, ONE = np.zeros(1), np.ones(1)
+
+
+def cascade(cost, first=lambda q, u: q[1]) -> OptimalControlProblem:
+    """``x1' = x2`` or another function of state and controls, ``x2' = u``."""
+    return OptimalControlProblem(PLANE, lambda q, u: (first(q, u), u[-1:]), cost, 1)
+
+
+ALY_CHAN = cascade(lambda q, u: (q[1] @ q[1] - q[0] @ q[0]) / 2)
+
+
+def order(errors: list[float]) -> float:
+    """The order of a method from its errors with some number of steps and with twice as many."""
+    return float(np.log2(errors[0] / errors[1]))
+
+
+@cache
+def classified(problem: OptimalControlProblem) -> Classification:
+    return classify(problem, starts=8)
+
+
+@cache
+def aly_chan(steps: int) -> Solution:
+    """From 0 to 1 in a quarter of a period, both rates free: ``x1 = sin t``, of cost zero."""
+    return solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, steps, classification=classified(ALY_CHAN))
+
+
+def test_aly_chan_turns_in_the_plane_of_the_midpoint_rule():
+    """Steps of the midpoint rule turn ``(x1, x2)`` by the angle ``2 arctan(h/2)``: a sine, whatever the step."""
+    solution = aly_chan(8)
+    turns = np.arange(9) * 2 * np.arctan(np.pi / 32)
+    assert solution.success
+    assert norm(solution.states[0][:, 0] - np.sin(turns) / np.sin(turns[-1])) < 1e-13
+    assert norm(solution.states[1][:, 0] - np.cos(turns) / np.sin(turns[-1])) < 1e-13
+    assert norm(solution.costates[1]) < 1e-13
+    assert norm(solution.costates[0] - solution.states[1]) < 1e-13
+    assert norm(solution.controls + solution.stage_states[0]) < 1e-13
+    assert solution.checks.gap < 1e-13
+    assert solution.checks.stationarity < 1e-14
+
+
+@pytest.mark.slow
+def test_aly_chan_is_a_sine_to_order_two():
+    solutions = [aly_chan(n) for n in (8, 16)]
+    assert order([norm(s.states[0][:, 0] - np.sin(s.times)) for s in solutions]) == pytest.approx(2.0, abs=0.03)
+    assert order([norm(s.controls[:, 0] + np.sin(s.stage_times)) for s in solutions]) == pytest.approx(2.0, abs=0.1)
+    assert order([abs(s.cost) for s in solutions]) == pytest.approx(2.0, abs=0.03)
+
+
+def test_a_singular_solution_reports_what_was_checked(tmp_path):
+    solution = aly_chan(8)
+    arc = solution.singular
+    assert (arc.dimension, arc.kernel, arc.gauge_controls, arc.independent) == (2, 0, 0, 2)
+    assert arc.presymplectic
+    assert "strict generalised Legendre-Clebsch condition met" in arc.second_order
+    assert not solution.checks.strict_minimum
+    assert list(arc.conditions) == [
+        f"{end}, factor {i}: {kind}" for end in ("end", "start") for i, kind in enumerate(("state", "costate"))
+    ]
+    for words in (arc.strategy, arc.second_order, "equations of P_f", "2 coordinates of them independent"):
+        assert words in str(solution)
+    solution.save(tmp_path / "arc.npz")
+    loaded = load_solution(tmp_path / "arc.npz")
+    assert loaded.singular == arc
+    assert str(loaded) == str(solution)
+
+
+def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
+    options = {"classification": classified(ALY_CHAN)}
+    solution = solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, throw=False, **options)
+    assert not solution.success
+    assert solution.result == Result[Result.no_extremal]
+    assert max(solution.singular.conditions.values()) > 0.1
+    with pytest.raises(ConvergenceError, match=r"(?s)contradict each other.*start, factor 1: state missed by"):
+        solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, **options)
+
+
+class Growth(eqx.Module):
+    """``x' = a x + u1``, ``y' = y``."""
+
+    rate: Array
+
+    def __call__(self, q, u):
+        return self.rate * q[0] + u[:1], q[1]
+
+
+def academic_cost(q, u):
+    return (q[0] @ q[0] + q[1] @ q[1] + u[0] ** 2) / 2 + q[0][0] * u[0] + q[1][0] * u[1]
+
+
+def height(q):
+    return q[1][0]
+
+
+@cache
+def academic(rate: float) -> tuple[OptimalControlProblem, Classification]:
+    """The example of the paper: ``P_f = {y = 0}``, ``u1 = p_x - x``, and ``u2`` is gauge."""
+    problem = OptimalControlProblem(PLANE, Growth(jnp.asarray(rate)), academic_cost, 2, terminal_cost=height)
+    return problem, classify(problem, starts=8)
+
+
+def solve_academic(rate: float, start, end, steps: int = 12, **options) -> Solution:
+    problem, c = academic(rate)
+    return solve(problem, MIDPOINT, start, end, 1.0, steps, classification=c, **options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.0, 0.5])
+@pytest.mark.parametrize("target", [-0.2, None])
+def test_the_example_of_the_paper_in_closed_form(rate, target):
+    """``p = p0 e^{ct}`` and ``x = x0 e^{-ct} + p0 sinh(ct) / c`` with ``c = 1 - a``; at a free end ``p = 0``."""
+    c, x0 = 1 - rate, 0.7
+    solution = solve_academic(rate, (x0 * ONE, ZERO), (target if target is None else target * ONE, ZERO))
+    p0 = 0.0 if target is None else (target - x0 * np.exp(-c)) * c / np.sinh(c)
+    t = solution.times
+    assert norm(solution.costates[0][:, 0] - p0 * np.exp(c * t)) < 3e-3
+    assert norm(solution.states[0][:, 0] - x0 * np.exp(-c * t) - p0 * np.sinh(c * t) / c) < 3e-3
+    assert norm(solution.states[1]) < 1e-12
+    assert norm(solution.controls[:, 1]) < 1e-9  # nothing asks for the gauge control, so that the least is none
+    assert "gauge" in solution.singular.second_order
+
+
+@pytest.mark.slow
+def test_gauge_controls_have_the_least_norm_that_meets_the_ends():
+    """``p_y' = -p_y + u2`` from 0 to -1, the slope of the terminal cost: ``u2 = -e^t / sinh 1``, or its discrete counterpart."""
+    solution, h = solve_academic(0.0, (0.7 * ONE, None), (None, None)), 1 / 12
+    reach = h / (1 + h / 2) * ((1 - h / 2) / (1 + h / 2)) ** np.arange(11, -1, -1)
+    assert norm(solution.controls[:, 1] + reach / (reach @ reach)) < 1e-9
+    assert norm(solution.controls[:, 1] + np.exp(solution.stage_times) / np.sinh(1.0)) < 3e-3
+    assert solution.costates[1][[0, -1], 0] == pytest.approx([0, -1], abs=1e-11)
+    assert solution.singular.kernel == solution.singular.gauge_controls == 1
+
+
+def test_a_start_off_the_final_manifold_is_refused_with_the_equation_it_contradicts():
+    with pytest.raises(
+        InvalidInputError, match=r"at the start .*factor 0, start, factor 1 prescribed.*primary equation = -?0\.\d+"
+    ):
+        solve_academic(0.0, (0.7 * ONE, 0.5 * ONE), (None, None))
+    with pytest.raises(InvalidInputError, match=r"at the end .*contradict: primary equation"):
+        solve_academic(0.0, (0.7 * ONE, ZERO), (None, 0.5 * ONE))
+
+
+def test_an_empty_final_manifold_is_said_to_be_empty():
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q[0], 1)
+    with pytest.raises(InvalidInputError, match="P_f is empty"):
+        solve(problem, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4)
+
+
+@pytest.mark.slow
+def test_a_partially_singular_problem_in_closed_form():
+    """``x1' = x2 + w``, ``x2' = u``, cost ``(w^2 + x1^2 + x2^2)/2``: ``w = x2 = p1``, so ``x1'' = 2 x1``."""
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: (q[1] + u[:1], u[1:]), lambda q, u: (u[0] ** 2 + q[0] @ q[0] + q[1] @ q[1]) / 2, 2
+    )
+    solution = solve(problem, MIDPOINT, (ONE, None), (None, None), 1.0, 12)
+    exact = np.cosh(np.sqrt(2) * (1 - solution.times)) / np.cosh(np.sqrt(2))
+    assert norm(solution.states[0][:, 0] - exact) < 1e-3
+    assert norm(solution.states[1] - solution.costates[0]) < 1e-12
+    assert "strict generalised Legendre-Clebsch condition met" in solution.singular.second_order
+
+
+@pytest.mark.slow
+def test_where_everything_is_free_the_control_of_least_norm_reaches_the_end():
+    """``H = p1 x2 + p2 u``: ``P_f = {p = 0}``, and ``u`` is gauge: the discrete controls of least square sum."""
+    steps, h = 12, 1 / 12
+    problem = cascade(lambda q, u: jnp.zeros(()))  # every admissible control is optimal
+    solution = solve(problem, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), 1.0, steps)
+    reach = np.stack([h * h * (steps - 0.5 - np.arange(steps)), np.full(steps, h)])
+    assert norm(solution.controls[:, 0] - np.linalg.pinv(reach) @ np.array([1.0, 0.0])) < 1e-8
+    assert norm(solution.costates) < 1e-12
+
+
+@pytest.mark.slow
+def test_the_ends_of_an_integrated_trajectory_on_the_sphere_lead_back_to_it():
+    """The integrator's own trajectory, from where it starts to where it ends: the costates are found, and all nodes."""
+    from tests.integrators.singular.test_rattle import LIFT, PROBLEM, RATTLE, start
+
+    z, steps = start(), 6
+    path = integrate(PROBLEM, RATTLE, z, 0.1, steps)
+    options = {"classification": classify(PROBLEM), "integrator": RATTLE}
+    solution = solve(PROBLEM, LIFT.discretization, np.asarray(path.q[0]), np.asarray(path.q[-1]), 0.6, steps, **options)
+    assert norm(solution.states - path.q) < 1e-10
+    assert norm(solution.costates - path.p) < 1e-10
+    assert norm(solution.controls - path.controls) < 1e-9
+    assert solution.singular.independent == 2  # of four: the two on the state at either end repeat each other on P_f
+
+
+def test_an_integrator_is_for_singular_problems_and_their_discretization():
+    regular = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2, 1)
+    rattle = RattleIntegrator(CotangentLift(MIDPOINT), (0,))
+    with pytest.raises(InvalidInputError, match="the problem is regular"):
+        solve(regular, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4, integrator=rattle)
+    options = {"classification": classified(ALY_CHAN), "integrator": rattle}
+    with pytest.raises(InvalidInputError, match="by the same discretization"):
+        solve(ALY_CHAN, Theta(Exponential(PLANE), 0.0), (ZERO, None), (ONE, None), 1.0, 4, **options)
+    with pytest.raises(InvalidInputError, match="classification must be that of the problem"):
+        solve(regular, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4, classification=classified(ALY_CHAN))
+
+
+@pytest.mark.parametrize("name", ["academic", "aly-chan", "sphere", "free actuator", "brown", "dummy control"])
+def test_singular_problems_are_recognised(name):
+    problem = SINGULAR[name]().problem
+    assert not problem.check(problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls))
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [lambda u: 1e-9 * u @ u, lambda u: 1e9 * u[0] ** 2 + u[1] ** 2, lambda u: jnp.sum(u**4), lambda u: jnp.sum(jnp.cosh(u))],
+    ids=["weak", "unequal", "quartic", "not quadratic"],
+)
+def test_regular_problems_are_recognised_at_every_scale(cost):
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: q @ q + cost(u), 2)
+    assert problem.check(jnp.ones(2), jnp.zeros(2))
+
+
+def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
+    """Of ``(a x2^2 - x1^2)/2`` the arc minimises for ``a > 0`` only; ``p = A(q)`` in a magnetic field never does."""
+    z, u = ((jnp.ones((2, 1)), jnp.ones((2, 1))), (jnp.ones((2, 1)), jnp.zeros((2, 1)))), jnp.ones((2, 1))
+    upside_down = cascade(lambda q, u: -(q[1] @ q[1] + q[0] @ q[0]) / 2)
+    assert "strict generalised Legendre-Clebsch condition met" in second_order(ALY_CHAN, z, u)
+    assert "condition fails" in second_order(upside_down, z, u)
+    particle = SINGULAR["massless particle"]().problem
+    assert "Goh's condition fails" in second_order(particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2)))
