@@ -146,3 +146,12 @@ def test_a_problem_that_costs_two_of_three_controls_is_refused_as_singular():
     integrator = PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(SO3))))
     with pytest.raises(InvalidInputError, match=r"singular values \[1. 1. 0.\]"):
         integrate(problem, integrator, (jnp.eye(3), jnp.eye(3)), 0.1, 2)
+
+
+@pytest.mark.parametrize("costate", [0.0, 1e-17])
+def test_a_costate_that_is_the_rounding_of_zero_is_no_size_to_measure_by(costate):
+    line = Euclidean(1)
+    regulator = OptimalControlProblem(line, lambda q, u: u, lambda q, u: (q @ q + u @ u) / 2, 1)
+    integrator = PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(line))))
+    path = integrate(regulator, integrator, (jnp.ones(1), jnp.full(1, costate)), 0.1, 1)
+    assert path.p[-1] == pytest.approx(0.1 / (1 - 0.05**2), rel=1e-13)
