@@ -41,9 +41,9 @@ class Request(NamedTuple):
     discretization: DiscretizationMap
     conditions: EndConditions
     guess: Guess | None
-    h: Array
+    h: np.ndarray
     steps: int
-    tolerance: float
+    tolerance: np.ndarray
     max_iterations: int
 
 
@@ -65,8 +65,8 @@ def solve_on_final_manifold(request: Request, c: Classification, integrator: Sin
     first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
     prepared = time.perf_counter()
-    found = meet_conditions(shooting, request.conditions, guess, request.tolerance, request.max_iterations)
-    outcome = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
+    found = meet_conditions(shooting, request.conditions, guess, float(request.tolerance), request.max_iterations)
+    outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
 
@@ -111,7 +111,7 @@ def _first_points(shooting: Shooting, c: Classification, request: Request, first
     return points
 
 
-def _blend(fractions: np.ndarray, a: Array, b: Array) -> Array:
+def _blend(fractions: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     s = fractions.reshape(-1, *[1] * a.ndim)
     return (1 - s) * a + s * b
 
@@ -161,7 +161,7 @@ def _outcome() -> Callable[..., _Outcome]:
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
-    diagnostics = outcome.diagnostics
+    diagnostics: Any = outcome.diagnostics
     (states, costates), controls = outcome.nodes, outcome.controls
     arc = SingularArc(
         dimension=c.dimension,
@@ -187,7 +187,7 @@ def _record(
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
         cost=float(outcome.cost),
-        success=found.result == Result.successful,
+        success=bool(found.result == Result.successful),
         result=Result[found.result],
         checks=_checks(max(float(found.at.distance), *arc.conditions.values()), outcome),
         statistics=Statistics(found.iterations, *seconds),
