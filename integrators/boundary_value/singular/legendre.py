@@ -7,12 +7,13 @@ import numpy as np
 from jaxtyping import Array
 
 from ....manifolds import Euclidean
+from ....manifolds.numerics import ambient as vec
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
 from .shooting import Pair
 
 AFFINE = 1e-8  # a control's row of d2H/du2 below this fraction of the largest entry is zero
-VANISHING = 1e-7  # an eigenvalue below this fraction of the largest is zero
+VANISHING = 1e-7  # a bracket below this fraction of what its differentials allow, or an eigenvalue of the largest, is zero
 NOT_DECIDED = "generalised Legendre-Clebsch condition not decided: "
 
 
@@ -31,15 +32,15 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
     if not singular:
         return NOT_DECIDED + "H is affine in none of the controls"
     regular = np.delete(np.delete(curvature, singular, axis=1), singular, axis=2)
-    among, across = (np.asarray(part) for part in _brackets(ControlAffineSplitting(problem, singular), z))
-    scale = np.max(np.abs(across), initial=0.0)
+    among, across, *bounds = (np.asarray(part) for part in _brackets(ControlAffineSplitting(problem, singular), z))
+    scale, (bound, mixed_bound) = np.max(np.abs(across), initial=0.0), (np.max(part) for part in bounds)
     if regular.size and np.max(np.linalg.eigvalsh(regular)) > VANISHING * size:
         return "Legendre's condition fails in the regular controls: not a minimum"
-    if np.max(np.abs(among)) > VANISHING * max(scale, 1.0):
+    if np.max(np.abs(among)) > VANISHING * bound:
         largest = np.max(np.abs(among))
         return f"Goh's condition fails: the primary constraints do not commute (brackets up to {largest:.3g}); not a minimum"
     values = np.linalg.eigvalsh((across + np.swapaxes(across, 1, 2)) / 2)
-    if not scale or np.max(np.abs(values)) <= VANISHING * max(scale, 1.0):
+    if not scale or np.max(np.abs(values)) <= VANISHING * mixed_bound:
         return NOT_DECIDED + "the arc is of higher order, or a control is gauge"
     worst = float(np.max(values))
     if worst > VANISHING * scale:
@@ -55,5 +56,11 @@ def _curvatures(problem: OptimalControlProblem, z: Pair, u: Array) -> Array:
 
 
 @eqx.filter_jit
-def _brackets(split: ControlAffineSplitting, z: Pair) -> tuple[Array, Array]:
-    return jax.lax.map(split.brackets, jax.tree.map(jnp.asarray, z))
+def _brackets(split: ControlAffineSplitting, z: Pair) -> tuple[Array, Array, Array, Array]:
+    """``{phi_a, phi_b}`` and ``{phi_a, psi_b}`` at every node, with the products of the sizes of the differentials in them."""
+
+    def one(z: Pair) -> tuple[Array, Array, Array, Array]:
+        first, second = (vec.size(jax.jacrev(lambda z, f=f: f(*z))(z)) for f in (split.primary, split.secondary))
+        return *split.brackets(z), first * first, first * second
+
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, z))

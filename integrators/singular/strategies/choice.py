@@ -51,6 +51,8 @@ def singular_integrator(
             refusals.append(f"not {name}: {error}")
             continue
         return replace(found, reason="; ".join([f"{name}: {found.reason}", *_gauge(classification, gauge), *refusals]))
+    if strategy is None:
+        raise InvalidInputError(f"no strategy applies: {'; '.join(refusals)}")
     other = singular_integrator(classification, discretization, gauge=gauge)
     raise InvalidInputError(f"{refusals[0]}; what applies is {other.reason}")
 

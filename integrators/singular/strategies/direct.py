@@ -52,7 +52,7 @@ class DirectIntegrator(SingularIntegrator):
         return self.dynamics.begin()
 
     def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
-        return self.dynamics.step(self.lift, h, q, p, previous)
+        return self.dynamics.on(system).step(self.lift, h, q, p, previous)
 
     def control(self, unknowns: Memory) -> Ambient:
         return unknowns.control

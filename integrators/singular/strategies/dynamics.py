@@ -1,14 +1,14 @@
 """Steps whose stages lie in ``S_f``: the dynamics on the final constraint manifold, with the gauge that is free in it."""
 
-from typing import NamedTuple, Self, final
+from typing import Any, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
-from ....manifolds.numerics.ambient import Ambient
+from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Submanifold
+from ....manifolds.numerics.ambient import Ambient, is_traced
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...initial_value.step import StepEquations, StepResult, restored
@@ -53,9 +53,18 @@ class FinalDynamics(eqx.Module):
         """The problem that was classified."""
         return self.equations.array.problem
 
+    def on(self, system: OptimalControlProblem) -> Self:
+        """The same dynamics with the data of ``system``, which may be traced where those of the classified problem are not."""
+
+        def problems(dynamics: Any) -> list[OptimalControlProblem]:
+            final = [dynamics.manifold.equations] if isinstance(dynamics.manifold, Submanifold) else []
+            return [equations.array.problem for equations in (dynamics.equations, *final)]
+
+        return eqx.tree_at(problems, self, [system] * len(problems(self)))
+
     def check(self, system: object, lift: CotangentLift, z: Pair) -> None:
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
-        if not eqx.tree_equal(system, self.problem):
+        if not is_traced(system) and not eqx.tree_equal(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
         self.problem.check_discretization(lift.discretization)
         verdict = self.manifold.contains(z)

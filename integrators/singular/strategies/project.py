@@ -23,8 +23,9 @@ from .strategy import Gauge, SingularIntegrator
 class ProjectedIntegrator(SingularIntegrator):
     """A lifted step of the dynamics on ``P_f``, moved along the normals of ``P_f`` at its end back to it.
 
-    Keeps ``P_f``, and the order of the step up to 2. It does not preserve ``omega_f``: the defect of a step is of order
-    ``h^3``, and energy drifts. For problems that no other strategy integrates.
+    Keeps ``P_f``, and the order of the step up to 2; it is not symmetric, so compositions do not raise that. It does not
+    preserve ``omega_f``: the defect of a step is of order ``h^3``, and energy drifts. For problems that no other strategy
+    integrates.
     """
 
     lift: CotangentLift
@@ -45,8 +46,8 @@ class ProjectedIntegrator(SingularIntegrator):
         return self.dynamics.begin()
 
     def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
-        new = self.dynamics.step(self.lift, h, q, p, previous)
-        final = self.dynamics.manifold
+        dynamics = self.dynamics.on(system)
+        new, final = dynamics.step(self.lift, h, q, p, previous), dynamics.manifold
         if not isinstance(final, Submanifold):
             return new
         z = new.q, new.p

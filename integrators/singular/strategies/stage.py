@@ -27,7 +27,7 @@ class StageIntegrator(SingularIntegrator):
     lift: CotangentLift
     dynamics: FinalDynamics
     reason: str = eqx.field(static=True)
-    presymplectic: ClassVar[bool] = True
+    presymplectic: ClassVar[bool] = False
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:

@@ -140,7 +140,7 @@ def test_order(integrator, order):
         path = integrate(PROBLEM, integrator, start(), 1.0 / n, int(n), save_every=int(n))
         ends.append(np.concatenate([path.q[-1], path.p[-1]]))
     errors = np.array([np.max(np.abs(end - ends[-1])) for end in ends[:-1]])
-    assert slope(1 / counts[:-1], errors, 1e-13) == pytest.approx(order, abs=0.06)
+    assert slope(1 / counts[:-1], errors, 1e-13) == pytest.approx(order, abs=0.05)
 
 
 @pytest.mark.slow

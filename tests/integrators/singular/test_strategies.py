@@ -76,7 +76,7 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["curved arc", "academic", "massless particle"])
+@pytest.mark.parametrize("name", ["sphere", "curved arc", "academic", "massless particle"])
 @pytest.mark.parametrize(("composed", "order"), [(False, 2), (True, 4)])
 def test_order(name, composed, order):
     method = Composition(chosen(name)) if composed else chosen(name)
