@@ -45,7 +45,7 @@ class _State(NamedTuple):
     best: Array
     trials: Array
     fast: Array  # the last step gained two digits: its matrices serve for the next
-    late: Array  # the step to the trial is one of the chord method
+    stale: Array  # the matrices are those of the iterate before
     done: Array
 
 
@@ -53,8 +53,7 @@ class _State(NamedTuple):
 class NewtonResult(eqx.Module):
     """The last accepted iterate with its KKT system, and how the iteration ended.
 
-    ``strict_minimum``: the Hessian of the Lagrangian is positive definite on the null space of the constraints there, or, if
-    the last step was a chord step, at the iterate before it, which is nearer than a hundredth of its own error.
+    ``strict_minimum``: the Hessian of the Lagrangian is positive definite on the null space of the constraints there.
     """
 
     iterate: Iterate
@@ -76,20 +75,21 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         return problem.evaluate(trial, near)
 
     def body(state: _State) -> _State:
-        factorised, evaluated = state.fast & (state.shift == 0), state.fast
-        assembled = jax.lax.cond(state.fast, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
-        state, good = _judge(assembled, state)
-        residual = _residual(state.assembled)
-        # A chord step more, where the last one gained digits and has only just arrived: as near as Newton's method would be.
-        done = (residual <= tolerance) & ~(state.late & state.fast & (residual > FAST * tolerance))
+        chord = state.fast
+        assembled = jax.lax.cond(chord, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
+        state, good = _judge(assembled, state, tolerance)
+        residual, stale = _residual(state.assembled), jnp.where(good, chord, state.stale)
+        # Where a chord step arrives, one more is taken, to a point with matrices of its own.
+        arrived = residual <= tolerance
+        done = arrived & ~(chord & stale)
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
-        # The last elimination is of the unchanged system: its inertia tells which. It may have been made already.
-        keep = done | (good & (residual <= jnp.sqrt(tolerance)))
-        shift = jnp.where(done, 0.0, state.shift)
-        shift, factors = _regularised(state.assembled, state.factors, shift, keep, done & factorised)
+        # The last elimination is of the unchanged system: its inertia tells which.
+        keep = arrived | (good & (residual <= jnp.sqrt(tolerance)))
+        shift, factors = _regularised(state.assembled, state.factors, jnp.where(arrived, 0.0, state.shift), keep)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
-        return state._replace(trial=trial, factors=factors, model=model, shift=shift, late=evaluated, done=done)
+        fast = state.fast & ~arrived
+        return state._replace(trial=trial, factors=factors, model=model, shift=shift, fast=fast, stale=stale, done=done)
 
     def going(state: _State) -> Array:
         return ~state.done & _solvable(state) & (state.trials <= max_iterations)
@@ -101,7 +101,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), no, no, no)
     state = jax.lax.while_loop(going, body, state)
     result = _outcome(state, tolerance, max_iterations)
-    strict = is_strict_minimum(state.factors) & (state.shift == 0)
+    strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale
     return NewtonResult(state.iterate, state.assembled, strict, state.trials - 1, result)
 
 
@@ -127,11 +127,11 @@ def _merit(assembled: Assembled, penalty: Array) -> Array:
     return assembled.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap))
 
 
-def _judge(assembled: Assembled, state: _State) -> tuple[_State, Array]:
+def _judge(assembled: Assembled, state: _State, tolerance: ArrayLike) -> tuple[_State, Array]:
     """Take the assembled trial if it improves, and set the length and the shift of the next step; and whether it does."""
     residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
-    improves = (decreases & (state.trials > 0)) | (residual <= RECORD * state.best)
+    improves = (decreases & (state.trials > 0)) | (residual <= jnp.maximum(RECORD * state.best, tolerance))
     good = improves & jnp.isfinite(residual) & jnp.isfinite(merit)
     new, old = (state.trial, assembled), (state.iterate, state.assembled)
     iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
@@ -159,12 +159,10 @@ def _scales(assembled: Assembled) -> Array:
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(
-    assembled: Assembled, factors: BlockSolution, shift: Array, keep: Array, known: Array
-) -> tuple[Array, BlockSolution]:
+def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, keep: Array) -> tuple[Array, BlockSolution]:
     """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature.
 
-    If ``keep`` the shift that came is used as it is, if ``known`` the factors that came as well.
+    If ``keep`` the shift that came is used as it is.
     """
     blocks, scales = assembled.blocks, _scales(assembled)
 
@@ -184,7 +182,7 @@ def _regularised(
     def going(state: tuple[Array, BlockSolution, Array, Array]) -> Array:
         return ~state[2] & (state[0] < LARGEST_SHIFT)
 
-    start = (shift, factors, known, jnp.zeros((), int))
+    start = (shift, factors, jnp.array(False), jnp.zeros((), int))
     shift, factors, _, _ = jax.lax.while_loop(going, body, start)
     return shift, factors
 
