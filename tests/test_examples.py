@@ -48,6 +48,7 @@ def test_path_planning(tmp_path):
     assert (tmp_path / "path_planning.png").exists()
 
 
+@pytest.mark.slow
 def test_monte_carlo_slew(tmp_path):
     deviations, linear, mean_log = example("monte_carlo_slew").main(["--samples", "500", "--output", str(tmp_path)])
     assert mean_log <= 1e-10, "the mean of the logarithms vanishes at the Fréchet mean"
@@ -98,6 +99,7 @@ def test_singular_sphere(tmp_path):
     assert (tmp_path / "singular_sphere.png").exists()
 
 
+@pytest.mark.slow
 def test_academic_singular(tmp_path):
     classification, errors, differences = example("academic_singular").main(["--output", str(tmp_path)])
     assert (classification.dimension, classification.rank, classification.gauge_controls) == (3, 2, 1)

@@ -79,7 +79,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         assembled = jax.lax.cond(chord, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
         state, good = _judge(assembled, state, tolerance)
         residual, stale = _residual(state.assembled), jnp.where(good, chord, state.stale)
-        # Where a chord step arrives, one more is taken, to a point with matrices of its own.
+        # Where a chord step arrives, one more is tried, to a point with matrices of its own; else they are made where it is.
         arrived = residual <= tolerance
         done = arrived & ~(chord & stale)
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
@@ -87,7 +87,8 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         keep = arrived | (good & (residual <= jnp.sqrt(tolerance)))
         shift, factors = _regularised(state.assembled, state.factors, jnp.where(arrived, 0.0, state.shift), keep)
         model = _promise(state.assembled, factors, shift, state.model.penalty)
-        trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, state.fraction)
+        fraction = jnp.where(arrived & ~good, 0.0, state.fraction)
+        trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, fraction)
         fast = state.fast & ~arrived
         return state._replace(trial=trial, factors=factors, model=model, shift=shift, fast=fast, stale=stale, done=done)
 

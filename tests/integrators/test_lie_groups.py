@@ -45,6 +45,7 @@ def test_the_covering_of_rotations_by_unit_quaternions_takes_motions_to_motions(
     assert np.max(np.abs(below.q[-1] - below.q[0])) > 0.3
 
 
+@pytest.mark.slow
 def test_the_cheapest_turn_of_a_spin_is_a_one_parameter_subgroup():
     # x' = x hat(u), cost |u|^2 / 2 over time 2: u is constant, x(t) = exp(t hat(u)), the cost |w|^2 / 4 with x(2) = exp(hat(w)).
     group, w = SU(2), jnp.array([0.5, -1.0, 0.8])

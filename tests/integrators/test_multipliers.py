@@ -35,7 +35,9 @@ def drift() -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
     return DRIFTING, discretization, solve(DRIFTING, discretization, *POINTS, 1.0, 8)
 
 
-@pytest.fixture(scope="module", params=[slew, drift], ids=["slew on SO3*R3", "drift on an ellipsoid"])
+@pytest.fixture(
+    scope="module", params=[slew, pytest.param(drift, marks=pytest.mark.slow)], ids=["slew on SO3*R3", "drift on an ellipsoid"]
+)
 def solved(request: pytest.FixtureRequest) -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
     solve_it: Callable = request.param
     return solve_it()

@@ -249,6 +249,7 @@ def test_dynamics_that_leave_the_tangent_space_with_the_control_are_refused():
         solve(sloppy, Midpoint(Projection(SPHERE)), np.eye(3)[0], np.eye(3)[1], 1.0, STEPS)
 
 
+@pytest.mark.slow
 def test_free_ends_on_a_level_set_start_from_the_guess():
     """No point is prescribed, so that none but the guess's is there to look at."""
 

@@ -30,7 +30,9 @@ from .problems import (
 THETAS = (0.0, 0.3, 0.5, 1.0)
 STEPS = st.floats(0.01, 0.2)
 
-on_every_manifold = pytest.mark.parametrize("name", MANIFOLDS)
+on_every_manifold = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3*R3") else name for name in MANIFOLDS]
+)
 
 
 def with_every_theta(test: Callable) -> Callable:

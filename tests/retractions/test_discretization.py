@@ -11,13 +11,18 @@ from retrax.retractions.discretization import newton_preimage
 from retrax.testing import check_discretization_map
 from retrax.testing.checks.discretization import flat_ends
 
-from tests.support.cases import MAPS, reach
+from tests.support.cases import MAPS, QUICK, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
 
 NORTH = jnp.array([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize("name", MAPS)
+def marked(name: str):
+    usual = name in (f"theta=0.3, {part}" for part in QUICK)
+    return name if usual else pytest.param(name, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in MAPS])
 def test_is_a_discretization_map(name, seeds):
     discretization = MAPS[name]
     symmetric = isinstance(discretization, Theta) and discretization.theta == 0.5 and discretization.other is None
@@ -81,7 +86,7 @@ def test_theta_outside_the_unit_interval_is_refused(theta):
 
 @pytest.mark.parametrize("given_", [Sphere(2), Exponential, None, "cayley"], ids=["manifold", "family", "None", "name"])
 def test_a_map_of_something_else_than_a_retraction_is_refused(given_):
-    with pytest.raises(InvalidInputError, match=r"made from retractions, got .*; try Cayley\(manifold\)"):
+    with pytest.raises(InvalidInputError, match=r"made from retractions, got .*; try default_retraction\(manifold\)"):
         Midpoint(given_)
 
 

@@ -11,7 +11,7 @@ from hypothesis import given
 from retrax.retractions.retraction import newton_preimage
 from retrax.testing.checks.retraction import flat_retraction
 
-from tests.support.cases import REPRESENTATIVES, RETRACTIONS, reach
+from tests.support.cases import QUICK, REPRESENTATIVES, RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
 
 # Spacing of the differences: the error of order 6 and the rounding divided by it are both below 1e-10.
@@ -71,7 +71,9 @@ def newton_derivatives(name: str, seed: int, length: float) -> dict:
     return {"c": c, **_newton_derivatives(name)(x, v, a, c)}
 
 
-@pytest.mark.parametrize("name", REPRESENTATIVES)
+@pytest.mark.parametrize(
+    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in REPRESENTATIVES]
+)
 @given(seed=SEEDS, fraction=FRACTIONS)
 def test_newtons_method_finds_the_inverse_too(name, seed, fraction):
     v, found = newton_inverse(name, seed, fraction * min(1.0, reach(name)))

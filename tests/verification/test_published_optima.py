@@ -82,6 +82,7 @@ def about_the_missing_axis(steps: int) -> Solution:
     return solve(SUB_RIEMANNIAN, Midpoint(Cayley(SO3)), IDENTITY, end, 1.0, steps, guess=Guess(states, controls))
 
 
+@pytest.mark.slow
 def test_the_sub_riemannian_distance_has_the_known_limit():
     """``turn (4 pi - turn) / 2``, to order 2."""
     coarse, middle, fine = (about_the_missing_axis(steps).cost for steps in (20, 40, 80))
@@ -89,6 +90,7 @@ def test_the_sub_riemannian_distance_has_the_known_limit():
     assert extrapolated(middle, fine) == pytest.approx(TURN * (4 * np.pi - TURN) / 2, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [20, 40, 80])
 def test_the_sub_riemannian_optimum_is_one_of_a_circle_of_them(steps):
     """Turning all controls about the third axis gives another: no minimum is strict."""
@@ -123,6 +125,7 @@ def test_the_pendulum_swings_up_at_the_known_cost():
     assert extrapolated(middle, fine) == pytest.approx(2.1226524395, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_the_pendulum_arrives_upright_at_rest_and_stays_on_the_tangent_bundle():
     q, v = swung_up(160).states
     assert np.max(np.abs(q[-1] - UPRIGHT[0])) < 1e-11

@@ -15,7 +15,7 @@ from .report import Batch, Check, Comparison, ConformanceError, Outcome, Report,
 SEEDS = tuple(range(6))
 TOLERANCE = 1e-12
 # Differences that are known no better than this say nothing.
-WORST_DIFFERENCES = 1e-5
+WORST_DIFFERENCES = 1e-3
 
 Sample = dict[str, Any]  # names of flat arrays and numbers
 

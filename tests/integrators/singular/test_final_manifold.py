@@ -71,7 +71,7 @@ def test_determined_controls_are_functions_of_state_and_costate(name, derivative
         np.testing.assert_array_equal(u[1:], np.full(c.gauge_controls, 0.3))
 
 
-@pytest.mark.parametrize("name", ["academic", "massless particle"])
+@pytest.mark.parametrize("name", ["academic", pytest.param("massless particle", marks=pytest.mark.slow)])
 def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
     c = classified(name)
     submanifold = c.dynamics

@@ -117,6 +117,7 @@ def defect(step: Callable, h: float) -> tuple[float, float]:
     return abs(after - before), float(np.max(np.abs(gap)))
 
 
+@pytest.mark.slow
 def test_rattle_keeps_the_final_manifold_and_its_form():
     for h in STEPS:
         change, gap = defect(rattled, h)

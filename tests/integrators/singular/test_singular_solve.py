@@ -48,6 +48,7 @@ def aly_chan(steps: int) -> Solution:
     return solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, steps, classification=classified(ALY_CHAN))
 
 
+@pytest.mark.slow
 def test_aly_chan_turns_in_the_plane_of_the_midpoint_rule():
     """Steps of the midpoint rule turn ``(x1, x2)`` by the angle ``2 arctan(h/2)``: a sine, whatever the step."""
     solution = aly_chan(8)
