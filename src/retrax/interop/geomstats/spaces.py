@@ -53,7 +53,7 @@ def counterpart(space: Any) -> Counterpart:
 
 def _has_another_metric(space: Any) -> bool:
     has = hasattr(space, "metric") and not isinstance(space, RetraxSpace) and hasattr(space, "default_metric")
-    return has and type(space.metric) is not space.default_metric()
+    return has and (type(space.metric) is not space.default_metric() or getattr(space.metric, "scales", None) is not None)
 
 
 def _wrapped(space: GeomstatsManifold) -> Counterpart:
@@ -127,6 +127,8 @@ def _(space: Hyperboloid) -> Counterpart:
 
 @_counterpart.register
 def _(space: NFoldManifold) -> Counterpart:
+    if type(space) is not NFoldManifold:  # landmarks, curves and the polydisk come with metrics of their own
+        return _wrapped(space)
     base = counterpart(space.base_manifold)
     manifold, k = Power(base.manifold, space.n_copies), space.n_copies
     return Counterpart(manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions))
