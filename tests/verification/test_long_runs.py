@@ -6,8 +6,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import DiracIntegrator, DiracSystem, Integrator, SymplecticIntegrator, Trajectory, integrate
-from retrax.manifolds import Euclidean
+from jaxtyping import Array
+from retrax.integrators import (
+    DiracIntegrator,
+    DiracSystem,
+    Integrator,
+    OptimalControlProblem,
+    SymplecticIntegrator,
+    Trajectory,
+    integrate,
+)
+from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator
+from retrax.manifolds import CotangentBundle, Euclidean, Submanifold
 from retrax.retractions import Addition, CotangentLift, Euler, Midpoint, Projection
 
 from tests.integrators.problems import SPHERE, pendulum_energy
@@ -96,3 +106,37 @@ def test_a_nonholonomic_constraint_lets_the_energy_of_chaotic_motion_wander():
     lift = CotangentLift(Midpoint(Addition(R5)))
     assert growth_of_the_energy_error(SymplecticIntegrator(lift), quartic_energy) < 1.2
     assert growth_of_the_energy_error(DiracIntegrator(lift), QUARTIC) > 1.5
+
+
+def curved_drift(q: Array, u: Array) -> Array:
+    """A bounded motion on a curved final manifold, the control along a field that is not constant."""
+    free = jnp.stack([0.2 * q[1], 0.8 * q[0] + 0.2 * q[0] ** 2 - 0.1 * q[0] * q[1], 0.3 * q[0]])
+    return free + u[0] * jnp.stack([jnp.ones(()), 0.6 * q[0], 0.4 * q[1]])
+
+
+def curved_cost(q: Array, u: Array) -> Array:
+    """Without a cost of control."""
+    return q[0] ** 2 / 2 + q[0] ** 4 / 8 - q[1] ** 2 / 2 - q[1] ** 4 / 10 + q[0] * q[1] / 10
+
+
+@pytest.mark.slow
+def test_rattle_stays_on_a_curved_final_manifold_and_its_energy_does_not_drift():
+    space = Euclidean(3)
+    problem = OptimalControlProblem(space, curved_drift, curved_cost, 1)
+    split = ControlAffineSplitting(problem, (0,))
+
+    def equations(z: tuple[Array, Array]) -> Array:
+        return jnp.concatenate([split.primary(*z), split.secondary(*z)])
+
+    guess = 0.45 * jnp.array([0.3, 0.5, -0.4]), 0.45 * jnp.array([0.1, 0.6, -0.5])
+    start = Submanifold(CotangentBundle(space), equations).nearby(guess)
+    rattle = RattleIntegrator(CotangentLift(Midpoint(Addition(space))), (0,))
+    path = integrate(problem, rattle, start, 0.1, 100_000, save_every=10)
+    energies = np.asarray(jax.vmap(split.energy)(path.q, path.p))
+    assert np.max(np.abs(jax.vmap(lambda q, p: equations((q, p)))(path.q, path.p))) < 1e-14
+    errors = energies - energies[0]
+    quarters = [np.max(np.abs(part)) for part in np.array_split(errors, 4)]
+    assert 1e-6 < max(quarters) < 1.02 * min(quarters)
+    means = [np.mean(part) for part in np.array_split(errors, 50)]
+    (drift, _), covariance = np.polyfit(np.arange(50.0), means, 1, cov=True)
+    assert abs(drift) < 2 * np.sqrt(covariance[0, 0])

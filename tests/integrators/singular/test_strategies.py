@@ -5,9 +5,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Composition, OptimalControlProblem, integrate
+from retrax.integrators import Composition, OptimalControlProblem, classify, integrate
 from retrax.integrators.singular import singular_integrator
-from retrax.manifolds import InvalidInputError, NotOnManifoldError
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Midpoint, default_retraction
 
@@ -150,3 +150,40 @@ def test_derivatives_of_a_trajectory_and_batches():
     np.testing.assert_allclose(jax.grad(end)(0.7), expected, rtol=1e-8)
     np.testing.assert_allclose(jax.jvp(end, (0.7,), (1.0,))[1], expected, rtol=1e-8)
     np.testing.assert_allclose(jax.vmap(end)(jnp.array([0.7, 0.2])), [end(0.7), end(0.2)], atol=1e-14)
+
+
+class Drift(eqx.Module):
+    """``(a x + u1, y)``, the dynamics of the paper's example with ``f = a x``."""
+
+    a: jax.Array
+
+    def __call__(self, q, u):
+        return jnp.stack([self.a * q[0] + u[0], q[1]])
+
+
+@pytest.mark.slow
+def test_a_trajectory_depends_on_the_data_of_the_problem_that_is_stepped():
+    cost = classified("academic").problem.running_cost
+
+    def problem(a):
+        return OptimalControlProblem(Euclidean(2), Drift(a), cost, 2)
+
+    method = singular_integrator(classify(problem(jnp.array(0.5))), Midpoint(default_retraction(Euclidean(2))))
+
+    def end(a):
+        return integrate(problem(a), method, start("academic"), 0.02, 50).q[-1, 0]
+
+    def closed(a):
+        rate = 1 - a
+        return 0.7 * jnp.exp(-rate) - 0.3 * jnp.sinh(rate) / rate
+
+    for a in (jnp.array(0.5), jnp.array(0.2)):
+        np.testing.assert_allclose(jax.grad(end)(a), jax.grad(closed)(a), rtol=1e-3)
+    np.testing.assert_allclose(jax.vmap(end)(jnp.array([0.5, 0.2])), [closed(0.5), closed(0.2)], rtol=1e-3)
+
+
+@pytest.mark.slow
+def test_gauge_controls_that_lie_on_a_manifold_have_to_be_given():
+    turned = OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q @ q / 2, Sphere(1))
+    with pytest.raises(InvalidInputError, match=r"no strategy applies: .*give gauge"):
+        singular_integrator(classify(turned), Midpoint(default_retraction(Euclidean(1))))
