@@ -66,7 +66,7 @@ class DerivativeArray(eqx.Module):
 
         try:
             return _taylor(field, slope, flat, u)
-        except NotImplementedError:
+        except (NotImplementedError, KeyError):  # KeyError: the primitive is not in the table of rules
             return jnp.stack(_nested(field, slope, self.order)(flat, u))
 
 
