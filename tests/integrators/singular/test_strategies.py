@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Composition, OptimalControlProblem, classify, integrate
+from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
@@ -75,18 +76,28 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
     assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
 
 
+@eqx.filter_jit
+def end(problem, method, z, count):
+    """The state after ``count`` steps over a unit of time."""
+
+    def step(_, last):
+        return method.step(problem, 1 / count, last.q, last.p, last.unknowns)
+
+    first = StepResult(*z, method.begin(problem, *z), jnp.array(True))
+    last = jax.lax.fori_loop(0, count, step, first)
+    return jnp.concatenate([last.q, last.p])
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sphere", "curved arc", "academic", "massless particle"])
-@pytest.mark.parametrize(("composed", "order"), [(False, 2), (True, 4)])
-def test_order(name, composed, order):
-    method = Composition(chosen(name)) if composed else chosen(name)
-    counts = np.array([16, 32, 128])
+@pytest.mark.parametrize("order", [2, 4])
+@pytest.mark.parametrize("name", ["sphere", "curved arc", "academic"])
+def test_order(name, order):
+    method = Composition(chosen(name)) if order == 4 else chosen(name)
     problem, z = classified(name).problem, start(name)
-    paths = [integrate(problem, method, z, 1 / n, int(n), save_every=int(n)) for n in counts]
-    ends = [np.concatenate([path.q[-1], path.p[-1]]) for path in paths]
-    errors = np.array([np.max(np.abs(end - ends[-1])) for end in ends[:-1]])
+    coarse, fine, finest = (end(problem, method, z, jnp.array(n)) for n in (16, 32, 128))
+    errors = np.array([np.max(np.abs(coarse - finest)), np.max(np.abs(fine - finest))])
     # The reference has an error of its own: (1 - 8^-order) / (1 - 4^-order) corrects it.
-    measured = slope(1 / counts[:-1], errors, 1e-13) - np.log2((1 - 8.0**-order) / (1 - 4.0**-order))
+    measured = np.log2(errors[0] / errors[1]) - np.log2((1 - 8.0**-order) / (1 - 4.0**-order))
     assert measured == pytest.approx(order, abs=0.05)
 
 
