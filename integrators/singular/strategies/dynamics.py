@@ -57,8 +57,8 @@ class FinalDynamics(eqx.Module):
         """The same dynamics with the data of ``system``, which may be traced where those of the classified problem are not."""
 
         def problems(dynamics: Any) -> list[OptimalControlProblem]:
-            final = [dynamics.manifold.equations] if isinstance(dynamics.manifold, Submanifold) else []
-            return [equations.array.problem for equations in (dynamics.equations, *final)]
+            holders = [dynamics, dynamics.manifold] if isinstance(self.manifold, Submanifold) else [dynamics]
+            return [holder.equations.array.problem for holder in holders]
 
         return eqx.tree_at(problems, self, [system] * len(problems(self)))
 
