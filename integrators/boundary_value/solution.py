@@ -2,11 +2,13 @@
 
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds.manifold import default_tolerance
+from .diagnostics import Diagnostics
 from .guess import Guess
 
 TOO_COARSE = 0.1
@@ -44,6 +46,22 @@ class Checks:
     momentum_spreads: dict[str, float]
     conserved: dict[str, int]
     strict_minimum: bool
+
+    @classmethod
+    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, strict_minimum: bool) -> Self:
+        """The checks from the diagnostics of a trajectory, in NumPy arrays, and what its solver knows."""
+        hamiltonians: Any = diagnostics.hamiltonians
+        return cls(
+            gap=gap,
+            stationarity=stationarity,
+            violations={name: float(value) for name, value in diagnostics.violations.items()},
+            hamiltonian=float(hamiltonians[0]),
+            hamiltonian_spread=float(np.ptp(hamiltonians)),
+            hamiltonian_size=float(diagnostics.hamiltonian_size),
+            momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
+            conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
+            strict_minimum=strict_minimum,
+        )
 
     @property
     def constraint(self) -> float:

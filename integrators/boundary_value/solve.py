@@ -202,17 +202,7 @@ def _record(output: _Output, theta: float, horizon: float, compiling: float, run
     found: Any = jax.tree.map(np.asarray, output)
     diagnostics = found.diagnostics
     steps = len(diagnostics.hamiltonians)
-    checks = Checks(
-        gap=float(found.gap),
-        stationarity=float(found.stationarity),
-        violations={name: float(value) for name, value in diagnostics.violations.items()},
-        hamiltonian=float(diagnostics.hamiltonians[0]),
-        hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
-        hamiltonian_size=float(diagnostics.hamiltonian_size),
-        momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
-        conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
-        strict_minimum=bool(found.strict_minimum),
-    )
+    checks = Checks.of(diagnostics, float(found.gap), float(found.stationarity), bool(found.strict_minimum))
     stage_states, controls = found.unknowns
     times = np.linspace(0.0, horizon, steps + 1)
     return Solution(

@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array
 
 from ....manifolds import InvalidInputError, Manifold
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import DiscretizationMap
@@ -189,22 +188,12 @@ def _record(
         cost=float(outcome.cost),
         success=bool(found.result == Result.successful),
         result=Result[found.result],
-        checks=_checks(max(float(found.at.distance), *arc.conditions.values()), outcome),
+        checks=Checks.of(
+            diagnostics,
+            gap=max(float(found.at.distance), *arc.conditions.values()),
+            stationarity=float(outcome.residual),
+            strict_minimum=False,
+        ),
         statistics=Statistics(found.iterations, *seconds),
         singular=arc,
-    )
-
-
-def _checks(gap: float, outcome: _Outcome) -> Checks:
-    diagnostics = outcome.diagnostics
-    return Checks(
-        gap=gap,
-        stationarity=float(outcome.residual),
-        violations={name: float(value) for name, value in diagnostics.violations.items()},
-        hamiltonian=float(diagnostics.hamiltonians[0]),
-        hamiltonian_spread=float(np.ptp(diagnostics.hamiltonians)),
-        hamiltonian_size=float(diagnostics.hamiltonian_size),
-        momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
-        conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
-        strict_minimum=False,
     )
