@@ -70,6 +70,10 @@ class OptimalControlProblem(eqx.Module):
             raise InvalidInputError(wrong)
         return v
 
+    def steer(self, u: Ambient, c: Array) -> Ambient:
+        """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``u``."""
+        return default_retraction(self.controls)(u, vec.combine(self.controls.basis(u), c))
+
     def normal_size(self, q: Ambient, u: Ambient) -> tuple[Array, Array]:
         """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
         v = self.velocity(q, u)
@@ -154,14 +158,11 @@ def _probe(
     def probe(control: Ambient) -> tuple[Array, Array]:
         return problem.normal_size(q, control)
 
-    def steer(c: Array) -> Ambient:
-        return default_retraction(problem.controls)(u, vec.combine(problem.controls.basis(u), c))
-
     def curvature(c: Array, covector: Ambient) -> Array:
         p = problem.manifold.projection(q, covector)
-        return jax.hessian(lambda c: problem.hamiltonian(q, p, steer(c)))(c)
+        return jax.hessian(lambda c: problem.hamiltonian(q, p, problem.steer(u, c)))(c)
 
-    normal, size = (jnp.maximum(a, b) for a, b in zip(probe(u), probe(steer(directions[0])), strict=True))
+    normal, size = (jnp.maximum(a, b) for a, b in zip(probe(u), probe(problem.steer(u, directions[0])), strict=True))
     costs = problem.cost_rate(q, u), problem.final_cost(q)
     return normal, size, costs, jax.vmap(curvature)(directions, covectors)
 

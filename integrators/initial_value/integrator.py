@@ -11,10 +11,9 @@ from jaxtyping import Array, ArrayLike, Bool
 
 from ...manifolds import Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import working_precision
-from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
-from ...retractions import CotangentLift, default_retraction
+from ...retractions import CotangentLift
 from ..problem import OptimalControlProblem
 from ..stages import ControlStage, HamiltonianStage
 from ..stages.hamiltonian import Hamiltonian
@@ -162,16 +161,12 @@ def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> 
 def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> tuple[Ambient, Bool[Array, ""]]:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
     zero = jnp.zeros(problem.controls.dimension)
-    root, found = find_root(jax.grad(lambda c: problem.hamiltonian(q, p, _steer(problem, near, c))), zero)
-    return _steer(problem, near, jnp.where(found, root, zero)), found
-
-
-def _steer(problem: OptimalControlProblem, u: Ambient, c: Array) -> Ambient:
-    return default_retraction(problem.controls)(u, vec.combine(problem.controls.basis(u), c))
+    root, found = find_root(jax.grad(lambda c: problem.hamiltonian(q, p, problem.steer(near, c))), zero)
+    return problem.steer(near, jnp.where(found, root, zero)), found
 
 
 @eqx.filter_jit
 def _control_curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient, u: Ambient) -> Array:
     """Singular values, descending, of ``d2H/du2``."""
-    hessian = jax.hessian(lambda c: problem.hamiltonian(q, p, _steer(problem, u, c)))(jnp.zeros(problem.controls.dimension))
+    hessian = jax.hessian(lambda c: problem.hamiltonian(q, p, problem.steer(u, c)))(jnp.zeros(problem.controls.dimension))
     return jnp.linalg.svd(hessian, compute_uv=False)

@@ -16,7 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
-from .jets import DerivativeArray, Pair, steer
+from .jets import DerivativeArray, Pair
 from .levels import PointRanks
 from .points import Points
 
@@ -78,7 +78,7 @@ class FinalEquations(eqx.Module):
 
     def control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``; ``gauge`` gives the free components, shape ``(free controls,)``."""
-        return steer(self.array.problem, self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
+        return self.array.problem.steer(self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -16,9 +16,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ....manifolds import CotangentBundle
-from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....retractions import default_retraction
 from ...problem import OptimalControlProblem
 
 Pair = tuple[Ambient, Ambient]
@@ -26,15 +24,9 @@ Jet = Float[Array, "order+1 m"]
 Flat = Float[Array, " N"]
 
 
-def steer(problem: OptimalControlProblem, center: Ambient, c: Array) -> Ambient:
-    """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``center``."""
-    controls = problem.controls
-    return default_retraction(controls)(center, vec.combine(controls.basis(center), c))
-
-
 def control_slope(problem: OptimalControlProblem, z: Pair, center: Ambient, c: Array) -> Float[Array, " m"]:
     """``dH/du`` at ``(z, u)`` in the chart of U around ``center``."""
-    return jax.grad(lambda c: problem.hamiltonian(*z, steer(problem, center, c)))(c)
+    return jax.grad(lambda c: problem.hamiltonian(*z, problem.steer(center, c)))(c)
 
 
 def hamiltonian_field(problem: OptimalControlProblem, z: Pair, u: Ambient) -> Pair:
@@ -62,7 +54,7 @@ class DerivativeArray(eqx.Module):
         @jax.jit
         def field(w: Flat, c: Array) -> Flat:
             z = unravel(w)
-            return ravel_pytree(hamiltonian_field(self.problem, z, steer(self.problem, center, c)))[0]
+            return ravel_pytree(hamiltonian_field(self.problem, z, self.problem.steer(center, c)))[0]
 
         try:
             return _taylor(field, slope, flat, u)

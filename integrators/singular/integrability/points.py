@@ -18,7 +18,7 @@ from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiler_options
 from ...problem import OptimalControlProblem
-from .jets import DerivativeArray, Pair, hamiltonian_field, steer
+from .jets import DerivativeArray, Pair, hamiltonian_field
 
 CONVERGED = 1e-10  # largest entry of the array, in its units
 ITERATIONS = 60
@@ -53,7 +53,7 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
     value, slopes = jax.vmap(lambda a, b: jax.jvp(function, (z, jet), (a, b)), out_axes=(None, 0))(moved, along)
     slopes = jnp.moveaxis(slopes, 0, -1)
     size, slope = jax.vmap(lambda a: jax.jvp(lambda y: (vec.pairing(y[1], y[1]) - 1) / 2, (z,), (a,)), out_axes=(None, 0))(frame)
-    base, control = array.problem.manifold.basis(z[0]), steer(array.problem, center, jet[0])
+    base, control = array.problem.manifold.basis(z[0]), array.problem.steer(center, jet[0])
     return Linearised(
         z=z,
         control=control,

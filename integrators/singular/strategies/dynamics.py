@@ -15,7 +15,6 @@ from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import HamiltonianStage
 from ..integrability import Classification, FinalEquations
-from ..integrability.jets import steer
 from .strategy import Gauge, NotApplicableError
 
 Pair = tuple[Ambient, Ambient]
@@ -119,7 +118,7 @@ class FinalDynamics(eqx.Module):
         return self.gauge is None and bool(self.equations.pivots.free)
 
     def _steer(self, jet: Array) -> Ambient:
-        return steer(self.problem, self.equations.center, jet[: self.problem.controls.dimension])
+        return self.problem.steer(self.equations.center, jet[: self.problem.controls.dimension])
 
     def _jet(self, t: Array, z: Pair, unknowns: Array) -> Array:
         """The raveled control and its derivatives: the eliminated entries, then the free ones, from the unknowns or the gauge."""
