@@ -32,6 +32,7 @@ class Assembled(NamedTuple):
     """The KKT system at an iterate, and how far the iterate is from satisfying it."""
 
     blocks: BlockSystem
+    gradient: Array  # of the cost alone, shape (N, s)
     frames: Frame
     coordinates: Array  # multipliers in the frames, shape (N + 1, n)
     nodes: Ambient
@@ -81,8 +82,8 @@ class DiscreteTrajectory(eqx.Module):
         gradient = rows.cost.at[-1].add(at.slope @ last)
         left = rows.start.at[0].multiply(self.start.mask()[:, None])
         right = rows.end.at[-1].multiply(self.end.mask()[:, None])
-        blocks = BlockSystem(hessian, left, right, gradient, at.gap, self.start.mask(), self.end.mask())
-        return self._assembled(at, blocks, parts)
+        blocks = BlockSystem(hessian, left, right, parts.slope, at.gap, self.start.mask(), self.end.mask())
+        return self._assembled(at, blocks, gradient, parts.cost)
 
     def evaluate(self, iterate: Iterate, near: Assembled) -> Assembled:
         """The KKT system at an iterate with the matrices of one assembled near it, for a step of the chord method.
@@ -93,14 +94,13 @@ class DiscreteTrajectory(eqx.Module):
         zero = jnp.zeros(self.stage.dimension)
         parts = jax.vmap(lambda *stage: self._parts(zero, *stage))(iterate.unknowns, *self._around(at))
         starts, ends = _shares(near.blocks, at.coordinates)
-        blocks = near.blocks._replace(gradient=parts.slope - starts + ends, gap=at.gap)
-        return self._assembled(at, blocks, parts)
+        blocks = near.blocks._replace(slope=parts.slope, gap=at.gap)
+        return self._assembled(at, blocks, parts.slope - starts + ends, parts.cost)
 
     def move(self, iterate: Iterate, assembled: Assembled, steps: Array, multipliers: Array, fraction: Array) -> Iterate:
         """The iterate moved by a fraction of a step of the block system, through the charts of the stages."""
         y = jax.vmap(self.stage.move)(iterate.unknowns, fraction * steps)
-        blended = assembled.coordinates + fraction * (multipliers - assembled.coordinates)
-        return Iterate(y, jax.vmap(vec.combine)(assembled.frames, blended))
+        return Iterate(y, jax.vmap(vec.combine)(assembled.frames, assembled.coordinates + fraction * multipliers))
 
     def _at_nodes(self, iterate: Iterate) -> _AtNodes:
         begins, finishes = jax.vmap(self.stage.ends)(iterate.unknowns)
@@ -116,10 +116,10 @@ class DiscreteTrajectory(eqx.Module):
         (p0, e0), (p1, e1) = (jax.tree.map(lambda leaf, s=s: leaf[s], (at.costates, at.frames)) for s in (BEFORE, AFTER))
         return p0, p1, e0, e1
 
-    def _assembled(self, at: _AtNodes, blocks: BlockSystem, parts: _Parts) -> Assembled:
-        cost = jnp.sum(parts.cost) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], at.nodes))
-        stationarity = _stationarity(blocks, at.coordinates, parts.slope)
-        return Assembled(blocks, at.frames, at.coordinates, at.nodes, at.costates, cost, at.distance, stationarity)
+    def _assembled(self, at: _AtNodes, blocks: BlockSystem, gradient: Array, costs: Array) -> Assembled:
+        cost = jnp.sum(costs) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], at.nodes))
+        stationarity = _stationarity(blocks, gradient, at.coordinates)
+        return Assembled(blocks, gradient, at.frames, at.coordinates, at.nodes, at.costates, cost, at.distance, stationarity)
 
     def _nodes(self, begins: Ambient, finishes: Ambient) -> tuple[Ambient, Ambient]:
         """Nodes ``q_0 ... q_N`` and, at each, the beginning of the stage after it minus the end of the one before."""
@@ -176,13 +176,13 @@ def _shares(blocks: BlockSystem, coordinates: Array) -> tuple[Array, Array]:
     )
 
 
-def _stationarity(blocks: BlockSystem, coordinates: Array, slope: Array) -> Array:
+def _stationarity(blocks: BlockSystem, gradient: Array, coordinates: Array) -> Array:
     """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
 
     Where all parts vanish, at an optimum of the cost itself, the curvature sets the scale.
     """
     starts, ends = _shares(blocks, coordinates)
-    parts = jnp.max(jnp.abs(blocks.gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
+    parts = jnp.max(jnp.abs(gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
     curvature = jnp.max(jnp.abs(jnp.diagonal(blocks.hessian, axis1=1, axis2=2)), axis=0)
     scale = jnp.maximum(jnp.maximum(parts, 1e-3 * curvature), 1e-3 * jnp.max(parts))
-    return jnp.max(jnp.abs(slope) / jnp.where(scale > 0, scale, 1.0))
+    return jnp.max(jnp.abs(blocks.slope) / jnp.where(scale > 0, scale, 1.0))

@@ -9,9 +9,9 @@ from jaxtyping import Array, Float
 
 
 class BlockSystem(NamedTuple):
-    """Linear system in the steps ``d_k`` of the stages and the multipliers ``c_k`` of the nodes, N stages, N + 1 nodes:
+    """Linear system in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1 nodes:
 
-        hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -gradient_k
+        hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -slope_k
         left_k d_k - right_{k-1} d_{k-1}               = -gap_k
 
     with no ``left`` at the last node and no ``right`` before the first. Where ``fixed_start`` or ``fixed_end`` is 0 the
@@ -21,7 +21,7 @@ class BlockSystem(NamedTuple):
     hessian: Float[Array, "N s s"]
     left: Float[Array, "N n s"]
     right: Float[Array, "N n s"]
-    gradient: Float[Array, "N s"]
+    slope: Float[Array, "N s"]
     gap: Float[Array, "N+1 n"]
     fixed_start: Float[Array, " n"]
     fixed_end: Float[Array, " n"]
@@ -51,7 +51,7 @@ def eliminate(system: BlockSystem) -> BlockSolution:
         return pivot, jnp.concatenate([corner, -right.T])
 
     pivots, couplings = jax.vmap(block)(system.hessian, system.left, system.right)
-    sides = jnp.concatenate([-system.gap[:-1], -system.gradient], axis=1)
+    sides = jnp.concatenate([-system.gap[:-1], -system.slope], axis=1)
 
     def forward(carry: tuple[Array, Array], stage: tuple[Array, Array, Array]) -> tuple[tuple[Array, Array], tuple]:
         schur, shift = carry

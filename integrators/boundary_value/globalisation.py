@@ -79,18 +79,23 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         assembled = jax.lax.cond(chord, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
         state, good = _judge(assembled, state, tolerance)
         residual, stale = _residual(state.assembled), jnp.where(good, chord, state.stale)
-        # Where a chord step arrives, one more is tried, to a point with matrices of its own; else they are made where it is.
         arrived = residual <= tolerance
-        done = arrived & ~(chord & stale)
+        # Where a chord step arrives, the matrices are made there: the last elimination is of the solution's own unchanged
+        # system, and its inertia tells whether it is a minimum.
+        unmade = arrived & stale
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
-        # The last elimination is of the unchanged system: its inertia tells which.
         keep = arrived | (good & (residual <= jnp.sqrt(tolerance)))
-        shift, factors = _regularised(state.assembled, state.factors, jnp.where(arrived, 0.0, state.shift), keep)
+        shift = jnp.where(arrived, 0.0, state.shift)
+        shift, factors = jax.lax.cond(
+            unmade, lambda: (shift, state.factors), lambda: _regularised(state.assembled, state.factors, shift, keep)
+        )
         model = _promise(state.assembled, factors, shift, state.model.penalty)
-        fraction = jnp.where(arrived & ~good, 0.0, state.fraction)
+        fraction = jnp.where(arrived, 0.0, state.fraction)
         trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, fraction)
         fast = state.fast & ~arrived
-        return state._replace(trial=trial, factors=factors, model=model, shift=shift, fast=fast, stale=stale, done=done)
+        return state._replace(
+            trial=trial, factors=factors, model=model, shift=shift, fast=fast, stale=stale, done=arrived & ~unmade
+        )
 
     def going(state: _State) -> Array:
         return ~state.done & _solvable(state) & (state.trials <= max_iterations)
@@ -133,7 +138,8 @@ def _judge(assembled: Assembled, state: _State, tolerance: ArrayLike) -> tuple[_
     residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
     improves = (decreases & (state.trials > 0)) | (residual <= jnp.maximum(RECORD * state.best, tolerance))
-    good = improves & jnp.isfinite(residual) & jnp.isfinite(merit)
+    remade = state.fraction == 0  # the same iterate, with matrices of its own
+    good = (improves | remade) & jnp.isfinite(residual) & jnp.isfinite(merit)
     new, old = (state.trial, assembled), (state.iterate, state.assembled)
     iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
 
@@ -193,7 +199,7 @@ def _promise(assembled: Assembled, factors: BlockSolution, shift: Array, penalty
     blocks, d = assembled.blocks, factors.steps
     hessian = blocks.hessian + shift * jnp.diag(_scales(assembled))
     gap = jnp.sum(jnp.abs(blocks.gap))
-    ahead = jnp.sum(blocks.gradient * d)
+    ahead = jnp.sum(assembled.gradient * d)
     wanted = (ahead + jnp.einsum("ks,kst,kt->", d, hessian, d) / 2) / (0.9 * jnp.where(gap > 0, gap, 1.0))
     penalty = jnp.where(gap > 0, jnp.maximum(penalty, wanted), penalty)
     return _Model(_merit(assembled, penalty), ahead - penalty * gap, penalty)

@@ -57,7 +57,7 @@ def test_elimination_solves_the_kkt_system(seed, free_start, free_end, convex):
     steps, multipliers, _ = kernel()(system)
     hessian, constraints, free = dense(system)
     matrix = np.block([[hessian, constraints.T], [constraints, free]])
-    expected = np.linalg.solve(matrix, -np.concatenate([system.gradient.ravel(), system.gap.ravel()]))
+    expected = np.linalg.solve(matrix, -np.concatenate([system.slope.ravel(), system.gap.ravel()]))
     rounding = 1e-13 * np.linalg.cond(matrix) * (1 + norm(expected))
     assert norm(np.concatenate([steps.ravel(), multipliers.ravel()]) - expected) < rounding
 
