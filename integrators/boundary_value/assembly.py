@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
@@ -73,29 +73,37 @@ class DiscreteTrajectory(eqx.Module):
     end: NodeCondition
     terminal_cost: Callable[[Any], Array]
 
-    def assemble(self, iterate: Iterate) -> Assembled:
-        """The KKT system at an iterate: values, first derivatives, and the Hessian of the Lagrangian."""
-        at = self._at_nodes(iterate)
-        rows, parts = jax.vmap(self._block_row)(iterate.unknowns, *self._around(at))
-        last = rows.end[-1]
-        hessian = rows.slope.at[-1].add(last.T @ at.curvature @ last)
-        gradient = rows.cost.at[-1].add(at.slope @ last)
-        left = rows.start.at[0].multiply(self.start.mask()[:, None])
-        right = rows.end.at[-1].multiply(self.end.mask()[:, None])
-        blocks = BlockSystem(hessian, left, right, parts.slope, at.gap, self.start.mask(), self.end.mask())
-        return self._assembled(at, blocks, gradient, parts.cost)
+    def assemble(self, iterate: Iterate, near: Assembled, chord: ArrayLike) -> Assembled:
+        """The KKT system at an iterate: values, first derivatives, and the Hessian of the Lagrangian.
 
-    def evaluate(self, iterate: Iterate, near: Assembled) -> Assembled:
-        """The KKT system at an iterate with the matrices of one assembled near it, for a step of the chord method.
-
-        A sixth of the work. The residual is the iterate's own, so the iteration has the same limit.
+        If ``chord``, the matrices are those of ``near``, for a step of the chord method: a fifth of the work. The residual is
+        the iterate's own, so the iteration has the same limit.
         """
         at = self._at_nodes(iterate)
-        zero = jnp.zeros(self.stage.dimension)
-        parts = jax.vmap(lambda *stage: self._parts(zero, *stage))(iterate.unknowns, *self._around(at))
-        starts, ends = _shares(near.blocks, at.coordinates)
-        blocks = near.blocks._replace(slope=parts.slope, gap=at.gap)
-        return self._assembled(at, blocks, parts.slope - starts + ends, parts.cost)
+        stages = iterate.unknowns, *self._around(at)
+
+        def anew() -> tuple[BlockSystem, Array, Array]:
+            return self._linearised(at, *stages)
+
+        def again() -> tuple[BlockSystem, Array, Array]:
+            zero = jnp.zeros(self.stage.dimension)
+            parts = jax.vmap(lambda *stage: self._parts(zero, *stage))(*stages)
+            starts, ends = _shares(near.blocks, at.coordinates)
+            return near.blocks._replace(slope=parts.slope, gap=at.gap), parts.slope - starts + ends, parts.cost
+
+        return self._assembled(at, *jax.lax.cond(chord, again, anew))
+
+    def unassembled(self, iterate: Iterate) -> Assembled:
+        """A KKT system of the right shapes, all zero."""
+
+        def shaped(iterate: Iterate) -> Assembled:
+            at, s = self._at_nodes(iterate), self.stage.dimension
+            count, n = at.gap.shape[0] - 1, at.gap.shape[1]
+            node, rows = jnp.zeros((count, n, s)), jnp.zeros((count, s))
+            blocks = BlockSystem(jnp.zeros((count, s, s)), node, node, rows, at.gap, self.start.mask(), self.end.mask())
+            return self._assembled(at, blocks, rows, jnp.zeros(count))
+
+        return jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), jax.eval_shape(shaped, iterate))
 
     def move(self, iterate: Iterate, assembled: Assembled, steps: Array, multipliers: Array, fraction: Array) -> Iterate:
         """The iterate moved by a fraction of a step of the block system, through the charts of the stages."""
@@ -115,6 +123,16 @@ class DiscreteTrajectory(eqx.Module):
         """Costates and frames at the nodes before and after each stage."""
         (p0, e0), (p1, e1) = (jax.tree.map(lambda leaf, s=s: leaf[s], (at.costates, at.frames)) for s in (BEFORE, AFTER))
         return p0, p1, e0, e1
+
+    def _linearised(self, at: _AtNodes, *stages: Any) -> tuple[BlockSystem, Array, Array]:
+        """Blocks, gradient of the cost, and cost of every stage."""
+        rows, parts = jax.vmap(self._block_row)(*stages)
+        last = rows.end[-1]
+        hessian = rows.slope.at[-1].add(last.T @ at.curvature @ last)
+        gradient = rows.cost.at[-1].add(at.slope @ last)
+        left = rows.start.at[0].multiply(self.start.mask()[:, None])
+        right = rows.end.at[-1].multiply(self.end.mask()[:, None])
+        return BlockSystem(hessian, left, right, parts.slope, at.gap, self.start.mask(), self.end.mask()), gradient, parts.cost
 
     def _assembled(self, at: _AtNodes, blocks: BlockSystem, gradient: Array, costs: Array) -> Assembled:
         cost = jnp.sum(costs) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], at.nodes))

@@ -7,7 +7,7 @@ that needs no inertia [Chiang, Zavala 2016]. Where a step has brought the residu
 one more (the chord method): it gains more digits than that step did.
 """
 
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -69,14 +69,9 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     Converged where both the ambient gap and the relative stationarity are at most ``tolerance``.
     """
 
-    assemble = jax.jit(lambda iterate: problem.assemble(iterate))  # traced once, for the shapes and for the loop
-
-    def evaluate(trial: Iterate, near: Assembled) -> Assembled:
-        return problem.evaluate(trial, near)
-
     def body(state: _State) -> _State:
         chord = state.fast
-        assembled = jax.lax.cond(chord, evaluate, lambda trial, _: assemble(trial), state.trial, state.assembled)
+        assembled = problem.assemble(state.trial, state.assembled, chord)
         state, good = _judge(assembled, state, tolerance)
         residual, stale = _residual(state.assembled), jnp.where(good, chord, state.stale)
         arrived = residual <= tolerance
@@ -100,8 +95,8 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     def going(state: _State) -> Array:
         return ~state.done & _solvable(state) & (state.trials <= max_iterations)
 
-    assembled = _zeros(jax.eval_shape(assemble, guess))
-    factors = _zeros(jax.eval_shape(eliminate, assembled.blocks))
+    assembled = problem.unassembled(guess)
+    factors = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(eliminate, assembled.blocks))
     zero, infinity, no = jnp.zeros(()), jnp.asarray(jnp.inf), jnp.array(False)
     promise = _Model(infinity, zero, zero)
     state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), no, no, no)
@@ -109,10 +104,6 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     result = _outcome(state, tolerance, max_iterations)
     strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale
     return NewtonResult(state.iterate, state.assembled, strict, state.trials - 1, result)
-
-
-def _zeros(shapes: Any) -> Any:
-    return jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shapes)
 
 
 def _solvable(state: _State) -> Array:

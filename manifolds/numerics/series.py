@@ -6,16 +6,26 @@ form beyond, so derivatives of any order are right everywhere in every autodiff 
 """
 
 from collections.abc import Callable
+from fractions import Fraction
 from math import factorial
 
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
-from scipy.special import zeta
 
 _TERMS = 11
-_BERNOULLI = tuple(2 * zeta(2.0 * k) / (2 * np.pi) ** (2 * k) for k in range(1, _TERMS + 1))  # |B_2k| / (2k)!
 _ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240, 6435 / 557056)
+
+
+def _bernoulli(count: int) -> tuple[float, ...]:
+    """``|B_2k| / (2k)!`` for ``k = 1 ... count``, the coefficients of ``1 - (t/2) cot(t/2)`` in ``t^2``."""
+    sine = [Fraction((-1) ** k, 4**k * factorial(2 * k + 1)) for k in range(count + 1)]
+    found: list[Fraction] = []
+    for k in range(1, count + 1):
+        found.append(-2 * k * sine[k] - sum(a * b for a, b in zip(sine[1:k], reversed(found), strict=True)))
+    return tuple(map(float, found))
+
+
+_BERNOULLI = _bernoulli(_TERMS)
 
 
 def _switch(s: Array, radius: float, coefficients: tuple[float, ...], closed: Callable[[Array], Array]) -> Array:

@@ -11,7 +11,6 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-import scipy.linalg
 from jaxtyping import Array, ArrayLike, Float
 
 from ....manifolds.numerics.ambient import Ambient
@@ -149,7 +148,9 @@ def _independent_rows(matrix: np.ndarray, size: int) -> list[int]:
 
 def _pivoted(matrix: np.ndarray) -> Any:
     """Triangular factor and order of the columns of a QR factorisation with pivoting."""
-    return scipy.linalg.qr(matrix, mode="r", pivoting=True)
+    from scipy.linalg import qr  # here, because its import takes as long as that of this whole package
+
+    return qr(matrix, mode="r", pivoting=True)
 
 
 def _onto(columns: np.ndarray) -> np.ndarray:
