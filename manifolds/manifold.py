@@ -79,9 +79,9 @@ class Manifold(eqx.Module):
 
     def judge(self, violations: dict[str, Array], limit: float) -> Verdict:
         """The verdict on a point with these violations of the defining equations."""
-        for words, value in jax.device_get(violations).items():
-            if not value <= limit:
-                return Verdict(False, f"not on {self}: {words} is {value:.3g}, expected at most {limit:.1g}")
+        for words, value in violations.items():
+            if not float(value) <= limit:
+                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}")
         return Verdict(True, f"a point of the manifold to {limit:.1g}")
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:

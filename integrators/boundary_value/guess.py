@@ -34,10 +34,9 @@ def default_guess(
     Controls rest, costates are zero. Raises ``DomainError`` if neither curve arrives near the end: the two points are
     opposite to each other, and the user has to say which way round.
     """
-    first, last = jax.tree.map(jnp.asarray, (start, end))
-    (guess, arrived), *_ = call_compiled(_curve, problem, discretization, first, last, steps)
+    (guess, arrived), *_ = call_compiled(_curve, problem, discretization, start, end, steps)
     if not arrived:
-        (guess, arrived), *_ = call_compiled(_walk, problem, discretization, first, last, steps)
+        (guess, arrived), *_ = call_compiled(_walk, problem, discretization, start, end, steps)
     if not arrived:
         raise DomainError(
             "no default guess: the end is opposite to the start (for rotations: half a turn away), so no direction leads "
