@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -28,9 +29,13 @@ class Retraction(eqx.Module):
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
         """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off ``TM``."""
 
-    def chart(self, x: Ambient, c: Array) -> Ambient:
-        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``."""
-        return self(x, vec.combine(self.manifold.basis(x), c))
+    def frame(self, x: Ambient) -> Any:
+        """What ``chart`` needs of the basis at ``x``: computed once for a chart, because a basis may jump near ``x``."""
+        return self.manifold.basis(x)
+
+    def chart(self, x: Ambient, frame: Any, c: Array) -> Ambient:
+        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``; ``frame`` from ``frame``."""
+        return self(x, vec.combine(frame, c))
 
     def both_ways(self, x: Ambient, v: Ambient) -> tuple[Ambient, Ambient]:
         """The two points ``R(x, -v)`` and ``R(x, v)``."""

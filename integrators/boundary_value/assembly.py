@@ -33,7 +33,8 @@ class Assembled(NamedTuple):
 
     blocks: BlockSystem
     gradient: Array  # of the cost alone, shape (N, s)
-    frames: Frame
+    charts: Any  # what the charts of the stages need of their bases
+    frames: Frame  # at the nodes
     coordinates: Array  # multipliers in the frames, shape (N + 1, n)
     nodes: Ambient
     costates: Ambient
@@ -54,6 +55,7 @@ class _Parts(NamedTuple):
 class _AtNodes(NamedTuple):
     """What an iterate says at its nodes; slope and curvature are those of the terminal cost."""
 
+    charts: Any
     nodes: Ambient
     distance: Array
     frames: Frame
@@ -107,7 +109,7 @@ class DiscreteTrajectory(eqx.Module):
 
     def move(self, iterate: Iterate, assembled: Assembled, steps: Array, multipliers: Array, fraction: Array) -> Iterate:
         """The iterate moved by a fraction of a step of the block system, through the charts of the stages."""
-        y = jax.vmap(self.stage.move)(iterate.unknowns, fraction * steps)
+        y = jax.vmap(self.stage.move)(iterate.unknowns, assembled.charts, fraction * steps)
         return Iterate(y, jax.vmap(vec.combine)(assembled.frames, assembled.coordinates + fraction * multipliers))
 
     def _at_nodes(self, iterate: Iterate) -> _AtNodes:
@@ -117,12 +119,13 @@ class DiscreteTrajectory(eqx.Module):
         gap = jax.vmap(vec.components)(frames, gaps)
         gap = gap.at[0].multiply(self.start.mask()).at[-1].multiply(self.end.mask())
         distance = vec.size(jax.tree.map(lambda a, b: vec.size(a) / (1 + vec.size(b)), gaps, nodes))
-        return _AtNodes(nodes, distance, frames, gap, *self._multipliers(iterate.costates, nodes, frames))
+        charts = jax.vmap(self.stage.frame)(iterate.unknowns)
+        return _AtNodes(charts, nodes, distance, frames, gap, *self._multipliers(iterate.costates, nodes, frames))
 
-    def _around(self, at: _AtNodes) -> tuple[Ambient, Ambient, Frame, Frame]:
-        """Costates and frames at the nodes before and after each stage."""
+    def _around(self, at: _AtNodes) -> tuple[Any, Ambient, Ambient, Frame, Frame]:
+        """Charts of the stages, costates and frames at the nodes before and after each."""
         (p0, e0), (p1, e1) = (jax.tree.map(lambda leaf, s=s: leaf[s], (at.costates, at.frames)) for s in (BEFORE, AFTER))
-        return p0, p1, e0, e1
+        return at.charts, p0, p1, e0, e1
 
     def _linearised(self, at: _AtNodes, *stages: Any) -> tuple[BlockSystem, Array, Array]:
         """Blocks, gradient of the cost, and cost of every stage."""
@@ -137,7 +140,9 @@ class DiscreteTrajectory(eqx.Module):
     def _assembled(self, at: _AtNodes, blocks: BlockSystem, gradient: Array, costs: Array) -> Assembled:
         cost = jnp.sum(costs) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], at.nodes))
         stationarity = _stationarity(blocks, gradient, at.coordinates)
-        return Assembled(blocks, gradient, at.frames, at.coordinates, at.nodes, at.costates, cost, at.distance, stationarity)
+        return Assembled(
+            blocks, gradient, at.charts, at.frames, at.coordinates, at.nodes, at.costates, cost, at.distance, stationarity
+        )
 
     def _nodes(self, begins: Ambient, finishes: Ambient) -> tuple[Ambient, Ambient]:
         """Nodes ``q_0 ... q_N`` and, at each, the beginning of the stage after it minus the end of the one before."""
@@ -166,11 +171,11 @@ class DiscreteTrajectory(eqx.Module):
         covectors = jax.tree.map(lambda leaf, d: leaf.at[-1].add(-d), covectors, derivative)
         return coordinates, covectors, slope, curvature
 
-    def _parts(self, d: Array, y: Any, p0: Ambient, p1: Ambient, e0: Frame, e1: Frame) -> _Parts:
+    def _parts(self, d: Array, y: Any, chart: Any, p0: Ambient, p1: Ambient, e0: Frame, e1: Frame) -> _Parts:
         """Parts of one stage at the coordinates ``d`` of its chart."""
 
         def lagrangian(d: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-            moved = self.stage.move(y, d)
+            moved = self.stage.move(y, chart, d)
             begin, finish = self.stage.ends(moved)
             cost = self.stage.cost(moved)
             parts = vec.components(e0, begin), vec.components(e1, finish), cost

@@ -40,6 +40,7 @@ class StepEquations:
         frozen = jax.lax.stop_gradient
         self.stage = stage
         self._guess = frozen(stage.predict(q0, p0, previous))
+        self._chart = stage.frame(self._guess)
         self._frame = stage.manifold.basis(stage.tangent(self._guess)[0])
         costate = frozen(vec.components(self._frame, p0))
         self.first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
@@ -53,14 +54,14 @@ class StepEquations:
 
     def unknowns(self, c: Array) -> Any:
         """The stage's unknowns with coordinates ``c``."""
-        return self.stage.move(self._guess, c[: self.stage.dimension])
+        return self.stage.move(self._guess, self._chart, c[: self.stage.dimension])
 
     def residual(self, c: Array, q0: Ambient, p0: Ambient) -> Array:
         """The equations for a step from ``(q0, p0)``, zero at a solution ``c``."""
         size = self.stage.dimension
 
         def generating(d: Array, p1: Ambient) -> tuple[Array, Ambient]:
-            y = self.stage.move(self._guess, d)
+            y = self.stage.move(self._guess, self._chart, d)
             r1, r2 = self.stage.ends(y)
             return vec.pairing(p1, r2) - vec.pairing(p0, r1) - self.stage.cost(y), r1
 

@@ -1,6 +1,6 @@
 """The stage of an optimal control problem."""
 
-from typing import final
+from typing import Any, final
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
@@ -30,10 +30,13 @@ class ControlStage(Stage):
     def dimension(self) -> int:
         return self.manifold.dimension + self.problem.controls.dimension
 
-    def move(self, y: Unknowns, d: Array) -> Unknowns:
-        x, u = y
-        n = self.manifold.dimension
-        return self.discretization.retraction.chart(x, d[:n]), default_retraction(self.problem.controls).chart(u, d[n:])
+    def frame(self, y: Unknowns) -> tuple[Any, Any]:
+        return self.discretization.retraction.frame(y[0]), default_retraction(self.problem.controls).frame(y[1])
+
+    def move(self, y: Unknowns, frame: tuple[Any, Any], d: Array) -> Unknowns:
+        retractions = self.discretization.retraction, default_retraction(self.problem.controls)
+        x, u = (r.chart(*part) for r, *part in zip(retractions, y, frame, jnp.split(d, [self.manifold.dimension]), strict=True))
+        return x, u
 
     def sizes(self, y: Unknowns) -> Array:
         x, u = y

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
 from .stage import Stage, positive
 
@@ -32,9 +32,11 @@ class HamiltonianStage(Stage):
     def dimension(self) -> int:
         return 3 * self.manifold.dimension
 
-    def move(self, y: Unknowns, d: Array) -> Unknowns:
+    def frame(self, y: Unknowns) -> Frame:
+        return self.manifold.basis(y[0])
+
+    def move(self, y: Unknowns, frame: Frame, d: Array) -> Unknowns:
         x, v, pi = y
-        frame = self.manifold.basis(x)
         dx, dv, dpi = (vec.combine(frame, part) for part in jnp.split(d, 3))
         moved = self.discretization.retraction(x, dx)
         fibre = self.manifold.projection

@@ -39,8 +39,12 @@ class Stage(eqx.Module):
         """Number of coordinates of the unknowns."""
 
     @abstractmethod
-    def move(self, y: Unknowns, d: Array) -> Unknowns:
-        """Chart of the unknowns around ``y``: ``move(y, 0) = y``, coordinates ``d`` of shape ``(dimension,)``."""
+    def frame(self, y: Unknowns) -> Any:
+        """What ``move`` needs of the bases at ``y``: computed once for a chart, because a basis may jump near ``y``."""
+
+    @abstractmethod
+    def move(self, y: Unknowns, frame: Any, d: Array) -> Unknowns:
+        """Chart of the unknowns around ``y``: ``move(y, frame(y), 0) = y``, coordinates ``d`` of shape ``(dimension,)``."""
 
     @abstractmethod
     def sizes(self, y: Unknowns) -> Array:

@@ -120,7 +120,8 @@ def flatten_frame(frame: Frame) -> Float[Array, "k N"]:
 
 
 def orthonormalise(frame: Frame) -> Frame:
-    """Orthonormal frame of the same span (Gram-Schmidt through a QR factorisation)."""
-    matrix = flatten_frame(frame)
-    mixing = jnp.linalg.inv(jnp.linalg.qr(matrix.T, mode="r"))
+    """Orthonormal frame of the same span, that of Gram and Schmidt: a smooth function of the frame."""
+    r = jnp.linalg.qr(flatten_frame(frame).T, mode="r")
+    # The signs that LAPACK gives to the rows jump where an entry that may be zero by structure changes its sign.
+    mixing = jnp.linalg.inv(jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)[:, None] * r)
     return jax.tree.map(lambda leaf: jnp.tensordot(mixing.T.astype(leaf.dtype), leaf, 1), frame)

@@ -29,9 +29,12 @@ class ProductRetraction(DifferentiatedRetraction):
     def __call__(self, x: tuple, v: tuple) -> tuple:
         return tuple(r(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True))
 
-    def chart(self, x: tuple, c: Array) -> tuple:
+    def frame(self, x: tuple) -> tuple:
+        return tuple(r.frame(xi) for r, xi in zip(self.factors, x, strict=True))
+
+    def chart(self, x: tuple, frame: tuple, c: Array) -> tuple:
         ends = np.cumsum([factor.manifold.dimension for factor in self.factors])[:-1]
-        return tuple(r.chart(xi, ci) for r, xi, ci in zip(self.factors, x, jnp.split(c, ends), strict=True))
+        return tuple(r.chart(*part) for r, *part in zip(self.factors, x, frame, jnp.split(c, ends), strict=True))
 
     def both_ways(self, x: tuple, v: tuple) -> tuple[tuple, tuple]:
         pairs = [r.both_ways(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]

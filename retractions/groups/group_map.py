@@ -39,10 +39,14 @@ class GroupRetraction(Retraction):
     def __call__(self, x: Array, v: Array) -> Array:
         return x @ self.group_map(self.manifold.left_trivialise(x, v))
 
-    def chart(self, x: Array, c: Array) -> Array:
-        if self.manifold.lie_algebra.acts_unitarily:  # then the translated basis is orthonormal: no way there and back
+    def frame(self, x: Array) -> Array | None:
+        # Where the translated basis is orthonormal there is no need to go to the tangent space and back.
+        return None if self.manifold.lie_algebra.acts_unitarily else super().frame(x)
+
+    def chart(self, x: Array, frame: Array | None, c: Array) -> Array:
+        if frame is None:
             return x @ self.group_map(vec.combine(jnp.asarray(self.manifold.lie_algebra.orthonormal, x.dtype), c))
-        return super().chart(x, c)
+        return super().chart(x, frame, c)
 
     def preimage(self, x: Array, y: Array) -> Array:
         return x @ self.group_map_inverse(self.manifold.inverse(x) @ y)

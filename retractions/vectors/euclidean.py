@@ -18,7 +18,10 @@ class Addition(MidpointRetraction):
     def __call__(self, x: Array, v: Array) -> Array:
         return x + v
 
-    def chart(self, x: Array, c: Array) -> Array:
+    def frame(self, x: Array) -> None:
+        return None  # the entries themselves
+
+    def chart(self, x: Array, frame: None, c: Array) -> Array:
         return x + c.reshape(x.shape)
 
     def both_ways(self, x: Array, v: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import CotangentBundle, Sphere, TangentBundle
+from retrax.manifolds import SO, CotangentBundle, Sphere, TangentBundle
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import BundleRetraction, Polar, Projection
 
@@ -132,3 +132,19 @@ def test_bundles_over_one_manifold_are_one_set_with_different_names():
     verdict = tangent.contains((2 * z[0], z[1]))
     assert "base point: ||x|^2 - 1|" in verdict.reason
     np.testing.assert_array_equal(flat(z), draw("S2", 3)[0])
+
+
+@pytest.mark.parametrize("base", [Sphere(2), SO(3)], ids=str)
+def test_the_basis_of_a_bundle_does_not_jump_with_rounding(base):
+    """Gram-Schmidt by Householder's reflections had signs that came from entries which are zero but for rounding."""
+    bundle = CotangentBundle(base)
+
+    @jax.jit
+    @jax.vmap
+    def change(key):
+        first, second = jax.random.split(key)
+        z = bundle.random_point(first)
+        moved = vec.add(z, vec.scale(1e-14, bundle.random_tangent(second, z)))
+        return vec.size(vec.subtract(bundle.basis(moved), bundle.basis(z)))
+
+    assert np.max(change(jax.random.split(jax.random.key(0), 200))) < 1e-12
