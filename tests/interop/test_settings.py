@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 SETTINGS = """
 import logging, os, random, sys, warnings
 import jax, matplotlib as mpl, numpy as np
@@ -18,20 +20,34 @@ def settings():
 
 
 CODE = """
-import retrax.interop
+import retrax.interop as doors
+from retrax.manifolds import SO, InvalidInputError
 assert not {"pymanopt", "geomstats", "sklearn"} & set(sys.modules)
-from retrax.interop import to_geomstats, to_pymanopt
-from retrax.manifolds import SO
 before = settings()
-for door, peer in ((to_pymanopt, "pymanopt"), (to_geomstats, "geomstats")):
-    door(SO(3))
-    assert peer in sys.modules
+
+def unchanged(what):
     after = settings()
-    assert before == after, [key for key in before if before[key] != after[key]]
+    assert before == after, (what, [key for key in before if before[key] != after[key]])
+
+for name in NAMES:
+    library = name.split("_")[1]
+    assert library not in sys.modules
+    try:
+        getattr(doors, name)(SO(3))  # of the wrong kind for the doors from a library
+        assert name.startswith("to")
+    except InvalidInputError:
+        assert name.startswith("from")
+    assert library in sys.modules
+    unchanged(name)
+for library in ("pymanopt", "geomstats"):
+    to, back = getattr(doors, f"to_{library}"), getattr(doors, f"from_{library}")
+    assert back(to(SO(3))).manifold == SO(3)
+    unchanged(library)
 """
 
 
-def test_a_door_imports_its_library_when_opened_and_changes_no_setting():
-    command = [sys.executable, "-W", "error", "-c", SETTINGS + CODE]
+@pytest.mark.parametrize("names", [("from_pymanopt", "to_geomstats"), ("from_geomstats", "to_pymanopt")], ids=" ".join)
+def test_a_door_imports_its_library_when_opened_and_changes_no_setting(names):
+    command = [sys.executable, "-W", "error", "-c", f"NAMES = {names}" + SETTINGS + CODE]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

@@ -11,7 +11,7 @@ from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
 from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.peers import import_peer
-from retrax.interop.wrapped import wrap
+from retrax.interop.wrapped import WrappedManifold, wrap
 from retrax.retractions import CotangentLift, Midpoint
 
 from tests.support.numerics import NODES, SEEDS, compiled, differences
@@ -31,7 +31,10 @@ BALL = from_geomstats(geomstats_space("poincare_ball", "PoincareBall", 2))
 # Spaces without a counterpart of ours, and one with it that is wrapped all the same; points well inside the balls and the cone.
 WRAPPED = {
     "geomstats ball": (lambda: BALL[:2], [0.3, -0.2]),
-    "geomstats half-plane": (lambda: from_geomstats(geomstats_space("poincare_half_space", "PoincareHalfSpace", 2))[:2], [0.4, 1.2]),
+    "geomstats half-plane": (
+        lambda: from_geomstats(geomstats_space("poincare_half_space", "PoincareHalfSpace", 2))[:2],
+        [0.4, 1.2],
+    ),
     "geomstats sphere": (lambda: forced("geomstats", geomstats_space("hypersphere", "Hypersphere", 2)), [0.6, 0.0, -0.8]),
     "pymanopt ball": (lambda: from_pymanopt(theirs.PoincareBall(2))[:2], [0.3, -0.2]),
     "pymanopt cone": (lambda: from_pymanopt(theirs.Positive(2, 1))[:2], [[0.9], [1.3]]),
@@ -142,6 +145,19 @@ def test_what_cannot_be_used_is_refused_in_words(name):
     make, words = REFUSED[name]
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_copies_with_a_metric_of_their_own_are_wrapped():
+    hyperboloids = geomstats_space("poincare_polydisk", "PoincarePolydisk", 2)
+    landmarks = geomstats_space("landmarks", "Landmarks", geomstats_space("hypersphere", "Hypersphere", 2), 2)
+    for space in (hyperboloids, landmarks):
+        manifold, retraction, _, conventions = from_geomstats(space)
+        assert isinstance(manifold, WrappedManifold)
+        x = manifold.random_point(jax.random.key(0))
+        v = 0.1 * manifold.random_tangent(jax.random.key(1), x)
+        np.testing.assert_allclose(retraction(x, v), space.metric.exp(np.asarray(v), np.asarray(x)), atol=1e-13)
+        assert manifold.contains(x)
+        np.testing.assert_array_equal(conventions.point(x), x)
 
 
 def test_points_that_the_library_takes_for_none_are_refused():
