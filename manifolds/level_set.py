@@ -28,9 +28,19 @@ class LevelSet(Manifold):
 
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
+    def __check_init__(self) -> None:
+        values, size = jax.eval_shape(self.constraint, self.ambient), prod(self.shape)
+        if not hasattr(values, "size"):
+            raise InvalidInputError(f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])")
+        if not 0 < values.size <= size:
+            raise InvalidInputError(
+                f"the constraint of {type(self).__name__} has {values.size} equations for points of {size} numbers; expected at "
+                "least one and at most as many as numbers"
+            )
+
     @abstractmethod
     def constraint(self, x: Array) -> Array:
-        """Constraint ``c(x)``, any shape: zero on the manifold, smooth around it."""
+        """Constraint ``c(x)``, a number or an array of any shape: zero on the manifold, smooth around it."""
 
     def equations(self, x: Array) -> Float[Array, " m"]:
         """The constraint as a vector of ``m`` equations."""

@@ -11,6 +11,7 @@ from .level_set import GAUSS_NEWTON_STEPS, point_from_random_starts
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
+from .numerics.errors import InvalidInputError
 from .numerics.root import solve_small, tolerance
 
 
@@ -23,6 +24,14 @@ class Submanifold(Manifold):
 
     parent: Manifold
     equations: Callable[[Any], Any]
+
+    def __check_init__(self) -> None:
+        values = jax.eval_shape(self.equations, self.parent.ambient)
+        if getattr(values, "ndim", None) != 1:
+            raise InvalidInputError(
+                f"the equations of a submanifold return a vector, one entry an equation, got {values}; "
+                "try x[2:] in place of x[2], or jnp.stack([...])"
+            )
 
     @property
     def dimension(self) -> int:

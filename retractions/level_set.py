@@ -1,4 +1,4 @@
-"""Projection onto a level set, by Newton's method."""
+"""Projection onto a level set, by Newton's method [Absil, Malick 2012; Boumal 2023, 7.7]."""
 
 from typing import final
 

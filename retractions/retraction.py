@@ -15,6 +15,8 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.root import find_root, known_root
 
+EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
+
 
 class Retraction(eqx.Module):
     """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].

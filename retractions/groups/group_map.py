@@ -1,4 +1,8 @@
-"""Retractions of matrix Lie groups from maps of the algebra to the group."""
+"""Retractions of matrix Lie groups from maps of the algebra to the group.
+
+[Iserles, Munthe-Kaas, Norsett, Zanna, "Lie-group methods", 2000; as the coordinates of variational integrators: Bou-Rabee,
+Marsden, "Hamilton-Pontryagin integrators on Lie groups", 2009.]
+"""
 
 from abc import abstractmethod
 from collections.abc import Callable

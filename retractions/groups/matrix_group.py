@@ -1,13 +1,13 @@
-"""The exponential and the Cayley transform of every matrix Lie group that has them."""
+"""The exponential and the Cayley transform of every matrix Lie group that has them [Hairer, Lubich, Wanner 2006, IV.8]."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
+import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
-from ...manifolds.manifold import default_tolerance, same_point
-from ..retraction import nan_unless
+from ..retraction import EDGE, nan_unless
 from .functions import general, rigid_motions, rotations, unitary
 from .group_map import SymmetricGroupRetraction
 
@@ -78,7 +78,9 @@ class GroupCayley(SymmetricGroupRetraction):
     """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``.
 
     These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n > 2:
-    there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``.
+    there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``; its
+    image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE, U, SU(2)
+    and unitriangular groups, elsewhere all multiples of an ``A`` but a few.
     """
 
     manifold: MatrixLieGroup
@@ -99,7 +101,16 @@ class GroupCayley(SymmetricGroupRetraction):
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         a = self.manifold.algebra_part(_functions(self.manifold).cayley_inverse(b))
-        return nan_unless(same_point(self.group_map(a), b, default_tolerance()), a)
+        return nan_unless(_invertible(jnp.eye(b.shape[0], dtype=b.dtype) + b), a)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        a = self.manifold.left_trivialise(x, v)
+        return _invertible(jnp.eye(a.shape[0], dtype=a.dtype) - a / 2)
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)
+
+
+def _invertible(a: Matrix) -> Bool[Array, ""]:
+    """Whether a matrix that would be the identity plus a small one is farther than rounding from a singular one."""
+    return jnp.linalg.norm(a, -2) > EDGE * jnp.finfo(a.dtype).eps

@@ -1,4 +1,7 @@
-"""Retractions of the unitary group by factorisations."""
+"""Retractions of the unitary group by factorisations.
+
+As for real matrices [Absil, Mahony, Sepulchre 2008, example 4.1.2; their inverses: Kaneko, Fiori, Tanaka 2013].
+"""
 
 from typing import final
 

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import FixedRank
-from ..retraction import Retraction, nan_unless
-from .stiefel import EDGE
+from ..retraction import EDGE, Retraction, nan_unless
 
 
 @final

@@ -16,8 +16,7 @@ from ...manifolds import Grassmann
 from ...manifolds.numerics.frames import adapted_frame, polar_factor
 from ...manifolds.numerics.matrices import exponential
 from ..groups.functions import rotations
-from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
-from .stiefel import EDGE
+from ..retraction import EDGE, MidpointRetraction, implicit_preimage, nan_unless
 
 
 class _RotatedProjector(MidpointRetraction):

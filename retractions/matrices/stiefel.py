@@ -13,9 +13,7 @@ from ...manifolds import Stiefel
 from ...manifolds.numerics.frames import polar_factor, qr_factor
 from ...manifolds.numerics.matrices import lyapunov, symmetric, symmetric_factor, triangular_factor
 from ..differential import DifferentiatedRetraction
-from ..retraction import nan_unless
-
-EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
+from ..retraction import EDGE, nan_unless
 
 
 def _right_divide(a: Array, b: Array) -> Array:

@@ -1,4 +1,7 @@
-"""Retractions of hyperbolic space, computed at the apex of the hyperboloid, where nothing cancels."""
+"""Retractions of hyperbolic space, computed at the apex of the hyperboloid, where nothing cancels.
+
+[Boumal 2023, 7.6; the models of hyperbolic space: Cannon, Floyd, Kenyon, Parry, "Hyperbolic geometry", 1997.]
+"""
 
 from typing import final
 
@@ -48,6 +51,7 @@ class HyperbolicExponential(MidpointRetraction):
 class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
     """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below 1.
 
+    It reads ``v`` as a point of Klein's model with ``x`` at its centre.
     Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the domain.
     Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
     """

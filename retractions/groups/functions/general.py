@@ -1,4 +1,4 @@
-"""Functions of matrices without further structure: the exponential, its inverse, and the Cayley transform."""
+"""Functions of matrices without further structure: the exponential, its inverse, and the Cayley transform [Higham 2008]."""
 
 import jax
 import jax.numpy as jnp
@@ -11,21 +11,29 @@ Matrix = Shaped[Array, "n n"]
 
 _HALVINGS = 5
 _FIRST, _LATER = 30, 8  # iterations of the first square root, up to 1e-8 from the negative axis, and of those after it
-_ROUNDING = 1e-12  # largest remainder that is taken for rounding
+_ROUNDING = 1e-11  # largest correction that is taken for rounding
 _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
 
 
 def logarithm(a: Matrix) -> Matrix:
     """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN or infinite on it.
 
-    Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10.
+    Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10. The
+    rounding of the roots comes 2^5-fold: a step of Newton's method takes it away.
     """
     root = _product_root(a, _FIRST)
     root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_HALVINGS - 1)
     log = 2.0**_HALVINGS * gregory(root)
-    # The rounding of the roots comes 2^5-fold; what is left of a short logarithm commutes with it, almost.
-    left = jax.lax.stop_gradient(exponential(-log) @ a - jnp.eye(a.shape[0], dtype=a.dtype))
-    return log + jnp.where(jnp.max(jnp.abs(left)) < _ROUNDING, left, 0.0)
+    step = jax.lax.stop_gradient(_newton_step(log, a))
+    return log + jnp.where(jnp.max(jnp.abs(step)) < _ROUNDING, step, 0.0)
+
+
+def _newton_step(log: Matrix, a: Matrix) -> Matrix:
+    """The ``e`` with ``D exp(log)[e] = a - exp(log)``."""
+    value, push = jax.linearize(exponential, log)
+    units = jnp.eye(a.size, dtype=a.dtype).reshape(-1, *a.shape)
+    derivative = jax.vmap(push)(units).reshape(a.size, a.size).T
+    return jnp.linalg.solve(derivative, jnp.ravel(a - value)).reshape(a.shape)
 
 
 def gregory(a: Matrix) -> Matrix:

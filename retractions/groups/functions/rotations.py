@@ -1,7 +1,7 @@
 """Functions of skew and orthogonal matrices, with derivatives that are right everywhere, the identity included.
 
 In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omega``, and every function of it is a quadratic
-polynomial.
+polynomial [Lynch, Park 2017, 3.2.3].
 """
 
 import jax.numpy as jnp

@@ -1,4 +1,7 @@
-"""Functions of skew-Hermitian and unitary matrices, real ones included, with derivatives that are right everywhere."""
+"""Functions of skew-Hermitian and unitary matrices, real ones included, with derivatives that are right everywhere.
+
+[Higham, "Functions of matrices", 2008, chapters 8 and 11.]
+"""
 
 import jax
 import jax.numpy as jnp

@@ -13,6 +13,7 @@ from .numerics import Vector, compiled, flat, unflat
 
 RESTORING_STEPS = 12
 BISECTIONS = 60
+RUNGS = 64  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
 
 
 def direction(rng: np.random.Generator, basis: np.ndarray) -> np.ndarray:
@@ -60,7 +61,10 @@ class Sampler:
 
 
 class DomainEdge:
-    """How far a retraction's domain reaches from a point in a direction."""
+    """How far a retraction's domain reaches from a point in a direction without a gap.
+
+    A gap between two of 64 multiples is not seen: domains that lack isolated multiples of a vector are taken to hold them.
+    """
 
     def __init__(self, retraction: Retraction) -> None:
         back = unflat(retraction.manifold)
@@ -74,11 +78,15 @@ class DomainEdge:
                 yes = inside(middle)
                 return jnp.where(yes, middle, bracket[0]), jnp.where(yes, bracket[1], middle)
 
-            low, _ = jax.lax.fori_loop(0, BISECTIONS, halve, (0 * longest, longest))
-            return jnp.where(inside(longest), longest, low)
+            rungs = longest * jnp.arange(1, RUNGS + 1) / RUNGS
+            outside = ~jax.vmap(inside)(rungs)
+            first = jnp.argmax(outside)
+            bracket = jnp.where(first > 0, rungs[first - 1], 0.0), rungs[first]
+            low, _ = jax.lax.fori_loop(0, BISECTIONS, halve, bracket)
+            return jnp.where(jnp.any(outside), low, longest)
 
         self._edge = compiled(edge)
 
     def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
-        """Length of the longest known multiple of the unit tangent vector ``u`` in the domain, at most ``longest``."""
+        """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most ``longest``."""
         return float(self._edge(x, u, longest))
