@@ -50,6 +50,7 @@ from retrax.retractions import (
     SPDSecondOrder,
     SphereExponential,
     Stabilized,
+    StiefelCanonicalExponential,
     Theta,
     Translated,
 )
@@ -91,6 +92,9 @@ class Heisenberg(MatrixLieGroup):
 
 NESTED = Product(SO(3) * Euclidean(3), Sphere(2))
 
+# A closed curve on the sphere.
+CURVE = Submanifold(Sphere(2), lambda x: x[2:] - x[0] * x[1] - 0.25)
+
 MANIFOLDS: dict[str, Manifold] = {
     "R2x3": Euclidean((2, 3)),
     "S2": Sphere(2),
@@ -124,12 +128,12 @@ MANIFOLDS: dict[str, Manifold] = {
     "oblique32": Oblique(3, 2),
     "rank2-4x3": FixedRank(4, 3, 2),
     "rank1-3x3": FixedRank(3, 3, 1),
+    "curve": CURVE,
 }
 
 _MAPPED: dict[str, Retraction] = {
     "addition-R2x3": Exponential(Euclidean((2, 3))),
     "exponential-S2": Exponential(Sphere(2)),
-    "exponential-S4": Exponential(Sphere(4)),
     "projection-S2": Projection(Sphere(2)),
     "projection-S4": Projection(Sphere(4)),
     "exponential-SO2": Exponential(SO(2)),
@@ -138,10 +142,8 @@ _MAPPED: dict[str, Retraction] = {
     "cayley-SO2": Cayley(SO(2)),
     "cayley-SO3": Cayley(SO(3)),
     "cayley-SO4": Cayley(SO(4)),
-    "polar-SO2": Polar(SO(2)),
     "polar-SO3": Polar(SO(3)),
     "polar-SO4": Polar(SO(4)),
-    "qr-SO2": QR(SO(2)),
     "qr-SO3": QR(SO(3)),
     "qr-SO4": QR(SO(4)),
     "exponential-SE2": Exponential(SE(2)),
@@ -171,15 +173,10 @@ _MAPPED: dict[str, Retraction] = {
     "orthographic-rank1-3x3": FixedRankOrthographic(FixedRank(3, 3, 1)),
 }
 
-# A closed curve on the sphere.
-CURVE = Submanifold(Sphere(2), lambda x: x[2:] - x[0] * x[1] - 0.25)
-
-
 # No discretization maps are made of the latter ones: a map does not know from which closed form a retraction comes.
 RETRACTIONS: dict[str, Retraction] = {
     **_MAPPED,
     "exponential-U2": Exponential(U(2)),
-    "exponential-U3": Exponential(U(3)),
     "exponential-SU2": Exponential(SU(2)),
     "exponential-SU3": Exponential(SU(3)),
     "exponential-SE3": Exponential(SE(3)),
@@ -187,11 +184,13 @@ RETRACTIONS: dict[str, Retraction] = {
     "exponential-SL3": Exponential(SL(3)),
     "exponential-heisenberg": Exponential(Heisenberg()),
     "exponential-oblique32": Exponential(Oblique(3, 2)),
+    "cayley-U2": Cayley(U(2)),
+    "cayley-SE3": Cayley(SE(3)),
     "cayley-SL2": Cayley(SL(2)),
+    "cayley-heisenberg": Cayley(Heisenberg()),
     "polar-U2": Polar(U(2)),
-    "polar-U3": Polar(U(3)),
     "qr-U2": QR(U(2)),
-    "qr-U3": QR(U(3)),
+    "canonical-St42": StiefelCanonicalExponential(Stiefel(4, 2)),
     "stabilized-SO3": Stabilized(Cayley(SO(3))),
     "corrected-SO3": SecondOrder(QR(SO(3))),
     "translated-SE2": Translated(SE(2), general.cayley, general.cayley_inverse, side="right"),
@@ -209,6 +208,7 @@ REACH = {
     "softmax": 0.05,
     "quadratic": 0.9,
     "exponential-Gr31": 2.2,
+    "canonical": 2.8,
     "cayley-Gr42": 2.5,
     "truncation": 0.4,
     "orthographic": 0.4,
@@ -228,6 +228,7 @@ METRICS: dict[str, Metric] = {
     "exponential-SPD2": AffineInvariantMetric(SPD(2)),
     "quadratic-SPD2": AffineInvariantMetric(SPD(2)),
     "cayley-St42": CanonicalMetric(Stiefel(4, 2)),
+    "canonical-St42": CanonicalMetric(Stiefel(4, 2)),
 }
 # On these groups one-parameter subgroups are not geodesics: rigid motions are screws.
 _NOT_GEODESIC = ("SE2", "SE3", "SL2", "SL3", "heisenberg")

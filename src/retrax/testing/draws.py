@@ -12,8 +12,7 @@ from ..retractions import Retraction
 from .numerics import Vector, compiled, flat, unflat
 
 RESTORING_STEPS = 12
-BISECTIONS = 60
-RUNGS = 64  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
+RUNGS = 16  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
 
 
 def direction(rng: np.random.Generator, basis: np.ndarray) -> np.ndarray:
@@ -63,27 +62,33 @@ class Sampler:
 class DomainEdge:
     """How far a retraction's domain reaches from a point in a direction without a gap.
 
-    A gap between two of 64 multiples is not seen: domains that lack isolated multiples of a vector are taken to hold them.
+    ``margin`` is how near its edge, relatively, the domain is to be trusted: 1e-8, and 1e-2 where it is derived from a round
+    trip, as there rounding decides whether Newton's method ends. A gap between two of 16 multiples is not seen: domains that
+    lack isolated multiples of a vector are taken to hold them.
     """
 
     def __init__(self, retraction: Retraction) -> None:
         back = unflat(retraction.manifold)
+        derived = type(retraction).domain is Retraction.domain
+        self.margin, bisections = (1e-2, 14) if derived else (1e-8, 52)
 
         def edge(x: Vector, u: Vector, longest: jax.Array) -> jax.Array:
             def inside(t: jax.Array) -> jax.Array:
                 return retraction.domain(back(x), back(t * u))
 
-            def halve(_: int, bracket: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array]:
-                middle = (bracket[0] + bracket[1]) / 2
-                yes = inside(middle)
-                return jnp.where(yes, middle, bracket[0]), jnp.where(yes, bracket[1], middle)
+            def narrow(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
+                low, high, count = state
+                climbing = count < RUNGS
+                tried = jnp.where(climbing, longest * (count + 1) / RUNGS, (low + high) / 2)
+                yes = inside(tried)
+                low, high = jnp.where(yes, tried, low), jnp.where(yes, high, tried)
+                return low, high, jnp.where(climbing & ~yes, RUNGS, count + 1)
 
-            rungs = longest * jnp.arange(1, RUNGS + 1) / RUNGS
-            outside = ~jax.vmap(inside)(rungs)
-            first = jnp.argmax(outside)
-            bracket = jnp.where(first > 0, rungs[first - 1], 0.0), rungs[first]
-            low, _ = jax.lax.fori_loop(0, BISECTIONS, halve, bracket)
-            return jnp.where(jnp.any(outside), low, longest)
+            def unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
+                low, _, count = state
+                return (count < RUNGS + bisections) & (low < longest)
+
+            return jax.lax.while_loop(unfinished, narrow, (0 * longest, longest, jnp.zeros((), int)))[0]
 
         self._edge = compiled(edge)
 

@@ -56,8 +56,6 @@ class RetractionFacts(Facts):
         self._edge = DomainEdge(retraction)
         self._longest = max(LONGEST, reach)
         self._edges: dict[int, float] = {}
-        # At the edge of a domain that is derived from a round trip it is rounding that decides whether Newton's method ends.
-        self._margin = 1e-2 if type(retraction).domain is Retraction.domain else 1e-8
 
     def draw(self, kind: str, seed: int) -> Sample:
         """``x`` and ``v`` with ``edge``, the length of the domain along ``v``, a point ``y`` near ``x`` and directions.
@@ -75,11 +73,11 @@ class RetractionFacts(Facts):
             "zero": 0.0,
             "tiny": 10.0 ** (-12 + 4 * fraction),
             "inside": fraction * min(MODERATE, edge / 2),
-            "far": (1 - self._margin) * fraction * edge,
-            "edge": edge if edge == self._longest else (1 - self._margin) * edge,
+            "far": (1 - self._edge.margin) * fraction * edge,
+            "edge": edge if edge == self._longest else (1 - self._edge.margin) * edge,
         }[kind]
         if kind in ("far", "edge"):
-            # A domain need not hold all multiples below its edge.
+            # A gap that was not seen on the way to the edge.
             length = self._edge(x, u, length)
         c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
         y = self.sampler.near(x, rng, NEAR * min(1.0, edge, self.reach))
