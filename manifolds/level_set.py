@@ -31,7 +31,9 @@ class LevelSet(Manifold):
     def __check_init__(self) -> None:
         values, size = jax.eval_shape(self.constraint, self.ambient), prod(self.shape)
         if not hasattr(values, "size"):
-            raise InvalidInputError(f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])")
+            raise InvalidInputError(
+                f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])"
+            )
         if not 0 < values.size <= size:
             raise InvalidInputError(
                 f"the constraint of {type(self).__name__} has {values.size} equations for points of {size} numbers; expected at "

@@ -13,6 +13,7 @@ from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.peers import import_peer
 from retrax.interop.wrapped import WrappedManifold, wrap
 from retrax.retractions import CotangentLift, Midpoint
+from retrax.testing import check_manifold, check_retraction
 
 from tests.support.numerics import NODES, SEEDS, compiled, differences
 
@@ -127,6 +128,18 @@ def derivatives():
         return a - (x @ a) * x
 
     return compiled(drawn), compiled(facts)
+
+
+def test_a_wrapped_space_keeps_the_promises_of_a_manifold():
+    check_manifold(BALL.manifold, tolerance=1e-9)
+
+
+@pytest.mark.slow
+def test_a_wrapped_retraction_keeps_the_promises_of_one():
+    lost = "geomstats takes vectors shorter than about 1e-8 for zero"
+    check_retraction(
+        BALL.retraction, reach=0.2, seeds=(0, 1), tolerance=1e-9, skip={"inverse_keeps_the_accuracy_of_short_vectors": lost}
+    )
 
 
 REFUSED = {

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import InvalidInputError, LevelSet, Sphere
+from retrax.manifolds import InvalidInputError, LevelSet, Sphere, Submanifold
 
 from tests.support.cases import MANIFOLDS
 from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
@@ -75,6 +75,31 @@ def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
 def test_a_level_set_without_points_says_so():
     with pytest.raises(InvalidInputError, match=r"no point of Nowhere.* was found from 20 random starts; check its equations"):
         jax.block_until_ready(Nowhere(2).random_point(jax.random.key(0)))
+
+
+@final
+class Two(LevelSet):
+    """Equations that are not one array."""
+
+    def constraint(self, x):
+        return x[0], x[1]
+
+
+@final
+class TooMany(LevelSet):
+    """More equations than numbers."""
+
+    def constraint(self, x):
+        return jnp.concatenate([x, x])
+
+
+def test_equations_that_are_none_are_refused_in_words():
+    with pytest.raises(InvalidInputError, match=r"the constraint of Two returns an array, got .*try jnp.stack"):
+        Two(3)
+    with pytest.raises(InvalidInputError, match=r"the constraint of TooMany has 6 equations for points of 3 numbers"):
+        TooMany(3)
+    with pytest.raises(InvalidInputError, match=r"return a vector, one entry an equation, got .*try x\[2:\] in place of x\[2\]"):
+        Submanifold(Sphere(2), lambda x: x[2])
 
 
 def test_random_points_differ():

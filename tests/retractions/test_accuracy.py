@@ -138,6 +138,19 @@ def test_the_retraction_of_the_simplex_ends_where_an_entry_underflows():
     assert not facts["inside"]
 
 
+def test_the_inverse_on_the_simplex_keeps_its_digits_to_the_last_number_that_has_them():
+    # Entries below 2e-308 lose theirs; the domain ends before.
+    x, direction, inside = np.full(4, 0.25), np.array([1.0, -1.0, 0.0, 0.0]), []
+    for length in np.linspace(87.5, 90.0, 101):
+        facts = _simplex()(x, length * direction)
+        inside.append(bool(facts["inside"]))
+        if facts["inside"]:
+            np.testing.assert_allclose(facts["back"], length * direction, rtol=1e-15)
+    assert inside[0]
+    assert inside == sorted(inside, reverse=True)
+    assert not inside[-1]
+
+
 def test_distances_follow_the_triangle_through_the_apex():
     x, y = (HYPERBOLIC.restore(jnp.array([1.0, s, 0.0, 0.0])) for s in (np.sinh(2.0), -np.sinh(5.0)))
     np.testing.assert_allclose(HYPERBOLIC.distance(x, y), 7.0, rtol=1e-14)

@@ -36,12 +36,13 @@ def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(length):
 
 
 @pytest.mark.parametrize("size", [(5, 2), (3, 2), (6, 3)])
-@pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 2.0, 2.7])
+@pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 2.0, np.sqrt(0.8) * np.pi - 1e-8])
 def test_the_canonical_logarithm_of_frames_is_exact_in_its_domain(size, length):
     for seed in range(3):
-        x, v = draw(Stiefel(*size), seed, length)
+        x, v = draw(Stiefel(*size), seed, 1.0)
+        v = v * length / np.sqrt(np.sum(v * v) - np.sum((x.T @ v) ** 2) / 2)
         y, back, there = round_trip(StiefelCanonicalExponential(Stiefel(*size)), x, v)
-        np.testing.assert_allclose(back, v, atol=5e-14)
+        np.testing.assert_allclose(back, v, atol=2e-14)
         np.testing.assert_allclose(there, y, atol=1e-14)
 
 
@@ -120,7 +121,7 @@ def test_vectors_shorter_than_the_rank_allows_are_in_the_domain(name, seed):
     v = v * (1 - 1e-3) * bound * np.linalg.svd(x)[1][1] / np.linalg.norm(v, 2)
     inside, back = fixed_rank_facts(name)(x, v)
     assert inside
-    np.testing.assert_allclose(back, v, atol=1e-11)
+    np.testing.assert_allclose(back, v, atol=1e-13)
 
 
 @lru_cache

@@ -139,6 +139,26 @@ def test_vectors_near_the_edge_are_in_the_domain(pair):
     assert 4.4 < jnp.linalg.norm(v) < 5.0
 
 
+@final
+class Ring(Retraction):
+    """The projection, said to be inverted for short and for long vectors, not between."""
+
+    manifold: Manifold
+
+    def __call__(self, x, v):
+        return Projection(self.manifold)(x, v)
+
+    def domain(self, x, v):
+        return (v @ v < 1) | (v @ v > 4)
+
+
+@given(pair=strategies.tangent_vectors_near_the_edge(Ring(SPHERE), longest=5.0))
+def test_the_edge_of_a_domain_that_is_not_star_shaped_is_the_first(pair):
+    x, v = pair
+    assert Ring(SPHERE).domain(x, v)
+    assert 0.89 < jnp.linalg.norm(v) < 1
+
+
 @given(pair=strategies.covectors(SPHERE))
 def test_drawn_covectors_are_tangent_representatives(pair):
     x, p = pair
