@@ -21,11 +21,6 @@ with warnings.catch_warnings():
     import jaxlie
 
 
-def each(function):
-    """A function of one point as one of a batch, by a Python loop: pymanopt's sphere takes one point."""
-    return lambda *arguments: np.stack([function(*parts) for parts in zip(*arguments, strict=True)])
-
-
 def one_or_many(make):
     """pymanopt's manifolds with a number of copies, made once for each batch size; one copy has no leading axis."""
     made = {}
@@ -41,6 +36,19 @@ def one_or_many(make):
         return function
 
     return call
+
+
+def pymanopt_spheres(retraction, inverse):
+    """pymanopt's batch of spheres: its oblique manifold, whose columns are the points. Transposes are views."""
+    made = {}
+
+    def call(name):
+        return lambda *arguments: (
+            getattr(made.setdefault(len(arguments[0]), pm.Oblique(3, len(arguments[0]))), name)(*(a.T for a in arguments)).T
+        )
+
+    functions = {"retraction": call(retraction), "inverse": call(inverse) if inverse else None}
+    return retraction, functions | {"projection": call("projection")}
 
 
 def transposed(x):
@@ -120,13 +128,10 @@ def spd_space():
 
 def peers(name):
     """Libraries that know the manifold of a case, each with the name of its retraction and its functions."""
-    sphere = pm.Sphere(3)
     known = {
         "S2": lambda: {
-            "pymanopt": (
-                "exp",
-                {k: each(getattr(sphere, f)) for k, f in zip(OPERATIONS, ("exp", "log", "projection"), strict=True)},
-            ),
+            "pymanopt": pymanopt_spheres("exp", "log"),
+            "pymanopt retraction": pymanopt_spheres("retraction", None),
             "geomstats": geomstats_space(gs_sphere.Hypersphere(2)),
         },
         "SO3": lambda: {

@@ -17,17 +17,17 @@ import jax
 import numpy as np
 from manifold_peers import OPERATIONS, peers
 from retrax.manifolds import SO, SPD, Sphere, Stiefel
-from retrax.retractions import Cayley, Exponential, Polar, SPDSecondOrder
+from retrax.retractions import QR, Cayley, Exponential, Polar, Projection, SPDSecondOrder
 
 jax.config.update("jax_enable_x64", True)
 
 SLOW = 0.05  # seconds of a call above which it is left out of larger batches
 
 CASES = {
-    "S2": {"exponential": Exponential(Sphere(2))},
+    "S2": {"exponential": Exponential(Sphere(2)), "projection": Projection(Sphere(2))},
     "SO3": {"exponential": Exponential(SO(3)), "Cayley": Cayley(SO(3))},
     "SO8": {"exponential": Exponential(SO(8)), "Cayley": Cayley(SO(8))},
-    "St(20,5)": {"polar": Polar(Stiefel(20, 5)), "Cayley": Cayley(Stiefel(20, 5))},
+    "St(20,5)": {"QR": QR(Stiefel(20, 5)), "polar": Polar(Stiefel(20, 5)), "Cayley": Cayley(Stiefel(20, 5))},
     "SPD6": {"second order": SPDSecondOrder(SPD(6)), "exponential": Exponential(SPD(6))},
 }
 
