@@ -16,6 +16,7 @@ from retrax.retractions import (
     DiscretizationMap,
     Exponential,
     Midpoint,
+    MidpointRetraction,
     Projection,
     Retraction,
     Theta,
@@ -193,6 +194,27 @@ class MutantLift(DiscretizationMap):
         return (q, p * a), (qdot, pdot * b)
 
 
+@final
+class MutantForms(MidpointRetraction):
+    """The projection with a chart twice as long, a pair that is exchanged and a midpoint that is none."""
+
+    @property
+    def manifold(self):
+        return SPHERE
+
+    def __call__(self, x, v):
+        return PROJECTION(x, v)
+
+    def chart(self, x, c):
+        return PROJECTION(x, 2 * c @ SPHERE.basis(x))
+
+    def both_ways(self, x, v):
+        return PROJECTION(x, v), PROJECTION(x, -v)
+
+    def midpoint(self, x0, x1):
+        return x0
+
+
 class Mutant(NamedTuple):
     """Something wrong, and how it is checked."""
 
@@ -257,6 +279,7 @@ MUTANTS: dict[str, Mutant] = {
     "a derivative that is NaN at `v = 0` only": Mutant(check_retraction, MutantRetraction(nan_at_zero)),
     "a derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(constant_at_zero)),
     "a second derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(flat_at_zero)),
+    "a chart, a pair and a midpoint that are not those of the values": Mutant(check_retraction, MutantForms()),
     "a map whose step is too long": Mutant(
         check_discretization_map, MutantMap(lambda x, v: (PROJECTION(x, -v / 2), PROJECTION(x, 0.6 * v)))
     ),

@@ -12,6 +12,7 @@ from ..draws import DomainEdge, direction
 from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
 from ..numerics import NODES, Vector, flat, slope, unflat
 from ..report import Batch, Comparison, Inapplicable, Report, fact
+from .closed_forms import closed_forms_are_the_retraction_itself, midpoint_lies_midway
 from .manifold import max_violation
 
 # Longest tangent vector of a sample where the domain has no edge, and of those at which derivatives are measured.
@@ -346,6 +347,8 @@ RETRACTION_CHECKS = (
     second_derivatives_are_those_of_differences_of_gradients,
     differentiated_retraction_is_the_derivative,
     adjoint_pairs_as_the_derivative_does,
+    closed_forms_are_the_retraction_itself,
+    midpoint_lies_midway,
 )
 
 

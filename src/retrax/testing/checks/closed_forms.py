@@ -1,0 +1,47 @@
+"""Facts about what a retraction knows in closed form beside its values: charts, pairs, midpoints."""
+
+import jax.numpy as jnp
+
+from ...retractions import MidpointRetraction, Retraction
+from ..facts import Facts, Sample
+from ..numerics import flat, unflat
+from ..report import Comparison, Inapplicable, fact
+
+
+def _closed_forms(retraction: Retraction, sample: Sample) -> dict:
+    """``R(x, v)`` and ``R(x, -v)`` beside the chart and the pair, from the coordinates of ``v``."""
+    back, v = unflat(retraction.manifold), sample["v"]
+    x = back(sample["x"])
+    pair = retraction.both_ways(x, back(v))
+    return {
+        "values": jnp.stack([flat(retraction(x, back(v))), flat(retraction(x, back(v))), flat(retraction(x, back(-v)))]),
+        "closed": jnp.stack([flat(retraction.chart(x, sample["frame"] @ v)), flat(pair[1]), flat(pair[0])]),
+    }
+
+
+def _halves(retraction: MidpointRetraction, sample: Sample) -> dict:
+    """Tangent vectors at the midpoint of ``x`` and ``R(x, v)`` that lead to the two."""
+    back = unflat(retraction.manifold)
+    x = back(sample["x"])
+    y = retraction(x, back(sample["v"]))
+    m = retraction.midpoint(x, y)
+    return {"to x": flat(retraction.preimage(m, x)), "to y": flat(retraction.preimage(m, y))}
+
+
+@fact
+def closed_forms_are_the_retraction_itself(facts: Facts) -> Comparison | Inapplicable:
+    """``chart(x, c) = R(x, sum_k c_k E_k)`` and ``both_ways(x, v) = (R(x, -v), R(x, v))``, which integrators call."""
+    kind = type(facts.subject)
+    if kind.chart is Retraction.chart and kind.both_ways is Retraction.both_ways:
+        return Inapplicable("chart and both_ways are derived from the values")
+    f = facts.measure(_closed_forms, "inside")
+    return facts.compare("the difference of a closed form from the values", f, f["closed"], f["values"], facts.tolerance)
+
+
+@fact
+def midpoint_lies_midway(facts: Facts) -> Comparison | Inapplicable:
+    """The midpoint ``m`` of two points has ``R_m^-1(x0) = -R_m^-1(x1)``."""
+    if not isinstance(facts.subject, MidpointRetraction):
+        return Inapplicable("no midpoint is claimed")
+    f = facts.measure(_halves, "inside")
+    return facts.compare("|R_m^-1(x0) + R_m^-1(x1)|", f, f["to x"] + f["to y"], 0.0, 10 * facts.tolerance)
