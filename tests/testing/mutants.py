@@ -205,8 +205,8 @@ class MutantForms(MidpointRetraction):
     def __call__(self, x, v):
         return PROJECTION(x, v)
 
-    def chart(self, x, c):
-        return PROJECTION(x, 2 * c @ SPHERE.basis(x))
+    def chart(self, x, frame, c):
+        return PROJECTION(x, 2 * c @ frame)
 
     def both_ways(self, x, v):
         return PROJECTION(x, v), PROJECTION(x, -v)
