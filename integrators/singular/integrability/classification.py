@@ -76,10 +76,8 @@ class Stratum:
 class Classification(IntegrabilityResult[Stratum]):
     """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level."""
 
-    problem: OptimalControlProblem
     morse: MorseTest | None
     levels: tuple[Level, ...]
-    strata: tuple[Stratum, ...]
     excluded: int
     zero_costate_excluded: bool
     seconds: float

@@ -22,9 +22,7 @@ class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
     dimension too long to follow; each with its level.
     """
 
-    problem: OptimalControlProblem
     phase: Phase
-    strata: tuple[SymbolicStratum, ...]
     contradictions: tuple[Equation, ...]
     unsolved: tuple[Equation, ...]
 
@@ -84,7 +82,7 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
         )
     kept = [piece for piece in pieces if not (exclude and all(piece.reduce(a) == 0 for a in phase.p))]
     ordered = sorted(_distinct(kept), key=lambda piece: piece.codimension)
-    return SymbolicClassification(problem, phase, tuple(ordered), tuple(ended.contradictions), tuple(ended.unsolved))
+    return SymbolicClassification(problem, tuple(ordered), phase, tuple(ended.contradictions), tuple(ended.unsolved))
 
 
 def _symbols(letter: str, space: Euclidean) -> np.ndarray:
