@@ -89,9 +89,7 @@ def classify(
     return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude), seconds)
 
 
-def _symbolic(
-    problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None
-) -> "SymbolicClassification":
+def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
     if near is not None:
         raise InvalidInputError("symbolic=True finds the pieces of P_f wherever they are; leave near out")
     try:

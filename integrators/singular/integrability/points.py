@@ -267,7 +267,7 @@ def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -
 
 
 def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
-    """Steps of Levenberg and Marquardt, zero for the derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
+    """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
     at, units = points.at, points.units
     by_state, by_jet = points.matrices(level)
     batch, rows, count = by_state.shape

@@ -124,12 +124,12 @@ def _exact(value: Any) -> np.ndarray:
     return np.array([fraction(a) for a in numbers.ravel()], dtype=object).reshape(numbers.shape)
 
 
-def fraction(a: np.generic) -> sympy.Rational:
-    """The number that was meant by a float: different floats are different numbers, and each rounds to its float.
+def fraction(a: Any) -> Any:
+    """The rational number that was meant by a NumPy float: each rounds to its float, so that different ones stay different.
 
-    The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise the
-    fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises ``InvalidInputError`` if it is not
-    finite.
+    The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a power
+    of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
+    ``InvalidInputError`` if it is not finite.
     """
     if not np.isfinite(a):
         raise InvalidInputError(f"the problem's functions contain the constant {a}; classify it without symbolic=True")
@@ -138,10 +138,10 @@ def fraction(a: np.generic) -> sympy.Rational:
     decimal = Fraction(str(a))
     if len(str(decimal.numerator).strip("-0")) <= np.finfo(a.dtype).precision:
         return sympy.Rational(decimal)
-    exact, size = Fraction(float(a)), abs(a)
-    below, above = (Fraction(float(np.nextafter(size, limit))) for limit in (a.dtype.type(0), a.dtype.type(np.inf)))
-    simplest = _simplest((abs(exact) + below) / 2, (abs(exact) + above) / 2)
-    return sympy.Rational(simplest if a > 0 else -simplest)
+    size, unit = abs(a), Fraction(10) ** int(f"{abs(a):e}".split("e")[1])
+    neighbours = (np.nextafter(size, a.dtype.type(0)), size, np.nextafter(size, a.dtype.type(np.inf)))
+    below, exact, above = (Fraction(float(b)) / unit for b in neighbours)
+    return sympy.Rational(int(np.sign(a)) * unit * _simplest((below + exact) / 2, (exact + above) / 2))
 
 
 def _simplest(low: Fraction, high: Fraction) -> Fraction:
