@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, classify
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.integrators.singular.integrability.points import random_starts
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.problems import SINGULAR
 
 from tests.integrators.singular.cases import classified, known, martinet, scaled
@@ -96,9 +97,12 @@ def test_a_piece_is_looked_for_near_a_state(bend):
     lines = next(s for s in c.strata if s.signature == LINES)
     assert lines.count >= 3
     assert np.max(np.abs(lines.states[0])) < 0.5
-    other = classify(martinet(bend), near=jax.tree.map(lambda a: a + 1.0, ON_A_LINE))
-    assert other.strata[0].signature == REST
-    assert np.max(np.abs(other.strata[0].states[0] - 1.0)) < 0.5
+    # The starts are the state and points around it, in the state by about 1/10 and in the costate by about |p|/10.
+    away = jnp.array([3.0, 0.0, 0.0]), jnp.array([0.0, -45.0, 10.0])
+    q, p = random_starts(martinet(bend), 0, 20, 0, away).at.z
+    np.testing.assert_array_equal([q[0], p[0]], away)
+    assert 0.05 < np.std(q - away[0]) < 0.2
+    assert 2.5 < np.std(p - away[1]) < 9
 
 
 def test_one_of_several_pieces_is_chosen():
@@ -194,7 +198,6 @@ def test_the_paper_s_example_is_reported_as_published():
     [
         ({"problem": None}, "classify takes an OptimalControlProblem"),
         ({"starts": 0}, "starts must be a positive number"),
-        ({"near": (jnp.zeros(3), jnp.zeros(2))}, r"near must be a state \(q, p\)"),
         ({"near": (jnp.zeros(2), jnp.zeros(2)), "symbolic": True}, "leave near out"),
         ({"problem": OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0], 0)}, "the problem has no controls"),
     ],
@@ -203,3 +206,8 @@ def test_wrong_input_is_refused_in_words(arguments, message):
     arguments = {"problem": known("regular").problem, **arguments}
     with pytest.raises(InvalidInputError, match=message):
         classify(arguments.pop("problem"), **arguments)
+
+
+def test_starts_near_what_is_no_state_are_refused():
+    with pytest.raises(NotOnManifoldError, match=r"near must be a state \(q, p\)"):
+        classify(known("regular").problem, near=(jnp.zeros(3), jnp.zeros(2)))
