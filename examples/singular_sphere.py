@@ -52,13 +52,13 @@ def plot(defects, runs, path):
     left.set_xticks(SIZES, [f"{h:g}" for h in SIZES])
     left.minorticks_off()
     left.set(xlabel="step", ylim=(5e-18, 1e-2), title="change of $\\omega_f$ over one step")
-    left.legend()
+    left.legend(loc="center right")
     for name, (times, error) in runs.items():
         parts = np.array_split(error, len(error) // BLOCK)
         middles = [np.mean(part) for part in np.array_split(times, len(parts))]
         right.fill_between(middles, [np.min(part) for part in parts], [np.max(part) for part in parts], alpha=0.7, label=name)
     right.ticklabel_format(axis="y", scilimits=(0, 0))
-    right.set(xlabel="time", title="energy error: from its least to its largest value in a while")
+    right.set(xlabel="time", title=f"energy error, its range over every {BLOCK} nodes")
     right.legend(loc="lower right")
     figure.savefig(path, dpi=150)
     plt.close(figure)
