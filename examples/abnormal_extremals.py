@@ -4,10 +4,10 @@
 
 Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 x^2/2 = 0 and then x u_1 = x u_2 = 0, whose
 solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2, whose kernel
-d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x = 0 and u = 0, and
-the crossing is a third piece of the report. All are cones: with p also c p is an extremal, and p = 0 is excluded. The
-symbolic algorithm finds every piece; the numeric one those that its random starts come to, which in the bent metric may all
-rest, and calls the equations irregular if some come to the crossing, where ranks cannot be read.
+d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x = 0 and u = 0:
+there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no ranks, while the
+symbolic one has it for a third piece. All are cones: with p also c p is an extremal, and p = 0 is excluded. The piece with
+the lines is chosen, and one of them integrated on it.
 
 In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for every
 p_3. Otherwise x = 0 is no normal extremal: those that start along it turn back at x = 2 epsilon / p_3, where their velocity
@@ -27,7 +27,7 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from retrax.integrators import SUZUKI, Composition, OptimalControlProblem, PresymplecticIntegrator, integrate
-from retrax.integrators.singular import classify
+from retrax.integrators.singular import classify, singular_integrator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from scipy.special import ellipe, ellipeinc, ellipj, ellipk
@@ -101,13 +101,23 @@ def returning_height(m):
 
 
 def print_classification():
-    """The pieces of the abnormal extremals, exactly for both metrics, and what the numeric algorithm says of the flat one."""
+    """The pieces of the abnormal extremals for both metrics, exactly and from random points."""
     exact = [classify(martinet(epsilon, abnormal=True), symbolic=True) for epsilon in (0.0, EPSILON)]
-    numeric = classify(martinet(0.0, abnormal=True))
+    numeric = [classify(martinet(epsilon, abnormal=True)) for epsilon in (0.0, EPSILON)]
     for epsilon, found in zip((0.0, EPSILON), exact, strict=True):
         print(f"\nabnormal extremals, epsilon = {epsilon}\n{found}")
-    print(f"\nthe same from random points, epsilon = 0\n{numeric}\n")
+    for epsilon, found in zip((0.0, EPSILON), numeric, strict=True):
+        print(f"\nthe same from random points, epsilon = {epsilon}\n{found}")
     return exact, numeric
+
+
+def abnormal_line(found):
+    """An abnormal line at unit speed, integrated on the piece of ``P_f`` that leaves one control free: its nodes."""
+    lines = found.choose([stratum.free_controls for stratum in found.strata].index(1))
+    method = singular_integrator(lines, Midpoint(Addition(Q)), gauge=lambda t, q, p: jnp.ones(1))
+    print(f"\non that piece {method.reason}")
+    start = lines.manifold.nearby((jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])))
+    return np.asarray(integrate(found.problem, method, start, 0.1, 10).q)
 
 
 def front(epsilon, count):
@@ -139,10 +149,10 @@ def plot(paths, leaving, fronts, path):
         axis.set_ylabel("x")
         axis.legend(fontsize=8)
     for epsilon, points in fronts.items():
-        axes[2].plot(points[:, 0], points[:, 1], ".", markersize=1.5, label=rf"$\epsilon = {epsilon}$")
+        axes[2].plot(points[:, 0], points[:, 1], ".", markersize=3, markeredgewidth=0, label=rf"$\epsilon = {epsilon}$")
     axes[2].plot([1, -1], [0, 0], "k*", label="ends of the abnormal line")
     axes[2].set(xlim=(-1.05, 1.05), ylim=(-0.045, 0.045), xlabel="y", ylabel="z", title="ends at x = 0 of geodesics of length 1")
-    axes[2].legend(fontsize=8)
+    axes[2].legend(fontsize=8, markerscale=2)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
@@ -156,6 +166,8 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
 
     classified = print_classification()
+    line = abnormal_line(classified[1][1])
+    print(f"an abnormal line of length 1 ends at {line[-1]}\n")
     errors = {}
     angles = np.array([ANGLE, 0.5, 2.2, 3.0])
     exact = flat_geodesic(HORIZON, ANGLE, P3)
@@ -182,7 +194,7 @@ def main(arguments=None):
     paths = dict(zip(angles.tolist(), nodes, strict=True))
     plot(paths, dict(zip(costates.tolist(), leaving, strict=True)), fronts, path)
     print(f"written: {path}")
-    return classified, errors, (straight, departures), heights
+    return classified, line, errors, (straight, departures), heights
 
 
 if __name__ == "__main__":

@@ -135,7 +135,7 @@ def plot(circles, path, energy, momentum, target):
     for axis in axes[:2]:
         axis.set(xlabel="$x_1$", ylabel="$x_2$")
     for name, error in (("energy", np.abs(energy)), ("momentum about the contact", momentum)):
-        axes[2].semilogy(path.times, np.maximum(error, 1e-17), linewidth=0.8, label=name)
+        axes[2].semilogy(path.times[1:], np.maximum(error[1:], 1e-17), linewidth=0.8, label=name)
     axes[2].set(title=f"the same ball: errors at steps of {STEP}", xlabel="time")
     axes[2].legend()
     figure.savefig(target, dpi=150)

@@ -11,7 +11,6 @@ spatial angular costate, a momentum of the symmetry of both problems, as well.
 """
 
 import argparse
-from functools import partial
 from pathlib import Path
 
 import equinox as eqx
@@ -19,7 +18,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-from retrax.integrators import OptimalControlProblem, classify, integrate, singular_integrator
+from retrax.integrators import OptimalControlProblem, classify, form_defect, integrate, singular_integrator
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.problems import SINGULAR
@@ -51,22 +50,6 @@ PROBLEMS = {
 
 
 @eqx.filter_jit
-def form_defect(problem, final, method, z, h):
-    """Largest change of ``omega_f`` over one step from ``z``, on an orthonormal basis of ``T P_f``."""
-
-    def step(z):
-        new = method.step(problem, h, *z, method.begin(problem, *z))
-        return new.q, new.p
-
-    def table(x, vectors):
-        return jax.vmap(lambda a: jax.vmap(partial(final.parent.two_form, x, a))(vectors))(vectors)
-
-    frame = final.basis(z)
-    images = jax.vmap(lambda a: jax.jvp(step, (z,), (a,))[1])(frame)
-    return jnp.max(jnp.abs(table(step(z), images) - table(z, frame)))
-
-
-@eqx.filter_jit
 def along(problem, classification, path):
     """Hamiltonian, with the control as a function of the state, equations of ``P_f`` and spatial angular costate at the nodes."""
 
@@ -89,7 +72,7 @@ def examine(problem):
     energy, gaps, momentum = (np.asarray(a) for a in zip(*(along(problem, classification, path) for path in paths), strict=True))
     numbers = {
         "P_f": np.max(gaps),
-        "omega_f": np.array([form_defect(problem, final, method, z, jnp.asarray(h)) for h in SIZES]),
+        "omega_f": np.array([form_defect(classification.presymplectic, method, problem, z, h) for h in SIZES]),
         "momentum": np.max(np.abs(momentum - momentum[0, 0])),
         "energy": np.max(np.abs(energy - energy[:, :1]), axis=1),
     }

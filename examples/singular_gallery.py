@@ -96,9 +96,9 @@ def brown(record, steps, axis):
         path = integrated(record, start, 2 * np.pi, steps, gauge)
         ends.append(np.asarray(path.q[:, 3] - path.q[:, 1]))
         axis.plot(path.times, path.q[:, 1], "--", label=f"q2, gauge control {name}")
-        axis.plot(path.times, ends[-1], label=f"q4 - q2, gauge control {name}", linewidth=5 / len(ends))
-    axis.set(title="Brown", xlabel="t")
-    axis.legend()
+        axis.plot(path.times, ends[-1], label=f"q4 - q2, gauge control {name}", linewidth=6 / len(ends) ** 2)
+    axis.set(title="Brown", xlabel="t", ylim=(-1.15, 1.75))
+    axis.legend(loc="upper center", fontsize="small", ncols=2)
     errors = [np.max(np.abs(end - np.cos(path.times))) for end in ends]
     return {"error of q4 - q2": float(max(errors)), "seen of the gauge": float(np.max(np.abs(ends[0] - ends[1])))}
 
@@ -137,6 +137,8 @@ def main(arguments=None):
         if name in MOTIONS:
             numbers[name] = MOTIONS[name](record, options.steps, panels[name])
             print("    " + ", ".join(f"{what} {value:.1e}" for what, value in numbers[name].items()))
+    for name in set(MOTIONS) - set(options.only):
+        panels[name].set_visible(False)
     path = options.output / "singular_gallery.png"
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -6,6 +6,8 @@ if __package__ != "retrax.integrators":
         "a second copy of its classes would not match the first"
     )
 
+from typing import TYPE_CHECKING
+
 from .boundary_value import Checks, Guess, SingularArc, Solution, Statistics, default_guess, load_solution, solve
 from .dirac import DiracIntegrator, DiracSystem
 from .initial_value import (
@@ -21,6 +23,7 @@ from .initial_value import (
     PresymplecticIntegrator,
     SymplecticIntegrator,
     Trajectory,
+    form_defect,
     integrate,
 )
 from .problem import OptimalControlProblem
@@ -36,6 +39,9 @@ from .singular import (
     singular_integrator,
 )
 from .stages import ControlStage, HamiltonianStage, Stage
+
+if TYPE_CHECKING:
+    from .singular.symbolic import SymbolicClassification as SymbolicClassification
 
 __all__ = [
     "KAHAN_LI_6",
@@ -70,8 +76,18 @@ __all__ = [
     "Trajectory",
     "classify",
     "default_guess",
+    "form_defect",
     "integrate",
     "load_solution",
     "singular_integrator",
     "solve",
 ]
+
+
+def __getattr__(name: str) -> type:
+    """``SymbolicClassification``, which needs SymPy, when it is asked for."""
+    if name == "SymbolicClassification":
+        from .singular.symbolic import SymbolicClassification
+
+        return SymbolicClassification
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -3,6 +3,7 @@
 from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
 from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
+from .preservation import form_defect
 from .step import StepResult, lifted_step
 from .trajectory import Trajectory, integrate
 
@@ -20,6 +21,7 @@ __all__ = [
     "StepResult",
     "SymplecticIntegrator",
     "Trajectory",
+    "form_defect",
     "integrate",
     "lifted_step",
 ]

@@ -1,6 +1,7 @@
 """What a numeric and a symbolic classification have in common."""
 
-from typing import Generic, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import Generic, Protocol, Self, TypeVar
 
 from ...manifolds import InvalidInputError
 from ..problem import OptimalControlProblem
@@ -24,6 +25,7 @@ class Piece(Protocol):
 P = TypeVar("P", bound=Piece)
 
 
+@dataclass(frozen=True, eq=False)
 class IntegrabilityResult(Generic[P]):
     """What the integrability algorithm found.
 
@@ -42,6 +44,15 @@ class IntegrabilityResult(Generic[P]):
     def stratified(self) -> bool:
         """Whether ranks differ between the points found, so that ``P_f`` is not one manifold."""
         return len(self.strata) > 1
+
+    def choose(self, index: int) -> Self:
+        """The same with ``strata[index]`` alone, to speak of it and to integrate on it.
+
+        Raises ``InvalidInputError`` if there is no such piece.
+        """
+        if not 0 <= index < len(self.strata):
+            raise InvalidInputError(f"there is no stratum {index!r}; expected one of {list(range(len(self.strata)))}\n{self}")
+        return replace(self, strata=(self.strata[index],))
 
     @property
     def stratum(self) -> P:

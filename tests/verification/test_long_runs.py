@@ -84,28 +84,40 @@ def quartic_energy(q: jax.Array, p: jax.Array) -> jax.Array:
 QUARTIC = DiracSystem(R5, quartic_energy, lambda q: jnp.concatenate([jnp.array([1.0, 0.0, 0.0]), q[1:3]])[None])
 
 
-def growth_of_the_energy_error(integrator: Integrator, system: object) -> float:
-    """From the first eighth of 16000 steps to the last: root mean squares, geometric mean over 24 starts."""
-    q = 1.5 * jax.random.normal(jax.random.key(0), (24, 5))
-    p = jax.vmap(QUARTIC.project)(q, 1.5 * jax.random.normal(jax.random.key(1), (24, 5)))
+def spread_of_the_energy(integrator: Integrator, system: object) -> tuple[float, float]:
+    """How much more the energy changes over half a run of 8000 steps than over an eighth of it.
+
+    The logarithm of the ratio of the root mean squares over all such spans of the run: its mean over 32 starts, and the
+    standard error of that mean. Zero for a bounded error that has forgotten its start after an eighth of the run, log 2 for
+    a random walk.
+    """
+    q = 1.5 * jax.random.normal(jax.random.key(0), (32, 5))
+    p = jax.vmap(QUARTIC.project)(q, 1.5 * jax.random.normal(jax.random.key(1), (32, 5)))
 
     @jax.jit
     @jax.vmap
     def energies(q: jax.Array, p: jax.Array) -> jax.Array:
-        path = integrate(system, integrator, (q, p), 0.1, 16_000, save_every=20)
+        path = integrate(system, integrator, (q, p), 0.1, 8000, save_every=20)
         return jax.vmap(quartic_energy)(path.q, path.p)
 
     found = np.asarray(energies(q, p))
-    first, *_, last = (np.mean(part**2, axis=1) for part in np.array_split((found - found[:, :1])[:, 1:], 8, axis=1))
-    return float(np.exp(np.mean(np.log(last / first)) / 2))
+    change = [np.mean((found[:, span:] - found[:, :-span]) ** 2, axis=1) for span in (50, 200)]
+    spread = np.log(change[1] / change[0]) / 2
+    return float(np.mean(spread)), float(np.std(spread, ddof=1) / np.sqrt(len(spread)))
 
 
 @pytest.mark.slow
 def test_a_nonholonomic_constraint_lets_the_energy_of_chaotic_motion_wander():
-    """Reversible and symmetric as the method is; without the constraint the same method, then symplectic, does not."""
+    """Reversible and symmetric as the method is; without the constraint the same method, then symplectic, does not.
+
+    Over six draws of the starts the means were -0.4 to 1.6 standard errors without the constraint, and 6.2 to 8.0 with it.
+    """
     lift = CotangentLift(Midpoint(Addition(R5)))
-    assert growth_of_the_energy_error(SymplecticIntegrator(lift), quartic_energy) < 1.2
-    assert growth_of_the_energy_error(DiracIntegrator(lift), QUARTIC) > 1.5
+    mean, error = spread_of_the_energy(SymplecticIntegrator(lift), quartic_energy)
+    assert abs(mean) < 4 * error
+    assert error < 0.1
+    mean, error = spread_of_the_energy(DiracIntegrator(lift), QUARTIC)
+    assert mean > 4 * error
 
 
 def curved_drift(q: Array, u: Array) -> Array:

@@ -6,9 +6,16 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import ArrayLike
 
-from ....manifolds import CotangentBundle, Euclidean, Immersion, InvalidInputError, Manifold, Submanifold
+from ....manifolds import (
+    CotangentBundle,
+    Euclidean,
+    Immersion,
+    InvalidInputError,
+    Manifold,
+    PresymplecticManifold,
+    Submanifold,
+)
 from ....manifolds.numerics.ambient import Ambient
-from ...problem import OptimalControlProblem
 from ..result import IntegrabilityResult
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
@@ -76,10 +83,8 @@ class Stratum:
 class Classification(IntegrabilityResult[Stratum]):
     """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level."""
 
-    problem: OptimalControlProblem
     morse: MorseTest | None
     levels: tuple[Level, ...]
-    strata: tuple[Stratum, ...]
     excluded: int
     zero_costate_excluded: bool
     seconds: float
@@ -118,6 +123,11 @@ class Classification(IntegrabilityResult[Stratum]):
             )
         bundle = CotangentBundle(self.problem.manifold)
         return Submanifold(bundle, self.equations) if self.codimension else bundle
+
+    @property
+    def presymplectic(self) -> PresymplecticManifold:
+        """``(P_f, omega_f)``: with the rank and the kernel of the form at any point of ``P_f``."""
+        return PresymplecticManifold(self.manifold, CotangentBundle(self.problem.manifold).two_form)
 
     def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``, a JAX function.

@@ -8,12 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ....manifolds import InvalidInputError
+from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics.rank import numerical_rank
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
 from .classification import Classification, MorseTest, Stratum
 from .final import final_equations
+from .jets import Pair
 from .levels import Level, PointRanks, Signature, point_ranks, summarise
 from .points import Points, make_consistent, random_starts, select, with_order
 
@@ -31,6 +32,7 @@ def classify(
     starts: int = ...,
     seed: int = ...,
     exclude_zero_costate: bool | None = ...,
+    near: Pair | None = ...,
     symbolic: Literal[False] = ...,
 ) -> Classification: ...
 
@@ -42,6 +44,7 @@ def classify(
     starts: int = ...,
     seed: int = ...,
     exclude_zero_costate: bool | None = ...,
+    near: Pair | None = ...,
     symbolic: Literal[True],
 ) -> "SymbolicClassification": ...
 
@@ -52,6 +55,7 @@ def classify(
     starts: int = 20,
     seed: int = 0,
     exclude_zero_costate: bool | None = None,
+    near: Pair | None = None,
     symbolic: bool = False,
 ) -> "Classification | SymbolicClassification":
     """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
@@ -59,32 +63,35 @@ def classify(
     ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise, from
     the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones (drawn with
     ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where Pontryagin's principle
-    excludes them: in abnormal problems, and in those with a terminal cost and no running cost.
+    excludes them: in abnormal problems, and in those with a terminal cost and no running cost. ``near``, a state ``(q, p)``:
+    start from it and from points around it, to see a piece of ``P_f`` too thin for random starts to come to.
 
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
     agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
     gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
     """
     began = time.perf_counter()
-    _check(problem, starts)
+    _check(problem, starts, near)
     if symbolic:
-        return _symbolic(problem, exclude_zero_costate)
+        return _symbolic(problem, exclude_zero_costate, near)
     warn_about_precision()
-    first = random_starts(problem, ORDERS[0], starts, seed)
+    first = random_starts(problem, ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or bool(np.all(first.at.cost_rate == 0))
     exclude = exclude_zero_costate
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
     levels, morse, points = _run(first, unit_costate=exclude and homogeneous)
-    found = select(points, points.consistent)
+    found = select(points, points.reliable)
     trivial = np.max(np.abs(found.at.costate[:, 1:]), axis=1, initial=0.0) <= VANISHING_COSTATE
     excluded = int(np.sum(trivial)) if exclude else 0
     strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
     seconds = time.perf_counter() - began
-    return Classification(problem, morse, tuple(levels), strata, excluded, bool(exclude), seconds)
+    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude), seconds)
 
 
-def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None) -> "SymbolicClassification":
+def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
+    if near is not None:
+        raise InvalidInputError("symbolic=True finds the pieces of P_f wherever they are; leave near out")
     try:
         from ..symbolic import classify_symbolically
     except ModuleNotFoundError as error:
@@ -94,13 +101,17 @@ def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None)
     return classify_symbolically(problem, exclude_zero_costate)
 
 
-def _check(problem: OptimalControlProblem, starts: int) -> None:
+def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> None:
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"classify takes an OptimalControlProblem, got {problem!r}")
     if not isinstance(starts, int) or starts < 1:
         raise InvalidInputError(f"starts must be a positive number of random starts, got {starts!r}; try 20")
     if problem.controls.dimension == 0:
         raise InvalidInputError(f"the problem has no controls: U is {problem.controls}; give it at least one")
+    if near is not None:
+        verdict = CotangentBundle(problem.manifold).contains(near)
+        if not verdict:
+            raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
 
 
 def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
@@ -115,7 +126,7 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         if level > points.array.order:
             points = _lengthened(points, first, levels)
         points = make_consistent(points, level, unit_costate)
-        ranks = [point_ranks(points, i, level) for i in np.flatnonzero(points.consistent)]
+        ranks = [point_ranks(points, i, level) for i in np.flatnonzero(points.reliable)]
         levels.append(summarise(points, level, ranks))
         if level == 0 and ranks:
             morse = _morse(select(points, points.consistent))
@@ -141,7 +152,10 @@ def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
 
 
 def _morse(points: Points) -> MorseTest:
-    """The Morse family test and the test of regularity, at points with ``dH/du = 0``."""
+    """The Morse family test and the test of regularity, at points with ``dH/du = 0``.
+
+    Where these are irregular equations, ``D(dH/du)`` is singular on them though not near them.
+    """
     by_state, by_jet = points.matrices(0)
     size = by_jet.shape[1]
     family = [numerical_rank(np.concatenate(pair, axis=1), unit=1.0) for pair in zip(by_state, by_jet, strict=True)]
@@ -149,16 +163,16 @@ def _morse(points: Points) -> MorseTest:
     worst = [min(ranks, key=lambda rank: rank.singular_values[-1]).singular_values for ranks in (family, hessian)]
     return MorseTest(
         points=len(by_jet),
-        family=all(rank.rank == size for rank in family),
+        family=not points.slow.any() and all(rank.rank == size for rank in family),
         family_singular_values=worst[0],
-        regular=all(rank.rank == size for rank in hessian),
+        regular=not points.slow.any() and all(rank.rank == size for rank in hessian),
         hessian_singular_values=worst[1],
         gap=min(rank.gap for rank in [*family, *hessian]),
     )
 
 
 def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
-    """Points clustered by their ranks at every level, each cluster with the equations through its best conditioned point."""
+    """Points clustered by their ranks at the last level, each cluster with the equations through its best conditioned point."""
     final = [point_ranks(points, i, last) for i in range(len(points.residuals))]
     groups: dict[Signature, list[int]] = {}
     for i, ranks in enumerate(final):

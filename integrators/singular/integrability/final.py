@@ -15,12 +15,12 @@ from jaxtyping import Array, ArrayLike, Float
 
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
+from ..words import ordinal
 from .jets import DerivativeArray, Pair
 from .levels import PointRanks
 from .points import Points
 
 Indices = tuple[int, ...]
-ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
 EXPLICIT = 1e-10  # largest derivative by a control of a row that does not involve it, in units
 INDEPENDENT = 1e-6  # smallest remainder of a row that is independent of those before it, in units
 
@@ -82,8 +82,7 @@ class FinalEquations(eqx.Module):
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the equations by the level at which they appear."""
-        levels = (row // self.jet.shape[-1] for row in self.pivots.kept)
-        return tuple(ORDINALS[level] if level < len(ORDINALS) else f"level {level}" for level in levels)
+        return tuple(ordinal(row // self.jet.shape[-1]) for row in self.pivots.kept)
 
 
 def final_equations(points: Points, index: int, level: int, ranks: PointRanks) -> FinalEquations:

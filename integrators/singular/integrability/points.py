@@ -1,4 +1,4 @@
-"""Consistent points of the derivative array: batched, damped, minimum-norm Gauss-Newton from random starts."""
+"""Consistent points of the derivative array: batched, damped Levenberg-Marquardt steps of least norm from random starts."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import CotangentBundle, Euclidean
+from ....manifolds import CotangentBundle, Euclidean, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
@@ -20,12 +20,14 @@ from ...compilation import compiler_options
 from ...problem import OptimalControlProblem
 from .jets import DerivativeArray, Pair, hamiltonian_field
 
-CONVERGED = 1e-10  # largest entry of the array, in its units
+CONVERGED = 1e-10  # norm of the array, in its units
 ITERATIONS = 60
 SMALLEST_DAMPING = 1e-3
 PSEUDO_INVERSE_CUTOFF = 1e-9
+LARGEST_SHIFT = 1e-2
 NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
-SLOW_RATIO, SLOW_STEPS = 0.1, 8  # residuals that shrink slower than this, this often: an irregular constraint
+SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+NEARBY = 0.1  # how far starts near a state are from it; costates relative to their size
 
 
 class Linearised(NamedTuple):
@@ -118,6 +120,12 @@ class Points:
         """Which points satisfy the equations they were moved to."""
         return self.residuals <= CONVERGED
 
+    @property
+    def reliable(self) -> np.ndarray:
+        """Consistent points whose ranks can be read: not where equations are irregular, unless they are so at all points."""
+        regular = self.consistent & ~self.slow
+        return regular if regular.any() else self.consistent
+
     def matrices(self, level: int) -> tuple[Any, Any]:
         """``F_z`` and ``F_U`` of the levels up to this one in units: ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
         batch, rows = len(self.residuals), (level + 1) * self.at.jet.shape[-1]
@@ -127,12 +135,12 @@ class Points:
         return by_state, by_jet / scale * self.units.jet[: level + 1].reshape(-1)
 
 
-def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: int) -> Points:
-    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control."""
+def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: int, near: Pair | None) -> Points:
+    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control; with ``near`` it and points around it."""
     keys = jax.random.split(jax.random.key(seed), count)
     (q, p), centers, first, (speed, cost) = jax.tree.map(np.asarray, _draw()(problem, keys))
     size, _ = _sizes(cost, speed)
-    z = q, jax.tree.map(lambda leaf: size * leaf, p)
+    z = (q, jax.tree.map(lambda leaf: size * leaf, p)) if near is None else _around(problem.manifold, near, keys, size)
     jets = np.zeros((count, order + 1, problem.controls.dimension))
     jets[:, 0] = first
     return _evaluated(DerivativeArray(problem, order), z, centers, jets)
@@ -161,6 +169,15 @@ def _draw() -> Callable[..., Any]:
     return _compiled(batch)
 
 
+def _around(manifold: Manifold, z: Pair, keys: Array, costate: float) -> Pair:
+    """The point, and random ones near it; ``costate`` is the typical size of one, for a ``p`` that is zero."""
+    bundle, move = CotangentBundle(manifold), BundleRetraction(default_retraction(manifold))
+    extent = float(vec.size(z[1])) or costate
+    lengths = NEARBY * jnp.repeat(jnp.array([1.0, extent]), manifold.dimension)
+    steps = jax.vmap(lambda key: lengths * jax.random.normal(key, lengths.shape))(keys).at[0].set(0.0)
+    return jax.tree.map(np.asarray, jax.lax.map(lambda d: move(z, vec.combine(bundle.spanning_frame(z), d)), steps))
+
+
 def with_order(points: Points, order: int) -> Points:
     """The same points with an array of this order, and no knowledge of units yet."""
     more = order - points.array.order
@@ -181,7 +198,7 @@ def _host(at: Linearised) -> Linearised:
 
 
 def _units(at: Linearised) -> Units:
-    """Rows by their largest entry over the batch, unless it is rounding of the terms they sum; then columns likewise.
+    """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns likewise.
 
     Entries are weighed with the sizes that a state, a costate and the derivatives of a control have in the problem, so that
     its answers do not depend on the units of time and cost.
@@ -191,15 +208,15 @@ def _units(at: Linearised) -> Units:
     along = np.broadcast_to((rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
     by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
     largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
-    rows = np.max(np.maximum(largest, np.abs(at.array)), axis=0)
+    rows = _typical(np.maximum(largest, np.abs(at.array)))
     shifted = np.concatenate([np.abs(at.jet[:, 1:]), np.zeros_like(at.jet[:, :1])], axis=1)
     terms = np.einsum("bkms,bs->bkm", np.abs(at.by_state), np.abs(at.velocity))
     terms += np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), shifted)
     floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], np.max(terms, axis=(0, 2))[:-1]])
     rows = np.maximum(rows, floor[:, None])
     rows = np.where(rows > 0, rows, 1.0)
-    state = np.max(by_state / rows[:, :, None], axis=(0, 1, 2))
-    jet = np.max(by_jet / rows[:, :, None, None], axis=(0, 1, 2))
+    state = _typical(np.max(by_state / rows[:, :, None], axis=(1, 2)))
+    jet = _typical(np.max(by_jet / rows[:, :, None, None], axis=(1, 2)))
     return Units(rows, across * _reciprocal(state), along * _reciprocal(jet))
 
 
@@ -209,13 +226,19 @@ def _sizes(costs: np.ndarray, speeds: np.ndarray) -> tuple[float, float]:
     return (cost / speed if cost > 0 and speed > 0 else 1.0), (speed if speed > 0 else 1.0)
 
 
+def _typical(sizes: np.ndarray) -> np.ndarray:
+    """Medians over a batch, which one point near a pole does not move; largest values where more than half are zero."""
+    medians = np.median(sizes, axis=0)
+    return np.where(medians > 0, medians, np.max(sizes, axis=0))
+
+
 def _reciprocal(sizes: np.ndarray) -> np.ndarray:
     largest = np.max(sizes)
     return 1 / np.where(sizes > NEGLIGIBLE * largest, sizes, largest) if largest > 0 else np.ones_like(sizes)
 
 
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
-    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped Gauss-Newton steps of least norm."""
+    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped steps of least norm."""
     count = len(points.residuals)
     at, damping, iterations = points.at, np.ones(count), np.zeros(count, int)
     slow = np.zeros(count, int)
@@ -229,22 +252,22 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
         now = _residuals(points, tried, level, unit_costate)
         better = active & (now < (1 - 1e-4 * damping) * residual)
         at = jax.tree.map(lambda a, b, better=better: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), tried, at)
-        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < 1e-2)
+        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual, iterations = np.where(better, now, residual), iterations + active
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
-    return replace(points, at=at, residuals=residual, iterations=iterations, slow=slow >= SLOW_STEPS)
+    return replace(points, at=at, residuals=residual, iterations=iterations, slow=points.slow | (slow >= SLOW_STEPS))
 
 
 def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:
-    """Largest entry of the equations in units; infinite where one is not finite."""
+    """Norm of the equations in units; infinite where one is not finite."""
     entries = np.abs(at.array / points.units.rows)[:, : level + 1].reshape(len(at.array), -1)
     if unit_costate:
         entries = np.concatenate([entries, np.abs(at.costate[:, :1])], axis=1)
-    return np.nan_to_num(np.max(entries, axis=1), nan=np.inf)
+    return np.nan_to_num(np.linalg.norm(entries, axis=1), nan=np.inf)
 
 
 def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
-    """Gauss-Newton steps, zero for the derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
+    """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
     at, units = points.at, points.units
     by_state, by_jet = points.matrices(level)
     batch, rows, count = by_state.shape
@@ -257,11 +280,25 @@ def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
     finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1))
     matrix = np.where(finite[:, None, None], matrix, 0.0)
     values = np.where(finite[:, None], values, 0.0)
-    step = -np.einsum("bij,bj->bi", np.linalg.pinv(matrix, rcond=PSEUDO_INVERSE_CUTOFF), values)
+    step = -_regularised(matrix, values)
     scale = np.concatenate([units.state, units.jet[: level + 1].reshape(-1)])
     full = np.zeros((batch, count + at.jet[0].size))
     full[:, : len(scale)] = step * scale
     return full
+
+
+def _regularised(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
+
+    Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them
+    [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and Newton
+    are drawn to where pieces cross.
+    """
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    shift = np.minimum(np.sum(values**2, axis=1), LARGEST_SHIFT)[:, None]
+    counted = sizes > PSEUDO_INVERSE_CUTOFF * sizes[:, :1]
+    filtered = np.where(counted, sizes / np.where(counted, sizes**2 + shift, 1.0), 0.0)
+    return np.einsum("bri,br,bkr,bk->bi", right, filtered, left, values)
 
 
 def select(points: Points, which: Any) -> Points:

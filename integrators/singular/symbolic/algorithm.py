@@ -1,10 +1,13 @@
 """The constraint algorithm on R^n with exact algebra, branching where an equation factors or a coefficient may vanish."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import sympy
+
+from ..integrability import Signature
 
 PRECISION = 40  # digits
 LONG = 20  # terms of an equation at which a branch of smaller dimension is left
@@ -39,8 +42,9 @@ class SymbolicStratum:
     """A piece of ``P_f`` in closed form.
 
     ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``solution``: coordinates
-    that they determine; ``controls``: determined controls as expressions, and the levels that determine them; ``nonzero``:
-    expressions assumed not to vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
+    that they determine; ``controls``: determined controls as expressions, and the levels that determine them; ``history``:
+    the order in which all these were found, with their values then and the levels; ``nonzero``: expressions assumed not to
+    vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
     """
 
     phase: Phase
@@ -48,6 +52,7 @@ class SymbolicStratum:
     solution: dict[Expression, Expression] = field(default_factory=dict)
     controls: dict[Expression, Expression] = field(default_factory=dict)
     levels: dict[Expression, int] = field(default_factory=dict)
+    history: tuple[tuple[Expression, Expression, int], ...] = ()
     nonzero: tuple[Expression, ...] = ()
     irregular: bool = False
     degenerate: Expression | None = None
@@ -61,6 +66,18 @@ class SymbolicStratum:
     def codimension(self) -> int:
         """Number of equations."""
         return len(self.equations)
+
+    @property
+    def signature(self) -> Signature:
+        """Codimension, free controls, rank of the form."""
+        return Signature(self.codimension, self.free_controls, self.rank)
+
+    def up_to(self, level: int) -> "SymbolicStratum":
+        """The stratum of ``P^level`` that holds this one: what was known at that level."""
+        known = SymbolicStratum(self.phase, equations=tuple(e for e in self.equations if e[1] <= level))
+        for symbol, value, at in self.history:
+            known = known.insert(symbol, value, at) if at <= level else known
+        return known
 
     @property
     def k_f_base(self) -> int:
@@ -110,7 +127,7 @@ class SymbolicStratum:
         """An expression on this piece, with the determined controls and coordinates inserted."""
         return normal_form(sympy.sympify(expression).xreplace({**self.solution, **self.controls}))
 
-    def insert(self, symbol: Expression, value: Expression) -> "SymbolicStratum":
+    def insert(self, symbol: Expression, value: Expression, level: int) -> "SymbolicStratum":
         """The piece with one more coordinate or control determined, and inserted in all others."""
 
         def inserted(known: dict[Expression, Expression]) -> dict[Expression, Expression]:
@@ -118,22 +135,39 @@ class SymbolicStratum:
 
         solution, controls = inserted(self.solution), inserted(self.controls)
         (controls if symbol in self.phase.u else solution)[symbol] = value
-        return replace(self, solution=solution, controls=controls)
+        levels = self.levels | {symbol: level} if symbol in self.phase.u else self.levels
+        return replace(self, solution=solution, controls=controls, levels=levels, history=(*self.history, (symbol, value, level)))
 
 
 @dataclass(frozen=True)
 class Ended:
-    """Equations at which branches ended: without a real solution, and without one in closed form. Filled by the search."""
+    """Equations at which branches ended: without a real solution, and without one in closed form. Filled by the search.
 
+    ``last``: the level at which the search itself ends.
+    """
+
+    last: float = math.inf
     contradictions: list[Equation] = field(default_factory=list)
     unsolved: list[Equation] = field(default_factory=list)
 
 
-def strata(phase: Phase) -> tuple[list[SymbolicStratum], Ended]:
-    """The pieces of ``P_f``, and how the other branches ended."""
-    ended = Ended()
+def strata(phase: Phase, last: float = math.inf) -> tuple[list[SymbolicStratum], Ended]:
+    """The pieces of ``P_f``, or of ``P^last``, and how the other branches ended."""
+    ended = Ended(last)
     start = [(sympy.diff(phase.hamiltonian, u), 0) for u in phase.u]
     return list(_explore(SymbolicStratum(phase), start, ended)), ended
+
+
+def generic_ranks(phase: Phase) -> tuple[int, int] | None:
+    """Ranks of ``D(dH/du)`` and ``d2H/du2`` almost everywhere where ``dH/du = 0``; None if no such point is known."""
+    pieces, _ = strata(phase, last=0)
+    slope = sympy.Matrix([phase.hamiltonian]).jacobian(sympy.Matrix(phase.u))
+    state, control = (slope.jacobian(sympy.Matrix(symbols)) for symbols in ((*phase.q, *phase.p), phase.u))
+    found = [
+        [generic_rank(matrix.xreplace({**piece.solution, **piece.controls})) for matrix in (state.row_join(control), control)]
+        for piece in pieces
+    ]
+    return (min(family for family, _ in found), min(hessian for _, hessian in found)) if found else None
 
 
 def generic_rank(matrix: sympy.Matrix) -> int:
@@ -193,14 +227,13 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
         ended.unsolved.append(equation)
         return
     symbol, coefficient = linear
-    generic = piece.insert(symbol, normal_form(symbol - expression / coefficient))
+    generic = piece.insert(symbol, normal_form(symbol - expression / coefficient), level)
     if controls:
-        generic = replace(generic, levels=piece.levels | {symbol: level})
         special, further = [coefficient], []
     else:
         generic = replace(generic, equations=(*piece.equations, equation))
         # Where the coefficient vanishes another coordinate serves, except at points where no derivative is left.
-        special, further = _gradient(expression, piece), [(piece.phase.rate(expression), level + 1)]
+        special, further = _gradient(expression, piece), [(piece.phase.rate(expression), level + 1)] * (level < ended.last)
     if _never_zero(coefficient, piece):
         yield from _explore(generic, [*rest, *further], ended)
         return

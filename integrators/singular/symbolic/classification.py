@@ -1,5 +1,6 @@
 """The record of a symbolic classification, and its report."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,55 +9,112 @@ import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
 from ...problem import OptimalControlProblem
+from .. import words
 from ..result import IntegrabilityResult
-from .algorithm import Equation, Phase, SymbolicStratum, normal_form, strata
+from ..words import Line
+from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, normal_form, strata
 from .trace import trace
+
+LONGEST = 300  # characters of an expression that is printed
 
 
 @dataclass(frozen=True, eq=False)
 class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
     """What the integrability algorithm finds in exact algebra.
 
-    ``strata``: the pieces of ``P_f`` in closed form, largest dimension first. ``contradictions``: equations without a
-    solution that ended a branch; ``unsolved``: those without one in closed form, and those that vanish on pieces of smaller
-    dimension too long to follow; each with its level.
+    ``strata``: the pieces of ``P_f`` in closed form, largest dimension first; ``excluded``: how many were left out because
+    ``p = 0`` on them. ``ranks``: of ``D(dH/du)`` and of ``d2H/du2`` almost everywhere where ``dH/du = 0``.
+    ``contradictions``: equations without a solution that ended a branch; ``unsolved``: those without one in closed form, and
+    those that vanish on pieces of smaller dimension too long to follow; each with its level.
     """
 
-    problem: OptimalControlProblem
     phase: Phase
-    strata: tuple[SymbolicStratum, ...]
+    ranks: tuple[int, int] | None
+    excluded: int
+    zero_costate_excluded: bool
     contradictions: tuple[Equation, ...]
     unsolved: tuple[Equation, ...]
 
+    @property
+    def family(self) -> bool:
+        """Whether ``H`` is a Morse family, almost everywhere."""
+        return self.ranks is not None and self.ranks[0] == len(self.phase.u)
+
+    @property
+    def regular(self) -> bool:
+        """Whether ``dH/du = 0`` determines every control, almost everywhere."""
+        return self.ranks is not None and self.ranks[1] == len(self.phase.u)
+
     def __str__(self) -> str:
-        lines = [("H", str(self.phase.hamiltonian))]
-        if self.empty:
-            lines += [("P_f", "empty")]
-            lines += [("contradiction", f"{e} = 0 at level {level}") for e, level in self.contradictions]
-        for i, piece in enumerate(self.strata):
-            mark = f"({i + 1}) " if len(self.strata) > 1 else ""
-            lines += [(mark + name, text) for name, text in _lines(piece)]
-        lines += [("not followed", f"the branch {e} = 0 at level {level}: no short closed form") for e, level in self.unsolved]
-        width = max(len(name) for name, _ in lines)
-        return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+        lines = [*_problem(self), *_levels(self)]
+        lines += _empty(self) if self.empty else _final(self)
+        lines += [("not followed", f"the branch {_short(e)} = 0 at level {k}: no short closed form") for e, k in self.unsolved]
+        return words.table(lines)
 
 
-def _lines(piece: SymbolicStratum) -> list[tuple[str, str]]:
+def _problem(c: SymbolicClassification) -> Iterator[Line]:
+    yield "problem", words.problem_words(c.problem)
+    yield "H", str(c.phase.hamiltonian)
+    if c.zero_costate_excluded:
+        yield "costate", words.EXCLUDED
+    if c.ranks is not None:
+        family, hessian = c.ranks
+        size = len(c.phase.u)
+        yield "H", f"{words.family_words(c.family)} (D(dH/du) has rank {family} of {size} almost everywhere where dH/du = 0)"
+        yield "kind", f"{'regular' if c.regular else 'singular'}: d2H/du2 has rank {hessian} of {size} there"
+
+
+def _levels(c: SymbolicClassification) -> Iterator[Line]:
+    for level in range(max((piece.k_f for piece in c.strata), default=-1) + 1):
+        found = dict.fromkeys(piece.up_to(level).signature for piece in c.strata)
+        yield f"P^{level}", "; ".join(words.level_words(*signature) for signature in found)
+
+
+def _empty(c: SymbolicClassification) -> Iterator[Line]:
+    yield "P_f", words.EMPTY_WITHOUT_IT if c.excluded else "empty"
+    for expression, level in c.contradictions:
+        yield "contradiction", f"{_short(expression)} = 0 at level {level}"
+
+
+def _final(c: SymbolicClassification) -> Iterator[Line]:
+    if c.stratified:
+        yield "strata", words.strata_words(len(c.strata))
+    for i, piece in enumerate(c.strata):
+        prefix = f"[{i}] " if c.stratified else ""
+        for name, text in _stratum(piece):
+            yield prefix + name, text
+
+
+def _stratum(piece: SymbolicStratum) -> Iterator[Line]:
     total, kernel = 2 * len(piece.phase.q), piece.kernel
-    lines = [("P_f", f"dimension {len(piece.coordinates)} in T*Q of dimension {total}")]
-    lines += [("equation", f"{e} = 0 (level {level})") for e, level in piece.equations]
+    yield "P_f", words.final_words(len(piece.coordinates), total, [words.ordinal(level) for _, level in piece.equations])
+    for expression, level in piece.equations:
+        yield "equation", f"{_short(expression)} = 0 (level {level})"
     if piece.irregular:
-        lines.append(("equation", "irregular: a power of it appears in the conditions"))
-    lines += [("assuming", f"{piece.reduce(e)} != 0") for e in piece.nonzero]
-    lines.append(("k_f", f"{piece.k_f} (S stops changing; P at {piece.k_f_base})"))
-    lines.append(("omega_f", f"rank {piece.rank}, kernel of dimension {len(kernel)}"))
+        yield "equation", "irregular: a power of it appears in the conditions"
+    for expression in piece.nonzero:
+        yield "assuming", f"{_short(piece.reduce(expression))} != 0"
+    yield "k_f", words.stop_words(piece.k_f, piece.k_f_base)
+    yield "omega_f", words.form_words(piece.rank, len(kernel))
     symbols = (*piece.phase.q, *piece.phase.p)
     for vector in kernel:
         terms = sum((c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0))
-        lines.append(("kernel", str(terms)))
-    lines += [("control", f"{u} = {piece.reduce(u)} (level {piece.levels[u]})") for u in piece.controls]
-    lines += [("control", f"{u} is free (gauge)") for u in piece.phase.u if u not in piece.controls]
-    return lines
+        yield "kernel", _short(terms)
+    yield "constraints", words.class_words(piece.codimension, len(kernel))
+    for u in piece.controls:
+        yield "control", f"{u} = {_short(piece.reduce(u))} (level {piece.levels[u]})"
+    for u in piece.phase.u:
+        if u not in piece.controls:
+            yield "control", f"{u} is free (gauge)"
+
+
+def _short(expression: Expression) -> str:
+    """The expression, or what it is made of where it would fill a page."""
+    text = str(expression)
+    if len(text) <= LONGEST:
+        return text
+    symbols = ", ".join(sorted(map(str, expression.free_symbols)))
+    return f"[a function of {symbols} that takes {len(text)} characters: see the record]"
 
 
 def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: bool | None) -> SymbolicClassification:
@@ -84,7 +142,16 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
         )
     kept = [piece for piece in pieces if not (exclude and all(piece.reduce(a) == 0 for a in phase.p))]
     ordered = sorted(_distinct(kept), key=lambda piece: piece.codimension)
-    return SymbolicClassification(problem, phase, tuple(ordered), tuple(ended.contradictions), tuple(ended.unsolved))
+    return SymbolicClassification(
+        problem=problem,
+        strata=tuple(ordered),
+        phase=phase,
+        ranks=generic_ranks(phase),
+        excluded=len(pieces) - len(kept),
+        zero_costate_excluded=bool(exclude),
+        contradictions=tuple(ended.contradictions),
+        unsolved=tuple(ended.unsolved),
+    )
 
 
 def _symbols(letter: str, space: Euclidean) -> np.ndarray:

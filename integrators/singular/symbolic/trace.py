@@ -1,7 +1,9 @@
 """From a JAX function to SymPy expressions: its jaxpr evaluated on arrays of symbols."""
 
+import math
 import operator
 from collections.abc import Callable
+from fractions import Fraction
 from typing import Any
 
 import jax
@@ -54,7 +56,7 @@ ENTRYWISE: dict[str, Callable[..., Any]] = {
 
 
 def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
-    """Value of a JAX function of arrays at arrays of SymPy expressions; decimal numbers become fractions.
+    """Value of a JAX function of arrays at arrays of SymPy expressions; floats become fractions by ``fraction``.
 
     Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here.
     """
@@ -118,5 +120,33 @@ def _exact(value: Any) -> np.ndarray:
     """An array of SymPy expressions."""
     if _is_exact(value):
         return value
-    fraction = np.frompyfunc(lambda a: sympy.nsimplify(sympy.Float(float(a), 17), rational=True, tolerance=1e-15), 1, 1)
-    return np.asarray(fraction(np.asarray(value)), dtype=object)
+    numbers = np.asarray(value)
+    return np.array([fraction(a) for a in numbers.ravel()], dtype=object).reshape(numbers.shape)
+
+
+def fraction(a: Any) -> Any:
+    """The rational number that was meant by a NumPy float: each rounds to its float, so that different ones stay different.
+
+    The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a power
+    of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
+    ``InvalidInputError`` if it is not finite.
+    """
+    if not np.isfinite(a):
+        raise InvalidInputError(f"the problem's functions contain the constant {a}; classify it without symbolic=True")
+    if not np.issubdtype(a.dtype, np.floating):
+        return sympy.Integer(int(a))
+    decimal = Fraction(str(a))
+    if len(str(decimal.numerator).strip("-0")) <= np.finfo(a.dtype).precision:
+        return sympy.Rational(decimal)
+    size, unit = abs(a), Fraction(10) ** int(f"{abs(a):e}".split("e")[1])
+    neighbours = (np.nextafter(size, a.dtype.type(0)), size, np.nextafter(size, a.dtype.type(np.inf)))
+    below, exact, above = (Fraction(float(b)) / unit for b in neighbours)
+    return sympy.Rational(int(np.sign(a)) * unit * _simplest((below + exact) / 2, (exact + above) / 2))
+
+
+def _simplest(low: Fraction, high: Fraction) -> Fraction:
+    """The fraction of least denominator between two positive ones, by their continued fractions."""
+    whole = math.ceil(low)
+    if whole <= high:
+        return Fraction(whole)
+    return whole - 1 + 1 / _simplest(1 / (high - whole + 1), 1 / (low - whole + 1))

@@ -12,8 +12,24 @@ from jaxtyping import Array
 from ..integrators import OptimalControlProblem
 from ..manifolds import SO, Euclidean, Sphere, hat
 
-PAPER = "Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, 4.1"
-ALY_CHAN = "Aly, Chan, Application of a modified quasilinearization technique to totally singular optimal control problems, 1973"
+PAPER = (
+    "M. Barbero-Linan, D. Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, "
+    "section 4.1"
+)
+ALY_CHAN = (
+    "G. M. Aly, W. C. Chan, Application of a modified quasilinearization technique to totally singular optimal control "
+    "problems, International Journal of Control 17(4), 1973, 809-815"
+)
+DELGADO_IBORT = (
+    "in the manner of the examples of arbitrary index in M. Delgado-Tellez, A. Ibort, A numerical algorithm for singular "
+    "optimal LQ control systems, Numerical Algorithms 51, 2009, 477-500, arXiv:1203.2194"
+)
+KRAUS = "after M. Kraus, Projected variational integrators for degenerate Lagrangian systems, 2017, arXiv:1708.07356"
+BROWN = (
+    "after J. D. Brown, Singular Lagrangians, constrained Hamiltonian systems and gauge invariance: an example of the "
+    "Dirac-Bergmann algorithm, Universe 8(3), 2022, 171, arXiv:2201.06558"
+)
+OWN = "this library"
 
 
 @dataclass(frozen=True)
@@ -48,8 +64,7 @@ def academic() -> KnownClassification:
 def integrator_chain(n: int) -> KnownClassification:
     """``x1' = x2, ..., xn' = u``, cost ``x1^2/2``: ``P_f = {0}`` after ``2n`` levels."""
     problem = OptimalControlProblem(Euclidean(n), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u: q[0] ** 2 / 2, 1)
-    source = "Delgado-Tellez, Ibort, a family of singular linear-quadratic problems of any index, arXiv 1203.2194"
-    return KnownClassification(problem, source, (2 * n, 2 * n - 1))
+    return KnownClassification(problem, DELGADO_IBORT, (2 * n, 2 * n - 1))
 
 
 def aly_chan() -> KnownClassification:
@@ -73,19 +88,22 @@ def aly_chan_mayer() -> KnownClassification:
 def linear_cost() -> KnownClassification:
     """``x' = u``, cost ``x``: ``p = 0`` and ``p' = 1`` contradict each other."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: q[0], 1)
-    return KnownClassification(problem, "textbook", empty_at=1)
+    return KnownClassification(problem, OWN, empty_at=1)
 
 
 def unpaid_control() -> KnownClassification:
     """``x' = x``, cost ``(1 + x^2) u``: the control is in the cost alone, and ``dH/du`` vanishes nowhere."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: (1 + q[0] ** 2) * u[0], 1)
-    return KnownClassification(problem, "textbook", empty_at=0)
+    return KnownClassification(problem, OWN, empty_at=0)
 
 
 def gauge() -> KnownClassification:
-    """``H = p1 x2 + p2 u``: ``P_f = {p = 0}`` with zero form, two first-class equations and one gauge control."""
+    """``H = p1 x2 + p2 u``: ``P_f = {p = 0}`` with zero form, two first-class equations and one gauge control.
+
+    Both the primary and the secondary equation generate gauge transformations, as Dirac conjectured of all systems.
+    """
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: jnp.zeros(()), 1)
-    return KnownClassification(problem, "Dirac's conjecture, primary and secondary first class", (1, 1), 2, 0, 1)
+    return KnownClassification(problem, OWN, (1, 1), 2, 0, 1)
 
 
 def massless_particle() -> KnownClassification:
@@ -95,8 +113,7 @@ def massless_particle() -> KnownClassification:
         return (1 + q @ q) / 2 * jnp.stack([-q[1], q[0]])
 
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: potential(q) @ u - q[0] ** 2 / 2 - q[1] ** 2, 2)
-    source = "degenerate Lagrangians, Kraus, Projected variational integrators, arXiv 1708.07356"
-    return KnownClassification(problem, source, (1, 0), dimension=2, rank=2)
+    return KnownClassification(problem, KRAUS, (1, 0), dimension=2, rank=2)
 
 
 def brown() -> KnownClassification:
@@ -107,8 +124,7 @@ def brown() -> KnownClassification:
         return (kinetic + (q[0] + 2 * q[1]) * (q[0] + 2 * q[3])) / 2
 
     problem = OptimalControlProblem(Euclidean(4), lambda q, v: v, lagrangian, 4)
-    source = "Brown, Singular Lagrangians, constrained Hamiltonian systems and gauge invariance, 2022"
-    return KnownClassification(problem, source, (2, 1), dimension=4, rank=2, gauge=1)
+    return KnownClassification(problem, BROWN, (2, 1), dimension=4, rank=2, gauge=1)
 
 
 def curved_arc() -> KnownClassification:
@@ -122,7 +138,7 @@ def curved_arc() -> KnownClassification:
         square = q[0] ** 2 / 2 + q[0] ** 4 / 8 + q[1] ** 2 / 2 + 0.4 * q[2] ** 2
         return square + 0.1 * q[0] * q[1] * q[2]
 
-    return KnownClassification(OptimalControlProblem(Euclidean(3), dynamics, cost, 1), "this library", (2, 1), 4, 4)
+    return KnownClassification(OptimalControlProblem(Euclidean(3), dynamics, cost, 1), OWN, (2, 1), 4, 4)
 
 
 def sphere() -> KnownClassification:
@@ -136,7 +152,7 @@ def sphere() -> KnownClassification:
     def cost(q: Array, u: Array) -> Array:
         return 2 * q[0] - 2 * q[2] ** 2 + 0.2 * q[0] * q[2] + 0.1 * q[1]
 
-    return KnownClassification(OptimalControlProblem(manifold, dynamics, cost, 1), "this library", (2, 1), 2, 2)
+    return KnownClassification(OptimalControlProblem(manifold, dynamics, cost, 1), OWN, (2, 1), 2, 2)
 
 
 def free_actuator() -> KnownClassification:
@@ -152,7 +168,7 @@ def free_actuator() -> KnownClassification:
         return u[:2] @ u[:2] / 2 + q[1] @ q[1]
 
     problem = OptimalControlProblem(SO(3) * Euclidean(3), dynamics, cost, 3)
-    return KnownClassification(problem, "this library", (2, 1), dimension=10, rank=10)
+    return KnownClassification(problem, OWN, (2, 1), dimension=10, rank=10)
 
 
 def regular() -> KnownClassification:
@@ -160,19 +176,19 @@ def regular() -> KnownClassification:
     problem = OptimalControlProblem(
         Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u[0] ** 2 / 2 + q[0] ** 2 / 2, 1
     )
-    return KnownClassification(problem, "textbook", (0, 0), dimension=4, rank=4)
+    return KnownClassification(problem, OWN, (0, 0), dimension=4, rank=4)
 
 
 def dummy_control() -> KnownClassification:
     """``x' = u1``, cost ``u1^2/2``, and a second control that does nothing: not a Morse family."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: u[:1], lambda q, u: u[0] ** 2 / 2, 2)
-    return KnownClassification(problem, "textbook", (0, 0), dimension=2, rank=2, gauge=1)
+    return KnownClassification(problem, OWN, (0, 0), dimension=2, rank=2, gauge=1)
 
 
 def irregular() -> KnownClassification:
     """``x' = x``, cost ``x^2 u``: ``dH/du = -x^2`` vanishes with its differential, so no rank can be read from it."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0] ** 2 * u[0], 1)
-    return KnownClassification(problem, "textbook", (0, 0), dimension=1, rank=0, gauge=1, regular_equations=False)
+    return KnownClassification(problem, OWN, (0, 0), dimension=1, rank=0, gauge=1, regular_equations=False)
 
 
 SINGULAR: dict[str, Callable[[], KnownClassification]] = {

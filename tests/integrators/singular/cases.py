@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 from retrax.integrators import Classification, OptimalControlProblem, classify
+from retrax.manifolds import Euclidean
 from retrax.manifolds.numerics import ambient as vec
 from retrax.problems import SINGULAR, KnownClassification
 
@@ -39,6 +40,21 @@ def scaled(problem: OptimalControlProblem, factors: tuple[float, float, float]) 
         problem.controls,
         problem.terminal_cost,
     )
+
+
+class Martinet(eqx.Module):
+    """``u1 X1 + u2 X2`` of the Martinet distribution, in a flat metric or in a bent one."""
+
+    bend: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        along = u[1] / (1 + self.bend * q[0])
+        return jnp.stack([u[0], along, along * q[0] ** 2 / 2])
+
+
+def martinet(bend: float) -> OptimalControlProblem:
+    """Its abnormal extremals: curves at rest, lines along d/dy in x = 0, and both at once where these pieces cross."""
+    return OptimalControlProblem(Euclidean(3), Martinet(jnp.asarray(bend)), lambda q, u: u @ u / 2, 2, abnormal=True)
 
 
 @lru_cache

@@ -2,14 +2,16 @@
 
 from itertools import product
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, classify
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.integrators.singular.integrability.points import random_starts
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.problems import SINGULAR
 
-from tests.integrators.singular.cases import classified, known, scaled
+from tests.integrators.singular.cases import classified, known, martinet, scaled
 
 FACTORS = (1.0, 1e3, 1e-3)
 SCALES = [*((x, f, 1.0) for x, f in product(FACTORS, FACTORS)), (1.0, 1.0, 1e3), (1.0, 1.0, 1e-3)]
@@ -67,27 +69,60 @@ def test_a_vanishing_costate_can_be_excluded():
     assert "p = 0 is excluded" in str(c)
 
 
-def test_abnormal_extremals_of_the_flat_martinet_distribution():
-    # H = p1 u1 + p2 u2 + p3 x^2 u2 / 2: abnormal curves lie in x = 0 with u1 = 0, the others stand still.
-    def dynamics(q, u):
-        return jnp.stack([u[0], u[1], q[0] ** 2 * u[1] / 2])
+REST, LINES = (2, 0, 4), (3, 1, 2)
+ON_A_LINE = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
 
-    problem = OptimalControlProblem(Euclidean(3), dynamics, lambda q, u: u @ u / 2, 2, abnormal=True)
-    c = classify(problem)
-    assert c.zero_costate_excluded
-    seen = {(s.signature.codimension, s.signature.form_rank, s.signature.free_controls) for s in c.strata}
-    assert (3, 2, 1) in seen
-    curves = next(s for s in c.strata if s.signature == (3, 1, 2))
-    assert abs(curves.q[0]) < 1e-4
-    assert abs(curves.u[0]) < 1e-4
-    assert "abnormal (p_0 = 0)" in str(c)
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_abnormal_extremals_of_the_martinet_distribution(bend):
+    # H = p1 u1 + (p2 + p3 x^2 / 2) u2 / (1 + bend x).
+    for seed in range(3):
+        c = classify(martinet(bend), seed=seed)
+        assert c.zero_costate_excluded
+        assert [s.signature for s in c.strata] == [REST, LINES], str(c)
+        assert c.irregular, "some starts come to where the pieces cross"
+        assert "of them where equations are irregular, as where pieces cross: not counted" in str(c)
+        rest, lines = c.strata
+        assert np.max(np.abs(rest.u)) < 1e-7
+        assert np.max(np.abs([lines.q[0], lines.u[0], *lines.p[:2]])) < 1e-12
+        np.testing.assert_allclose(np.abs(np.concatenate(lines.kernel, axis=1)), [[0, 1, 0, 0, 0, 0]], atol=1e-12)
+        assert min(level.gap for level in c.levels) > 1e6
+    for words in ("abnormal (p_0 = 0)", "strata           2: P_f is not one manifold", "[1] P_f          dimension 3"):
+        assert words in str(c)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_a_piece_is_looked_for_near_a_state(bend):
+    c = classify(martinet(bend), near=ON_A_LINE)
+    lines = next(s for s in c.strata if s.signature == LINES)
+    assert lines.count >= 3
+    assert np.max(np.abs(lines.states[0])) < 0.5
+    # The starts are the state and points around it, in the state by about 1/10 and in the costate by about |p|/10.
+    away = jnp.array([3.0, 0.0, 0.0]), jnp.array([0.0, -45.0, 10.0])
+    q, p = random_starts(martinet(bend), 0, 20, 0, away).at.z
+    np.testing.assert_array_equal([q[0], p[0]], away)
+    assert 0.05 < np.std(q - away[0]) < 0.2
+    assert 2.5 < np.std(p - away[1]) < 9
+
+
+def test_one_of_several_pieces_is_chosen():
+    c = classify(martinet(0.5), near=ON_A_LINE)
+    lines = c.choose([s.signature for s in c.strata].index(LINES))
+    assert not lines.stratified
+    assert (lines.dimension, lines.rank, lines.gauge_components) == (3, 2, (1,))
+    q, p = lines.manifold.nearby(jax.tree.map(lambda a: a + 0.1, ON_A_LINE))
+    np.testing.assert_allclose([q[0], p[0], p[1]], 0, atol=1e-15)
+    np.testing.assert_allclose(lines.control(q, p, jnp.array([0.7])), [0, 0.7], atol=1e-12)
+    with pytest.raises(InvalidInputError, match="there is no stratum 5; expected one of"):
+        c.choose(5)
 
 
 def test_irregular_equations_are_flagged():
     for factors in SCALES:
         c = classified("irregular", factors)
         assert c.irregular
-        assert "ranks not reliable" in str(c)
+        assert not c.morse.family
+        assert "equations irregular at all of them: ranks not reliable" in str(c)
     with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
         _ = c.manifold
 
@@ -133,6 +168,16 @@ def test_the_morse_family_is_told_from_a_dummy_control():
     assert classified("regular").regular
 
 
+def test_regularity_is_a_statement_about_points_with_vanishing_dh_du_alone():
+    # dH/du = u - u^3 vanishes at u = -1, 0, 1; d2H/du2 = 1 - 3 u^2 at u^2 = 1/3, which is no such point.
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: (u[0] ** 2 - 1) ** 2 / 4, 1)
+    c = classify(problem)
+    assert c.morse.family
+    assert c.regular
+    assert {round(float(s.u[0])) for s in c.strata} <= {-1, 0, 1}
+    np.testing.assert_allclose(c.stratum.u, np.round(c.stratum.u), atol=1e-9)
+
+
 def test_the_paper_s_example_is_reported_as_published():
     c = classified("academic")
     assert c.determined_controls == c.gauge_controls == 1
@@ -140,7 +185,7 @@ def test_the_paper_s_example_is_reported_as_published():
     assert c.stratum.determined_at == (0, None)
     np.testing.assert_allclose(np.abs(np.concatenate(c.stratum.kernel, axis=1)), [[0, 0, 0, 1]], atol=1e-12)
     for line in (
-        "dimension 3 in T*Q of dimension 4: 1 primary",
+        "dimension 3 in T*Q of dimension 4: 1 primary equation\n",
         "rank 2, kernel of dimension 1",
         "1 first class, 0 second class",
     ):
@@ -153,6 +198,7 @@ def test_the_paper_s_example_is_reported_as_published():
     [
         ({"problem": None}, "classify takes an OptimalControlProblem"),
         ({"starts": 0}, "starts must be a positive number"),
+        ({"near": (jnp.zeros(2), jnp.zeros(2)), "symbolic": True}, "leave near out"),
         ({"problem": OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0], 0)}, "the problem has no controls"),
     ],
 )
@@ -160,3 +206,8 @@ def test_wrong_input_is_refused_in_words(arguments, message):
     arguments = {"problem": known("regular").problem, **arguments}
     with pytest.raises(InvalidInputError, match=message):
         classify(arguments.pop("problem"), **arguments)
+
+
+def test_starts_near_what_is_no_state_are_refused():
+    with pytest.raises(NotOnManifoldError, match=r"near must be a state \(q, p\)"):
+        classify(known("regular").problem, near=(jnp.zeros(3), jnp.zeros(2)))

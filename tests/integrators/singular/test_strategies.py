@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Composition, OptimalControlProblem, classify, integrate
+from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
 from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
@@ -34,22 +34,17 @@ def start(name: str):
 
 
 @eqx.filter_jit
-def one_step(classification, method, z, h):
-    """Largest change of ``omega_f`` over one step from ``z``, the size of the form, and the equations of ``P_f`` at the end."""
-    final, problem = classification.manifold, classification.problem
+def gap_after(classification, method, z, h):
+    """The equations of ``P_f`` after one step from ``z``."""
+    new = method.step(classification.problem, h, *z, method.begin(classification.problem, *z))
+    return vec.size(classification.equations((new.q, new.p)))
 
-    def step(z):
-        new = method.step(problem, h, *z, method.begin(problem, *z))
-        return new.q, new.p
 
-    frame, end = final.basis(z), step(z)
-    images = jax.vmap(lambda a: jax.jvp(step, (z,), (a,))[1])(frame)
-
-    def table(x, vectors):
-        return jax.vmap(lambda a: jax.vmap(lambda b: final.parent.two_form(x, a, b))(vectors))(vectors)
-
-    before = table(z, frame)
-    return jnp.max(jnp.abs(table(end, images) - before)), jnp.max(jnp.abs(before)), vec.size(final.equations(end))
+def one_step(name, method, h):
+    """Largest change of ``omega_f`` over one step, and the equations of ``P_f`` at the end."""
+    classification, z = classified(name), start(name)
+    change = form_defect(classification.presymplectic, method, classification.problem, z, h)
+    return float(change), float(gap_after(classification, method, z, jnp.asarray(h)))
 
 
 @pytest.mark.slow
@@ -58,11 +53,11 @@ def test_rattle_keeps_a_curved_final_manifold_and_its_form(name):
     method = chosen(name)
     assert method.reason.startswith("rattle: ")
     assert "not direct: " in method.reason
+    assert np.max(np.abs(classified(name).presymplectic.matrix(start(name)))) > 0.1
     for h in STEPS:
-        change, size, gap = one_step(classified(name), method, start(name), jnp.asarray(h))
+        change, gap = one_step(name, method, h)
         assert gap < 1e-14
         assert change < 1e-13
-        assert size > 0.1
 
 
 @pytest.mark.slow
@@ -71,8 +66,8 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
     method = chosen(name, "project")
     assert not method.presymplectic
     assert "not presymplectic" in method.reason
-    facts = np.array([one_step(classified(name), method, start(name), jnp.asarray(h)) for h in STEPS / 2])
-    assert np.max(facts[:, 2]) < 1e-13
+    facts = np.array([one_step(name, method, h) for h in STEPS / 2])
+    assert np.max(facts[:, 1]) < 1e-13
     assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
 
 

@@ -6,13 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import sympy
-from retrax.integrators import OptimalControlProblem, classify
-from retrax.integrators.singular.symbolic import SymbolicClassification
-from retrax.integrators.singular.symbolic.trace import trace
+from hypothesis import given
+from hypothesis import strategies as st
+from retrax.integrators import OptimalControlProblem, SymbolicClassification, classify
+from retrax.integrators.singular.symbolic.trace import fraction, trace
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 
-from tests.integrators.singular.cases import classified, known
+from tests.integrators.singular.cases import classified, known, martinet
 
 EUCLIDEAN = [
     pytest.param(name, marks=[pytest.mark.slow] if name in ("chain of 3", "chain of 4") else [])
@@ -26,23 +27,63 @@ def symbolic(name: str) -> SymbolicClassification:
     return classify(known(name).problem, symbolic=True)
 
 
-@pytest.mark.parametrize("name", EUCLIDEAN)
-def test_exact_and_numeric_answers_agree(name):
-    exact, numeric = symbolic(name), classified(name)
-    for fact in ("k_f", "k_f_base", "dimension", "rank", "first_class", "second_class", "gauge_controls"):
-        assert getattr(exact, fact) == getattr(numeric, fact), fact
-    assert len(exact.strata) == len(numeric.strata) == 1
-    # The numeric points satisfy the exact equations, and have the exact controls; an irregular one is found to half its digits.
-    accuracy = 1e-8 if known(name).regular_equations else 1e-4
-    s, piece = numeric.stratum, exact.stratum
-    values = dict(zip((*exact.phase.q, *exact.phase.p, *exact.phase.u), np.concatenate([s.q, s.p, s.u]), strict=True))
+def assert_same(exact, piece, numeric, stratum, accuracy=1e-8):
+    """The same facts of a piece; the numeric point satisfies the exact equations, and has the exact controls and kernel."""
+    for fact in ("k_f", "k_f_base", "signature"):
+        assert getattr(piece, fact) == getattr(stratum, fact), fact
+    coordinates = np.concatenate([stratum.q, stratum.p, stratum.u])
+    values = dict(zip((*exact.phase.q, *exact.phase.p, *exact.phase.u), coordinates, strict=True))
     for equation, _ in piece.equations:
         assert abs(equation.subs(values)) < accuracy
     for u in piece.controls:
         np.testing.assert_allclose(float(piece.reduce(u).subs(values)), values[u], atol=accuracy)
-    span = np.array([[float(c.subs(values)) for c in vector.flat()] for vector in piece.kernel]).reshape(-1, s.q.size * 2)
-    both = np.concatenate([span, np.concatenate([s.kernel[0], s.kernel[1]], axis=1)])
-    assert np.linalg.matrix_rank(both, tol=1e-6) == len(span) == len(s.kernel[0])
+    size = 2 * numeric.problem.manifold.dimension
+    span = np.array([[float(c.subs(values)) for c in vector.flat()] for vector in piece.kernel]).reshape(-1, size)
+    both = np.concatenate([span, np.concatenate([stratum.kernel[0], stratum.kernel[1]], axis=1)])
+    assert np.linalg.matrix_rank(both, tol=1e-6) == len(span) == len(stratum.kernel[0])
+
+
+def assert_same_levels(exact, numeric):
+    """Every stratum seen at a level is one of the exact ones."""
+    for level in numeric.levels:
+        assert set(level.strata) <= {piece.up_to(level.index).signature for piece in exact.strata}, level.index
+
+
+@pytest.mark.parametrize("name", EUCLIDEAN)
+def test_exact_and_numeric_answers_agree(name):
+    exact, numeric = symbolic(name), classified(name)
+    for fact in ("dimension", "first_class", "second_class", "gauge_controls", "regular"):
+        assert getattr(exact, fact) == getattr(numeric, fact), fact
+    assert exact.family == numeric.morse.family
+    assert len(exact.strata) == len(numeric.strata) == 1
+    # An irregular point is found to half its digits.
+    assert_same(exact, exact.stratum, numeric, numeric.stratum, 1e-8 if known(name).regular_equations else 1e-4)
+    assert_same_levels(exact, numeric)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.5])
+def test_exact_and_numeric_pieces_agree(bend):
+    exact, numeric = classify(martinet(bend), symbolic=True), classify(martinet(bend))
+    # The exact algorithm adds the piece where the other two cross.
+    assert [piece.signature for piece in exact.strata] == [(2, 0, 4), (3, 1, 2), (3, 0, 2)]
+    for stratum in numeric.strata:
+        piece = next(piece for piece in exact.strata if piece.signature == stratum.signature)
+        assert_same(exact, piece, numeric, stratum)
+    assert_same_levels(exact, numeric)
+    assert exact.choose(1).gauge_controls == numeric.choose(1).gauge_controls == 1
+    assert exact.zero_costate_excluded
+
+
+def test_both_reports_print_the_same_facts():
+    lines = [str(record).splitlines() for record in (symbolic("brown"), classified("brown"))]
+    facts = [{line for line in text if line.split()[0] in ("problem", "P_f", "k_f", "omega_f", "constraints")} for text in lines]
+    assert len(facts[0]) == 5
+    assert facts[0] == facts[1]
+    levels = [[line.split("[")[0].strip() for line in text if line.startswith("P^")] for text in lines]
+    assert levels[0] == levels[1]
+    for text in map("\n".join, lines):
+        assert "is a Morse family" in text
+        assert "kind         singular: d2H/du2 has" in text
 
 
 @pytest.mark.parametrize("n", [2, 3, 4])
@@ -93,6 +134,43 @@ def test_a_traced_function_has_the_values_of_the_function():
     point = np.array([0.3, 0.7, 0.2])
     value = trace(function, symbols).item().subs(dict(zip(symbols, point, strict=True)))
     np.testing.assert_allclose(float(value), function(jnp.asarray(point)), rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("number", "meant"),
+    [(0.1, "1/10"), (1e-20, "1e-20"), (1 / 3, "1/3"), (-2 / 7, "-2/7"), (1e22, "1e22"), (np.float32(0.1), "1/10"), (0.0, "0")],
+)
+def test_constants_become_the_numbers_that_were_meant(number, meant):
+    number = np.asarray(number)[()]
+    assert fraction(number) == sympy.Rational(meant)
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False), st.floats(width=32, allow_nan=False, allow_infinity=False))
+def test_constants_round_to_their_floats(number, single):
+    assert float(fraction(np.float64(number))) == number
+    assert np.float32(float(fraction(np.float32(single)))) == np.float32(single)
+
+
+def test_small_constants_and_close_ones_are_kept():
+    # Without the first term p = 0 would follow from dH/du = p; with it, u = p / 1e-20.
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: 1e-20 * u[0] ** 2 / 2, 1)
+    exact = classify(problem, symbolic=True)
+    assert exact.regular
+    assert exact.stratum.controls[exact.phase.u[0]] == 10**20 * exact.phase.p[0]
+    # 0.1 (x - y) u with another 0.1, the float next to it, is not x u / 10 - y u / 10.
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: q, lambda q, u: (0.1 * q[0] - np.nextafter(0.1, 1) * q[1]) * u[0], 1
+    )
+    (equation, _), *_ = classify(problem, symbolic=True).stratum.equations
+    x, y = (sympy.diff(equation, s) for s in sympy.symbols("q1 q2", real=True))
+    assert x != -y
+    assert abs(float(x / y) + 1) < 1e-15
+
+
+def test_constants_that_are_not_finite_are_refused():
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: jnp.inf * u[0] ** 2, 1)
+    with pytest.raises(InvalidInputError, match="contain the constant inf"):
+        classify(problem, symbolic=True)
 
 
 def test_what_has_no_exact_form_is_refused_in_words():

@@ -1,0 +1,72 @@
+"""Words that the reports of a numeric and a symbolic classification share."""
+
+from collections.abc import Iterable
+
+from ..problem import OptimalControlProblem
+
+Line = tuple[str, str]
+ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
+
+
+def table(lines: list[Line]) -> str:
+    """Names and texts in two columns."""
+    width = max(len(name) for name, _ in lines)
+    return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+
+
+def many(count: int, noun: str) -> str:
+    """``1 point``, ``2 points``."""
+    return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def ordinal(level: int) -> str:
+    """What equations that appear at a level are called."""
+    return ORDINALS[level] if level < len(ORDINALS) else f"level-{level}"
+
+
+def problem_words(problem: OptimalControlProblem) -> str:
+    """Which extremals of which problem."""
+    kind = "abnormal (p_0 = 0)" if problem.abnormal else "normal (p_0 = 1)"
+    return f"{kind} extremals on T*Q, Q = {problem.manifold}, controls in {problem.controls}"
+
+
+def family_words(family: bool) -> str:
+    """Whether ``H`` is a Morse family."""
+    return "is a Morse family" if family else "is not a Morse family: the controls are redundant or dH/du degenerates"
+
+
+def level_words(codimension: int, free_controls: int, form_rank: int) -> str:
+    """What characterises a stratum of ``P^k``."""
+    return f"codimension {codimension}, free controls {free_controls}, rank of omega {form_rank}"
+
+
+def final_words(dimension: int, total: int, names: Iterable[str]) -> str:
+    """``P_f``, with how many equations of which names cut it out."""
+    counted = list(names)
+    kinds = ", ".join(f"{counted.count(kind)} {kind}" for kind in dict.fromkeys(counted))
+    equations = f"{kinds} equation{'' if len(counted) == 1 else 's'}" if counted else "no equations"
+    return f"dimension {dimension} in T*Q of dimension {total}: {equations}"
+
+
+def stop_words(k_f: int, k_f_base: int) -> str:
+    """Where the algorithm stops."""
+    return f"{k_f} (S stops changing; P at {k_f_base})"
+
+
+def form_words(rank: int, kernel: int) -> str:
+    """``omega_f``."""
+    return f"rank {rank}, kernel of dimension {kernel}" + ("" if kernel else " (symplectic)")
+
+
+def class_words(codimension: int, kernel: int) -> str:
+    """How many equations of each class."""
+    return f"{kernel} first class, {codimension - kernel} second class"
+
+
+EXCLUDED = "p = 0 is excluded"
+EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
+
+
+def strata_words(count: int) -> str:
+    """That ``P_f`` has several pieces."""
+    return f"{count}: P_f is not one manifold; largest dimension first, choose(i) takes one"
