@@ -1,5 +1,6 @@
 """RATTLE on the final constraint manifold of first-order singular arcs."""
 
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import equinox as eqx
@@ -10,16 +11,17 @@ from jaxtyping import Array, ArrayLike
 
 from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...initial_value.integrator import extremal_control
-from ...initial_value.step import StepEquations, StepResult
+from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ..integrability import Classification
 from .affine import ControlAffineSplitting, check_splitting, merge_controls
-from .leaves import leaf_flow
+from .leaves import hamiltonian_field, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 
@@ -84,26 +86,25 @@ class RattleIntegrator(SingularIntegrator):
         split = ControlAffineSplitting(system, self.singular)
         m = len(self.singular)
         stage = ControlStage(problem=split.regular_problem(), discretization=self.lift.discretization, step=h)
+        flow = jax.jit(partial(leaf_flow, split.primary))  # traced once
         predicted = jax.lax.stop_gradient(previous.singular) * h / 2
-        begin = leaf_flow(self.manifold, split.primary, (q, p), predicted)
-        equations = StepEquations(stage, *begin, previous.stage)
+        begin = flow((q, p), predicted)
+        rate = hamiltonian_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)[1]
+        # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to O(h^2).
+        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, rate)), previous.stage)
 
         def residual(c: Array) -> Array:
-            departed = leaf_flow(self.manifold, split.primary, (q, p), c[:m])
+            departed = flow(begin, c[:m])
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
         sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
-        root, landed = find_root(residual, jnp.concatenate([predicted, equations.first]), sizes)
-        q1, p1, unknowns = equations.end(root[m:])
-        q1 = self.manifold.restore(q1)
-        arrived = q1, self.manifold.projection(q1, p1)
-
-        def to_secondary(t: Array) -> Array:
-            return split.secondary(*leaf_flow(self.manifold, split.primary, arrived, t))
-
-        last, found = find_root(to_secondary, root[:m])
-        q2, p2 = leaf_flow(self.manifold, split.primary, arrived, last)
-        return StepResult(q2, p2, _Memory(unknowns, (root[:m] + last) / h), landed & found)
+        root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes)
+        moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
+        near = flow((q1, p1), moved)
+        last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
+        q2, p2 = flow(near, last)
+        memory = _Memory(unknowns, (2 * moved + last) / h)
+        return restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
 
     def control(self, unknowns: _Memory) -> Array:
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)
