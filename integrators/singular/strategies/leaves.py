@@ -18,7 +18,7 @@ _COUNTS = np.array([2.0, 4.0, 6.0, 8.0])
 _WEIGHTS = np.array([np.prod([a**2 / (a**2 - b**2) for b in _COUNTS if b != a]) for a in _COUNTS])
 
 
-def hamiltonian_field(function: Callable[[Ambient, Ambient], Array], z: Point) -> Point:
+def ambient_field(function: Callable[[Ambient, Ambient], Array], z: Point) -> Point:
     """``(df/dp, -df/dq)`` in the ambient space, for ``f = <p, g(q)> - l(q)`` with ``g`` tangent to Q.
 
     It represents the vector field ``X_f`` of ``T*Q``: covectors that differ by a normal one move alike, whatever extension of
@@ -26,6 +26,16 @@ def hamiltonian_field(function: Callable[[Ambient, Ambient], Array], z: Point) -
     """
     dq, dp = jax.tree.map(jnp.conj, jax.grad(lambda y: function(*y))(z))
     return dp, vec.scale(-1.0, dq)
+
+
+def bracket(f: Point, g: Point) -> Array:
+    """``{f, g}`` from the fields ``X_f`` and ``X_g``."""
+    return vec.pairing(f[0], g[1]) - vec.pairing(f[1], g[0])
+
+
+def bracket_size(f: Point, g: Point) -> Array:
+    """The sizes of the parts of ``X_f`` and ``X_g`` in ``{f, g}``, which cancellation leaves: it scales as the bracket does."""
+    return vec.size(f[0]) * vec.size(g[1]) + vec.size(f[1]) * vec.size(g[0])
 
 
 def leaf_flow(constraints: Constraints, z: Point, time: Float[Array, " m"]) -> Point:
@@ -38,7 +48,7 @@ def leaf_flow(constraints: Constraints, z: Point, time: Float[Array, " m"]) -> P
 
     @jax.jit
     def field(y: Point) -> Point:
-        return hamiltonian_field(lambda q, p: time @ constraints(q, p), y)
+        return ambient_field(lambda q, p: time @ constraints(q, p), y)
 
     first = field(z)
     second = field(vec.add(z, vec.scale(0.5, first)))
