@@ -84,7 +84,7 @@ def test_bad_input_is_refused_with_the_reason():
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_what_is_zero_is_judged_in_the_units_of_the_problem(size):
-    """Costs ``size`` times as large make costates so, and the control may be counted in other units: the verdicts are the same."""
+    """Costs ``size`` times as large make costates so, and the control may be in other units: the verdicts are the same."""
     q, p = start()
     for control in (1.0, size):
         larger, costly = (scaled(problem, (1.0, size, control)) for problem in (PROBLEM, COSTLY))
