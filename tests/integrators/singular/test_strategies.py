@@ -79,6 +79,27 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
     assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
 
 
+def test_stages_on_an_affine_final_manifold_keep_its_form():
+    change, size, gap = one_step(classified("academic"), chosen("academic", "direct"), start("academic"), jnp.asarray(0.2))
+    assert change < 1e-14 < 0.1 < size
+    assert gap < 1e-15
+
+
+@pytest.mark.slow
+def test_constraints_at_the_stages_keep_the_canonical_form_of_all_of_the_cotangent_bundle():
+    problem, z = classified("massless particle").problem, start("massless particle")
+    method = chosen("massless particle")
+
+    def step(z):
+        new = method.step(problem, 0.2, *z, method.begin(problem, *z))
+        return jnp.concatenate([new.q, new.p])
+
+    by_q, by_p = jax.jit(jax.jacfwd(step))(z)
+    matrix = jnp.concatenate([by_q, by_p], axis=1)
+    form = np.kron(np.array([[0, 1], [-1, 0]]), np.eye(2))
+    np.testing.assert_allclose(matrix.T @ form @ matrix, form, atol=1e-13)
+
+
 @eqx.filter_jit
 def end(problem, methods, z, count):
     """The state after ``count`` steps over a unit of time, each in equal substeps of the methods."""

@@ -27,12 +27,6 @@ CASES = {
     "stage": "massless particle",
     "project": "massless particle",
 }
-    "direct": "academic",
-    "rattle": "sphere",
-    "reduced": "aly-chan",
-    "stage": "massless particle",
-    "project": "massless particle",
-}
 OFFSETS = np.array([[0.0, 0], [0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
 SMALL = 1e-4
 
