@@ -10,7 +10,7 @@ from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import Adjoint, DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
+from retrax.retractions import DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
 
 from tests.integrators.singular.cases import classified
 from tests.support.numerics import slope
@@ -135,8 +135,8 @@ def test_order(name, order):
 @pytest.mark.parametrize("name", ["sphere", "academic", "massless particle", "aly-chan"])
 def test_a_lift_beside_the_midpoint_is_of_order_one_and_of_order_two_with_its_adjoint(name, order):
     problem = classified(name).problem
-    beside = Theta(default_retraction(problem.manifold), 0.3)
-    methods = tuple(chosen(name, STRATEGY.get(name), d) for d in (beside, Adjoint(beside))[:order])
+    pair = (Theta(default_retraction(problem.manifold), theta) for theta in (0.3, 0.7))
+    methods = tuple(chosen(name, STRATEGY.get(name), discretization) for discretization in pair)[:order]
     assert measured_order(name, methods, order) == pytest.approx(order, abs=0.1)
 
 
@@ -179,6 +179,9 @@ def test_without_a_gauge_the_control_has_least_norm():
 
 
 def test_what_does_not_apply_is_refused_with_what_does():
+    beside = Theta(default_retraction(Euclidean(2)), 0.3)
+    with pytest.raises(InvalidInputError, match=r"not stage: the deviation of the nodes .* grows"):
+        chosen("massless particle", "stage", beside)
     with pytest.raises(InvalidInputError, match=r"not rattle: .*what applies is direct"):
         chosen("academic", "rattle")
     with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):

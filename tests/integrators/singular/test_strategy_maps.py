@@ -33,7 +33,7 @@ SMALL = 1e-4
 
 def made(strategy: str) -> SingularIntegrator:
     problem = scaled(known(CASES[strategy]).problem, (1.0, 1.0, 1.0))
-    discretization = Theta(default_retraction(problem.manifold), 0.3)
+    discretization = Theta(default_retraction(problem.manifold), 0.5 if strategy == "stage" else 0.3)
     if strategy == "rattle":
         return RattleIntegrator(CotangentLift(discretization), (0,))
     if strategy == "reduced":
