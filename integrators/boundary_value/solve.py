@@ -102,8 +102,8 @@ def _check_method(
         raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
     if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, discretization)):
         raise InvalidInputError(
-            f"integrator must be one on P_f by the same discretization, got {integrator!r}; "
-            "try singular_integrator(classification, discretization)"
+            f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
+            "try singular_integrator(classification, discretization), and a Composition of it in integrate"
         )
 
 

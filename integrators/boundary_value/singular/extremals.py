@@ -138,13 +138,23 @@ class _Outcome(NamedTuple):
     diagnostics: Diagnostics
 
 
+def _at_stages(shooting: Shooting, nodes: Nodes) -> Any:
+    """The controls at the stages, between those that an integrator gives at the ends of its steps."""
+    integrator, theta = shooting.integrator, shooting.integrator.lift.theta
+    if integrator.control_times == theta:
+        return nodes.controls
+    begin = integrator.begin(shooting.problem, *jax.tree.map(lambda leaf: leaf[0], nodes.z))
+    controls = jnp.concatenate([integrator.control(begin)[None], nodes.controls])
+    return (1 - theta) * controls[:-1] + theta * controls[1:]
+
+
 @lru_cache
 def _outcome() -> Callable[..., _Outcome]:
     """States at the stages are base points of the discretization map between the nodes."""
 
     def outcome(shooting: Shooting, equations: FinalEquations, nodes: Nodes) -> _Outcome:
         problem, discretization = shooting.problem, shooting.integrator.lift.discretization
-        z, controls = nodes
+        z, controls = nodes[0], _at_stages(shooting, nodes)
         before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], z[0]) for s in (slice(None, -1), slice(1, None)))
         states, _ = jax.vmap(discretization.preimage)(before, after)
         stage = ControlStage(problem=problem, discretization=discretization, step=shooting.step)

@@ -10,6 +10,7 @@ from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
+from ...singular.strategies.affine import brackets
 from .shooting import Pair
 
 AFFINE = 1e-8  # a control's row of d2H/du2 below this fraction of the largest entry is zero
@@ -61,6 +62,7 @@ def _brackets(split: ControlAffineSplitting, z: Pair) -> tuple[Array, Array, Arr
 
     def one(z: Pair) -> tuple[Array, Array, Array, Array]:
         first, second = (vec.size(jax.jacrev(lambda z, f=f: f(*z))(z)) for f in (split.primary, split.secondary))
-        return *split.brackets(z), first * first, first * second
+        phi, psi = split.fields(z)
+        return brackets(phi, phi).values, brackets(phi, psi).values, first * first, first * second
 
     return jax.lax.map(one, jax.tree.map(jnp.asarray, z))

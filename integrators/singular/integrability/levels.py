@@ -46,7 +46,6 @@ class Level:
     strata: dict[Signature, int]
     gap: float
     residual: float
-    iterations: int
     slow: int
 
     @property
@@ -89,6 +88,5 @@ def summarise(points: Points, level: int, ranks: list[PointRanks]) -> Level:
         strata=dict(Counter(rank.signature for rank in ranks).most_common()),
         gap=min((rank.gap for rank in ranks), default=np.inf),
         residual=float(np.max(points.residuals[consistent], initial=0.0) if consistent.any() else np.min(points.residuals)),
-        iterations=int(np.max(points.iterations[consistent], initial=0)),
         slow=int(np.sum(points.slow & consistent)),
     )

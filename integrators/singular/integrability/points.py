@@ -112,7 +112,6 @@ class Points:
     at: Linearised
     units: Units
     residuals: np.ndarray
-    iterations: np.ndarray
     slow: np.ndarray
 
     @property
@@ -190,7 +189,7 @@ def _evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarr
     still = np.zeros((count, CotangentBundle(array.problem.manifold).dimension + jets[0].size))
     at = _host(_kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(still)))
     never = np.full(count, np.inf)
-    return Points(array, centers, at, _units(at), never, np.zeros(count, int), np.zeros(count, bool))
+    return Points(array, centers, at, _units(at), never, np.zeros(count, bool))
 
 
 def _host(at: Linearised) -> Linearised:
@@ -240,7 +239,7 @@ def _reciprocal(sizes: np.ndarray) -> np.ndarray:
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped steps of least norm."""
     count = len(points.residuals)
-    at, damping, iterations = points.at, np.ones(count), np.zeros(count, int)
+    at, damping = points.at, np.ones(count)
     slow = np.zeros(count, int)
     residual = _residuals(points, at, level, unit_costate)
     for _ in range(ITERATIONS):
@@ -253,9 +252,9 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
         better = active & (now < (1 - 1e-4 * damping) * residual)
         at = jax.tree.map(lambda a, b, better=better: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), tried, at)
         slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
-        residual, iterations = np.where(better, now, residual), iterations + active
+        residual = np.where(better, now, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
-    return replace(points, at=at, residuals=residual, iterations=iterations, slow=points.slow | (slow >= SLOW_STEPS))
+    return replace(points, at=at, residuals=residual, slow=points.slow | (slow >= SLOW_STEPS))
 
 
 def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:
@@ -304,5 +303,5 @@ def _regularised(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
 def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
     part = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
-    evidence = points.residuals[which], points.iterations[which], points.slow[which]
+    evidence = points.residuals[which], points.slow[which]
     return Points(points.array, part[0], part[1], points.units, *evidence)

@@ -1,7 +1,6 @@
 """Problems that are affine in some of their controls: the splitting ``H(q, p, u) = H_0(q, p) + s . phi(q, p)``."""
 
-from collections.abc import Callable
-from typing import final
+from typing import NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -13,7 +12,14 @@ from ....manifolds import Euclidean, InvalidInputError
 from ....manifolds.numerics.ambient import Ambient
 from ...initial_value.integrator import extremal_control
 from ...problem import OptimalControlProblem
-from .leaves import Point, hamiltonian_field
+from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
+
+
+class Brackets(NamedTuple):
+    """Poisson brackets of functions with others, and the sizes of the terms that they are sums of."""
+
+    values: Float[Array, "m m"]
+    sizes: Float[Array, "m m"]
 
 
 @final
@@ -64,17 +70,24 @@ class ControlAffineSplitting(eqx.Module):
     def secondary(self, q: Ambient, p: Ambient) -> Float[Array, " m"]:
         """``psi = {phi, H_0}``: the rate of the primary constraints along the motion."""
         regular, w = self.regular_problem(), self.regular_controls(q, p)
-        motion = hamiltonian_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
+        motion = ambient_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
         return jax.jvp(self.primary, (q, p), motion)[1]
 
-    def brackets(self, z: Point) -> tuple[Float[Array, "m m"], Float[Array, "m m"]]:
-        """``{phi_a, phi_b}`` and ``{phi_a, psi_b}``: zero and invertible on ``P_f`` for first-order singular arcs."""
-        fields = jax.vmap(lambda a: hamiltonian_field(lambda q, p: a @ self.primary(q, p), z))(jnp.eye(len(self.singular)))
+    def fields(self, z: Point) -> tuple[Point, Point]:
+        """Fields of ``phi_a`` and of ``psi_a``, frames of ``m`` vectors each.
 
-        def bracket(values: Callable[[Ambient, Ambient], Array]) -> Array:
-            return -jax.vmap(lambda field: jax.jvp(values, z, field)[1])(fields)
+        ``{phi_a, phi_b}`` is zero, and ``{phi_a, psi_b}`` invertible, on ``P_f`` for first-order singular arcs.
+        """
 
-        return bracket(self.primary), bracket(self.secondary)
+        def of(values: Constraints) -> Point:
+            return jax.vmap(lambda a: ambient_field(lambda q, p: a @ values(q, p), z))(jnp.eye(len(self.singular)))
+
+        return of(self.primary), of(self.secondary)
+
+
+def brackets(f: Point, g: Point) -> Brackets:
+    """``{f_a, g_b}`` from frames of the fields of ``f_a`` and ``g_b``."""
+    return Brackets(*(jax.vmap(lambda a, b=b: jax.vmap(lambda c: b(a, c))(g))(f) for b in (bracket, bracket_size)))
 
 
 def merge_controls(w: Float[Array, " r"], s: Float[Array, " m"], singular: tuple[int, ...]) -> Float[Array, " r+m"]:

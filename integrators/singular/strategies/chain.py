@@ -14,7 +14,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import known_root
 from ...initial_value.integrator import extremal_control, find_control, resting_control
 from ...problem import OptimalControlProblem
-from .leaves import Point, hamiltonian_field
+from .leaves import Point, ambient_field
 from .reduction import SAMPLES, GohReduction
 
 
@@ -71,7 +71,7 @@ class ReductionChain(eqx.Module):
 
         def motion(z: Point) -> Point:
             u = control(z)
-            return hamiltonian_field(lambda q, p: regular.hamiltonian(q, p, u), z)
+            return ambient_field(lambda q, p: regular.hamiltonian(q, p, u), z)
 
         def ascend(level: int, z: Point) -> tuple[Point, Array]:
             if level == len(self.reductions):

@@ -21,7 +21,7 @@ class StageIntegrator(SingularIntegrator):
 
     The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a symplectic map
     near ``P_f`` in ``T*Q``. Stable where the primary constraints are second class among themselves, as ``p = theta(q)`` is;
-    where their brackets vanish only if the leaves are straight.
+    where their brackets vanish only if the leaves are straight. Unstable for any theta but 1/2.
     """
 
     lift: CotangentLift
@@ -37,6 +37,10 @@ class StageIntegrator(SingularIntegrator):
             raise NotApplicableError(
                 f"P_f has equations up to level {classification.k_f_base}, and the primary ones alone, at the stages, make no "
                 "stable step"
+            )
+        if lift.theta != 0.5:
+            raise NotApplicableError(
+                f"the deviation of the nodes from P_f grows from step to step unless theta = 1/2, and it is {lift.theta}"
             )
         reason = "the primary constraints determine all controls along their motion; they hold at the stages, at nodes to O(h^2)"
         return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason=reason)

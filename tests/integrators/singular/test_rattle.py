@@ -13,6 +13,7 @@ from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, NotO
 from retrax.retractions import Addition, CotangentLift, Midpoint, Projection
 
 from tests.integrators.problems import SPHERE
+from tests.integrators.singular.cases import scaled
 
 BUNDLE, LIFT = CotangentBundle(SPHERE), CotangentLift(Midpoint(Projection(SPHERE)))
 AXIS = jnp.array([0.0, 0.0, 1.0])
@@ -29,6 +30,7 @@ def height_cost(q: Array, u: Array) -> Array:
 
 
 PROBLEM = OptimalControlProblem(SPHERE, turned, height_cost, 1)
+COSTLY = OptimalControlProblem(SPHERE, turned, lambda q, u: height_cost(q, u) + u @ u, 1)
 SPLIT = ControlAffineSplitting(PROBLEM, (0,))
 RATTLE = RattleIntegrator(LIFT, (0,))
 
@@ -56,7 +58,7 @@ def test_a_long_run_stays_on_the_final_manifold_and_its_energy_does_not_drift():
 
 def test_moving_along_a_leaf_keeps_the_level_and_composes():
     z = start()
-    flow = jax.jit(lambda z, t: leaf_flow(SPHERE, SPLIT.primary, z, t))
+    flow = jax.jit(lambda z, t: leaf_flow(SPLIT.primary, z, t))
     there = flow(flow(z, jnp.array([0.1])), jnp.array([0.05]))
     at_once = flow(z, jnp.array([0.15]))
     np.testing.assert_allclose(there, at_once, atol=1e-14)
@@ -70,12 +72,25 @@ def test_bad_input_is_refused_with_the_reason():
     z = start()
     with pytest.raises(NotOnManifoldError, match="phi = dH/du"):
         integrate(PROBLEM, RATTLE, (z[0], z[1] + SPHERE.projection(z[0], AXIS) + 0.1 * jnp.cross(AXIS, z[0])), 0.1, 1)
-    costly = OptimalControlProblem(SPHERE, turned, lambda q, u: height_cost(q, u) + u @ u, 1)
     with pytest.raises(InvalidInputError, match="not affine in the controls"):
-        integrate(costly, RATTLE, z, 0.1, 1)
+        integrate(COSTLY, RATTLE, z, 0.1, 1)
     with pytest.raises(InvalidInputError, match="name controls by their indices"):
         integrate(PROBLEM, RattleIntegrator(LIFT, (1,)), z, 0.1, 1)
     chain = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[0] ** 2 / 2, 1)
     higher = RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,))
     with pytest.raises(InvalidInputError, match="higher order"):
         integrate(chain, higher, (jnp.zeros(2), jnp.zeros(2)), 0.1, 1)
+
+
+@pytest.mark.parametrize("size", [1e-3, 1e3])
+def test_what_is_zero_is_judged_in_the_units_of_the_problem(size):
+    """Costs ``size`` times as large make costates so, and the control may be in other units: the verdicts are the same."""
+    q, p = start()
+    for control in (1.0, size):
+        larger, costly = (scaled(problem, (1.0, size, control)) for problem in (PROBLEM, COSTLY))
+        RATTLE.check(larger, q, size * p)
+        beside = size * (p + 1e-6 * SPHERE.projection(q, jnp.cross(AXIS, q)))
+        with pytest.raises(NotOnManifoldError, match="phi = dH/du"):
+            RATTLE.check(larger, q, beside)
+        with pytest.raises(InvalidInputError, match="not affine in the controls"):
+            RATTLE.check(costly, q, size * p)

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
+from retrax.integrators import Composition, OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
 from retrax.integrators.boundary_value.singular.legendre import second_order
 from retrax.integrators.initial_value.integrator import resting_control
-from retrax.integrators.singular import Classification, RattleIntegrator
+from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Theta
@@ -209,6 +209,31 @@ def test_the_ends_of_an_integrated_trajectory_on_the_sphere_lead_back_to_it():
     assert solution.singular.independent == 2  # of four: the two on the state at either end repeat each other on P_f
 
 
+@pytest.mark.slow
+def test_a_reduction_gives_the_same_extremal_with_its_controls_at_the_stages():
+    """For Aly and Chan's problem both methods are the midpoint rule, and the control is the state."""
+    c = classified(ALY_CHAN)
+    options = {"classification": c, "integrator": singular_integrator(c, MIDPOINT, "reduced")}
+    solution, other = solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, 8, **options), aly_chan(8)
+    assert solution.singular.strategy.startswith("reduced: ")
+    for name in ("states", "costates", "controls", "cost", "hamiltonians"):
+        for a, b in zip(jax.tree.leaves(getattr(solution, name)), jax.tree.leaves(getattr(other, name)), strict=True):
+            assert norm(a - b) < 1e-13, name
+
+
+@pytest.mark.slow
+def test_constraints_at_the_stages_lead_from_end_to_end_of_an_integrated_trajectory():
+    problem = SINGULAR["massless particle"]().problem
+    c, discretization = classified(problem), Midpoint(Exponential(problem.manifold))
+    method = singular_integrator(c, discretization, "stage")
+    path = integrate(problem, method, c.manifold.nearby((np.array([0.3, 0.2]), np.array([-0.1, 0.15]))), 0.1, 6)
+    options = {"classification": c, "integrator": method}
+    solution = solve(problem, discretization, np.asarray(path.q[0]), np.asarray(path.q[-1]), 0.6, 6, **options)
+    for found, integrated in ((solution.states, path.q), (solution.costates, path.p), (solution.controls, path.controls)):
+        assert norm(found - integrated) < 1e-12
+    assert solution.singular.independent == 2  # P_f has no room for the other two
+
+
 def test_an_integrator_is_for_singular_problems_and_their_discretization():
     regular = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2, 1)
     rattle = RattleIntegrator(CotangentLift(MIDPOINT), (0,))
@@ -217,6 +242,8 @@ def test_an_integrator_is_for_singular_problems_and_their_discretization():
     options = {"classification": classified(ALY_CHAN), "integrator": rattle}
     with pytest.raises(InvalidInputError, match="by the same discretization"):
         solve(ALY_CHAN, Theta(Exponential(PLANE), 0.0), (ZERO, None), (ONE, None), 1.0, 4, **options)
+    with pytest.raises(InvalidInputError, match="one stage a step"):
+        solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), 1.0, 4, **options | {"integrator": Composition(rattle)})
     with pytest.raises(InvalidInputError, match="classification must be that of the problem"):
         solve(regular, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4, classification=classified(ALY_CHAN))
 

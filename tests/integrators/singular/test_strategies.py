@@ -10,7 +10,7 @@ from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import Midpoint, default_retraction
+from retrax.retractions import DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
 
 from tests.integrators.singular.cases import classified
 from tests.support.numerics import slope
@@ -21,12 +21,15 @@ STARTS = {
     "sphere": ([-0.93, 0.09, 0.3557], [0.11, -0.01, 0.295]),
     "curved arc": ([0.135, 0.225, -0.18], [0.045, 0.27, -0.225]),
     "massless particle": ([0.3, 0.2], [-0.1, 0.15]),
+    "aly-chan": ([0.3, -0.2], [-0.2, 0.0]),
 }
+STRATEGY = {"aly-chan": "reduced"}  # otherwise the one that is chosen
 
 
-def chosen(name: str, strategy: str | None = None, **options):
+def chosen(name: str, strategy: str | None = None, discretization: DiscretizationMap | None = None, **options):
     classification = classified(name)
-    return singular_integrator(classification, Midpoint(default_retraction(classification.problem.manifold)), strategy, **options)
+    midpoint = Midpoint(default_retraction(classification.problem.manifold))
+    return singular_integrator(classification, discretization or midpoint, strategy, **options)
 
 
 def start(name: str):
@@ -71,16 +74,47 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
     assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
 
 
+def test_stages_on_an_affine_final_manifold_keep_its_form():
+    change, size, gap = one_step(classified("academic"), chosen("academic", "direct"), start("academic"), jnp.asarray(0.2))
+    assert change < 1e-14 < 0.1 < size
+    assert gap < 1e-15
+
+
+@pytest.mark.slow
+def test_constraints_at_the_stages_keep_the_canonical_form_of_all_of_the_cotangent_bundle():
+    problem, z = classified("massless particle").problem, start("massless particle")
+    method = chosen("massless particle")
+
+    def step(z):
+        new = method.step(problem, 0.2, *z, method.begin(problem, *z))
+        return jnp.concatenate([new.q, new.p])
+
+    by_q, by_p = jax.jit(jax.jacfwd(step))(z)
+    matrix = jnp.concatenate([by_q, by_p], axis=1)
+    form = np.kron(np.array([[0, 1], [-1, 0]]), np.eye(2))
+    np.testing.assert_allclose(matrix.T @ form @ matrix, form, atol=1e-13)
+
+
 @eqx.filter_jit
-def end(problem, method, z, count):
-    """The state after ``count`` steps over a unit of time."""
+def end(problem, methods, z, count):
+    """The state after ``count`` steps over a unit of time, each in equal substeps of the methods."""
 
     def step(_, last):
-        return method.step(problem, 1 / count, last.q, last.p, last.unknowns)
+        for method in methods:
+            last = method.step(problem, 1 / count / len(methods), last.q, last.p, last.unknowns)
+        return last
 
-    first = StepResult(*z, method.begin(problem, *z), jnp.array(True))
+    first = StepResult(*z, methods[0].begin(problem, *z), jnp.array(True))
     last = jax.lax.fori_loop(0, count, step, first)
     return jnp.concatenate([last.q, last.p])
+
+
+def measured_order(name, methods, expected):
+    problem, z = classified(name).problem, start(name)
+    coarse, fine, finest = (end(problem, methods, z, jnp.array(n)) for n in (16, 32, 128))
+    errors = np.array([np.max(np.abs(coarse - finest)), np.max(np.abs(fine - finest))])
+    # The reference has an error of its own: (1 - 8^-order) / (1 - 4^-order) corrects it.
+    return np.log2(errors[0] / errors[1]) - np.log2((1 - 8.0**-expected) / (1 - 4.0**-expected))
 
 
 @pytest.mark.slow
@@ -88,12 +122,23 @@ def end(problem, method, z, count):
 @pytest.mark.parametrize("name", ["sphere", "curved arc", "academic"])
 def test_order(name, order):
     method = Composition(chosen(name)) if order == 4 else chosen(name)
-    problem, z = classified(name).problem, start(name)
-    coarse, fine, finest = (end(problem, method, z, jnp.array(n)) for n in (16, 32, 128))
-    errors = np.array([np.max(np.abs(coarse - finest)), np.max(np.abs(fine - finest))])
-    # The reference has an error of its own: (1 - 8^-order) / (1 - 4^-order) corrects it.
-    measured = np.log2(errors[0] / errors[1]) - np.log2((1 - 8.0**-order) / (1 - 4.0**-order))
-    assert measured == pytest.approx(order, abs=0.05)
+    assert measured_order(name, (method,), order) == pytest.approx(order, abs=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("name", ["sphere", "academic", "massless particle", "aly-chan"])
+def test_a_lift_beside_the_midpoint_is_of_order_one_and_of_order_two_with_its_adjoint(name, order):
+    problem = classified(name).problem
+    pair = (Theta(default_retraction(problem.manifold), theta) for theta in (0.3, 0.7))
+    methods = tuple(chosen(name, STRATEGY.get(name), discretization) for discretization in pair)[:order]
+    assert measured_order(name, methods, order) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.slow
+def test_rattle_is_of_order_two_through_another_retraction():
+    method = chosen("sphere", "rattle", Midpoint(Exponential(classified("sphere").problem.manifold)))
+    assert measured_order("sphere", (method,), 2) == pytest.approx(2, abs=0.05)
 
 
 @pytest.mark.slow
@@ -129,6 +174,9 @@ def test_without_a_gauge_the_control_has_least_norm():
 
 
 def test_what_does_not_apply_is_refused_with_what_does():
+    beside = Theta(default_retraction(Euclidean(2)), 0.3)
+    with pytest.raises(InvalidInputError, match=r"not stage: the deviation of the nodes .* grows"):
+        chosen("massless particle", "stage", beside)
     with pytest.raises(InvalidInputError, match=r"not rattle: .*what applies is direct"):
         chosen("academic", "rattle")
     with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):
