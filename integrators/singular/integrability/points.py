@@ -21,7 +21,7 @@ from ...problem import OptimalControlProblem
 from .jets import DerivativeArray, Pair, hamiltonian_field
 
 CONVERGED = 1e-10  # norm of the array, in its units
-ITERATIONS = 60
+ITERATIONS = 100
 SMALLEST_DAMPING = 1e-3
 PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
@@ -197,7 +197,7 @@ def _host(at: Linearised) -> Linearised:
 
 
 def _units(at: Linearised) -> Units:
-    """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns likewise.
+    """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns by their largest one.
 
     Entries are weighed with the sizes that a state, a costate and the derivatives of a control have in the problem, so that
     its answers do not depend on the units of time and cost.
@@ -214,8 +214,9 @@ def _units(at: Linearised) -> Units:
     floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], np.max(terms, axis=(0, 2))[:-1]])
     rows = np.maximum(rows, floor[:, None])
     rows = np.where(rows > 0, rows, 1.0)
-    state = _typical(np.max(by_state / rows[:, :, None], axis=(1, 2)))
-    jet = _typical(np.max(by_jet / rows[:, :, None, None], axis=(1, 2)))
+    capped = np.maximum(largest, rows)
+    state = np.max(by_state / capped[..., None], axis=(0, 1, 2))
+    jet = np.max(by_jet / capped[..., None, None], axis=(0, 1, 2))
     return Units(rows, across * _reciprocal(state), along * _reciprocal(jet))
 
 
