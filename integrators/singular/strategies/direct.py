@@ -15,14 +15,14 @@ from ....retractions import CotangentLift
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
 from ..integrability import Classification
-from .dynamics import FinalDynamics, Memory
-from .strategy import Gauge, NotApplicableError, SingularIntegrator
+from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
+from .strategy import Gauge, NotApplicableError
 
 TEST_STEP = 0.1  # how far the steps of the test of composability go, relative to the size of the state
 
 
 @final
-class DirectIntegrator(SingularIntegrator):
+class DirectIntegrator(DynamicsIntegrator):
     """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_f`` over its base point.
 
     [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 3.]
@@ -30,9 +30,6 @@ class DirectIntegrator(SingularIntegrator):
     ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that.
     """
 
-    lift: CotangentLift
-    dynamics: FinalDynamics
-    reason: str = eqx.field(static=True)
     presymplectic: ClassVar[bool] = True
 
     @classmethod
@@ -44,9 +41,6 @@ class DirectIntegrator(SingularIntegrator):
                 f"steps with stages in S_f leave P_f, its equations {gap:.1e} after one: they do not compose"
             )
         return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e} after one), so they compose")
-
-    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
-        self.dynamics.check(system, self.lift, (q, p))
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()

@@ -15,7 +15,7 @@ from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import HamiltonianStage
 from ..integrability import Classification, FinalEquations
-from .strategy import Gauge, NotApplicableError
+from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 Pair = tuple[Ambient, Ambient]
 
@@ -153,3 +153,14 @@ class FinalDynamics(eqx.Module):
             return sizes
         energy = jnp.max(columns[: self.problem.controls.dimension]) ** 2
         return jnp.concatenate([sizes, columns[jnp.asarray(pivots.free)], jnp.full(len(pivots.solved), energy)])
+
+
+class DynamicsIntegrator(SingularIntegrator):
+    """A method for the problem that its ``dynamics`` are those of, from points of ``P_f``."""
+
+    lift: CotangentLift
+    dynamics: FinalDynamics
+    reason: str = eqx.field(static=True)
+
+    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
+        self.dynamics.check(system, self.lift, (q, p))

@@ -1,8 +1,7 @@
 """Projection methods: a step beside the final constraint manifold, then the nearest point of it. Not presymplectic."""
 
-from typing import Any, ClassVar, Self, final
+from typing import ClassVar, Self, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
@@ -15,12 +14,12 @@ from ....retractions import CotangentLift
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
 from ..integrability import Classification
-from .dynamics import FinalDynamics, Memory
-from .strategy import Gauge, SingularIntegrator
+from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
+from .strategy import Gauge
 
 
 @final
-class ProjectedIntegrator(SingularIntegrator):
+class ProjectedIntegrator(DynamicsIntegrator):
     """A lifted step of the dynamics on ``P_f``, moved along the normals of ``P_f`` at its end back to it.
 
     Keeps ``P_f``, and the order of the step up to 2; it is not symmetric, so compositions do not raise that. It does not
@@ -28,9 +27,6 @@ class ProjectedIntegrator(SingularIntegrator):
     integrates.
     """
 
-    lift: CotangentLift
-    dynamics: FinalDynamics
-    reason: str = eqx.field(static=True)
     presymplectic: ClassVar[bool] = False
 
     @classmethod
@@ -38,9 +34,6 @@ class ProjectedIntegrator(SingularIntegrator):
         dynamics = FinalDynamics.of(classification, gauge)
         reason = "a projection needs P_f only; it is not presymplectic: omega_f changes by O(h^3) a step"
         return cls(lift=lift, dynamics=dynamics, reason=reason)
-
-    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
-        self.dynamics.check(system, self.lift, (q, p))
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()

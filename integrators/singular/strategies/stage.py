@@ -2,7 +2,6 @@
 
 from typing import Any, ClassVar, Self, final
 
-import equinox as eqx
 from jaxtyping import ArrayLike
 
 from ....manifolds.numerics.ambient import Ambient
@@ -11,12 +10,12 @@ from ...initial_value.step import StepResult, lifted_step, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ..integrability import Classification
-from .dynamics import FinalDynamics
-from .strategy import Gauge, NotApplicableError, SingularIntegrator
+from .dynamics import DynamicsIntegrator, FinalDynamics
+from .strategy import Gauge, NotApplicableError
 
 
 @final
-class StageIntegrator(SingularIntegrator):
+class StageIntegrator(DynamicsIntegrator):
     """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_H``: the equations of the boundary-value problem, step by step.
 
     The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a symplectic map
@@ -24,9 +23,6 @@ class StageIntegrator(SingularIntegrator):
     where their brackets vanish only if the leaves are straight. Unstable for any theta but 1/2.
     """
 
-    lift: CotangentLift
-    dynamics: FinalDynamics
-    reason: str = eqx.field(static=True)
     presymplectic: ClassVar[bool] = False
 
     @classmethod
@@ -44,9 +40,6 @@ class StageIntegrator(SingularIntegrator):
             )
         reason = "the primary constraints determine all controls along their motion; they hold at the stages, at nodes to O(h^2)"
         return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason=reason)
-
-    def check(self, system: Any, q: Ambient, p: Ambient) -> None:
-        self.dynamics.check(system, self.lift, (q, p))
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
         return q, self.dynamics.begin().control

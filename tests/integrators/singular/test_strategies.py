@@ -74,6 +74,7 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
     assert slope(STEPS / 2, facts[:, 0], 1e-13) == pytest.approx(3, abs=0.2)
 
 
+@pytest.mark.slow
 def test_stages_on_an_affine_final_manifold_keep_its_form():
     change, size, gap = one_step(classified("academic"), chosen("academic", "direct"), start("academic"), jnp.asarray(0.2))
     assert change < 1e-14 < 0.1 < size

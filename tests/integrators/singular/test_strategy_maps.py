@@ -19,7 +19,6 @@ from tests.integrators.singular.cases import classified, known, scaled
 from tests.integrators.singular.test_rattle import start as sphere_start
 from tests.integrators.singular.test_strategies import STARTS
 
-SLOW = pytest.mark.slow
 CASES = {
     "direct": "academic",
     "rattle": "sphere",
@@ -65,7 +64,8 @@ def facts(method: SingularIntegrator, problem, z: tuple, w: tuple) -> tuple[Arra
     return values, slopes[:2], value, weights, pull(weights)[0]
 
 
-@pytest.mark.parametrize("strategy", [pytest.param(name, marks=() if name == "reduced" else SLOW) for name in CASES])
+@pytest.mark.slow
+@pytest.mark.parametrize("strategy", CASES)
 def test_steps_are_compiled_batched_and_differentiated(strategy):
     name = CASES[strategy]
     problem, keys = known(name).problem, jax.random.split(jax.random.key(1))
