@@ -50,12 +50,12 @@ def leaf_flow(constraints: Constraints, z: Point, time: Float[Array, " m"]) -> P
     def field(y: Point) -> Point:
         return ambient_field(lambda q, p: time @ constraints(q, p), y)
 
-    def stage(before: Point, fraction: Array) -> tuple[Point, Point]:
-        return (field(vec.add(z, vec.scale(fraction, before))),) * 2
-
-    _, rates = jax.lax.scan(stage, vec.zeros(z), jnp.array([0, 0.5, 0.5, 1]))
-    change, size = vec.size(jax.tree.map(lambda k: k[1] - k[0], rates)), vec.size(z)
-    short = jax.tree.map(lambda a, k: a + (k[0] + 2 * k[1] + 2 * k[2] + k[3]) / 6, z, rates)
+    first = field(z)
+    second = field(vec.add(z, vec.scale(0.5, first)))
+    third = field(vec.add(z, vec.scale(0.5, second)))
+    fourth = field(vec.add(z, third))
+    change, size = vec.size(vec.subtract(second, first)), vec.size(z)
+    short = jax.tree.map(lambda a, *k: a + (k[0] + 2 * k[1] + 2 * k[2] + k[3]) / 6, z, first, second, third, fourth)
     return jax.lax.cond(change**2 <= jnp.finfo(size.dtype).eps * size**2, lambda: short, lambda: _extrapolated(field, z))
 
 
