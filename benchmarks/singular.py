@@ -1,6 +1,6 @@
 """Time per step of each strategy on the final constraint manifold, beside the regular integrator of the same dimension.
 
-    python benchmarks/singular.py [--steps 2000] [--repeats 7]
+    python benchmarks/singular.py [--steps 1000] [--repeats 7]
 
 The peer is the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same lifted midpoint map.
 Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart. One JSON line a case.
@@ -76,7 +76,7 @@ def main():
     """Print one line for each problem and strategy."""
     jax.config.update("jax_enable_x64", True)
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--steps", type=int, default=2000)
+    parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=7)
     options = parser.parse_args()
     for name, strategies in CASES.items():
