@@ -86,7 +86,7 @@ class StageImpulses(Integrator):
         guess = stage.predict(q, p, (q, p, p))
 
         def residual(c: Array) -> Array:
-            x, pull = jax.vjp(lambda d: stage.move(guess, d)[0], c[m : m + stage.dimension])
+            x, pull = jax.vjp(lambda d: stage.move(guess, stage.frame(guess), d)[0], c[m : m + stage.dimension])
             (force,) = pull(vec.combine(system.forms(x), c[:m]))
             v = equations.end(c[m:])[2][1]
             free = equations.residual(c[m:], q, p)
