@@ -45,7 +45,25 @@ def documented_rows(heading: str) -> list[str]:
     return [line for line in section.splitlines() if line.startswith("| ")][1:]
 
 
-@pytest.mark.parametrize("name", MUTANTS)
+# One of a kind by default, all with the slow tests.
+QUICK = (
+    "a manifold",
+    "`R(x",
+    "a first-order retraction",
+    "`exp(2 v)`",
+    "an adjoint that is the derivative",
+    "an inverse valid only near zero, said",
+    "a derivative",
+    "a map that claims",
+    "a lift with the sign of `p` flipped",
+)
+
+
+def marked(name: str):
+    return pytest.param(name, marks=[pytest.mark.slow] * (not name.startswith(QUICK)))
+
+
+@pytest.mark.parametrize("name", [marked(name) for name in MUTANTS])
 def test_the_table_says_which_checks_catch_a_mutant(name):
     row = measured_row(name)
     assert row in documented_rows("Which check catches which mutant")

@@ -73,7 +73,7 @@ REST, LINES = (2, 0, 4), (3, 1, 2)
 ON_A_LINE = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.5])
+@pytest.mark.parametrize("bend", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_abnormal_extremals_of_the_martinet_distribution(bend):
     # H = p1 u1 + (p2 + p3 x^2 / 2) u2 / (1 + bend x).
     for seed in range(3):
@@ -91,7 +91,7 @@ def test_abnormal_extremals_of_the_martinet_distribution(bend):
         assert words in str(c)
 
 
-@pytest.mark.parametrize("bend", [0.0, 0.5])
+@pytest.mark.parametrize("bend", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
 def test_a_piece_is_looked_for_near_a_state(bend):
     c = classify(martinet(bend), near=ON_A_LINE)
     lines = next(s for s in c.strata if s.signature == LINES)
