@@ -63,7 +63,21 @@ def class_words(codimension: int, kernel: int) -> str:
     return f"{kernel} first class, {codimension - kernel} second class"
 
 
+def unmet_words(level: int) -> str:
+    """That ``P_f`` is empty."""
+    return f"empty: the conditions up to level {level} contradict each other at every point tried"
+
+
+def approached_words(residual: float) -> str:
+    """That no point was found, though not for a contradiction."""
+    return (
+        f"no point found: its conditions are approached (residual {residual:.0e}) and not reached, perhaps at infinity or at the "
+        "edge of the domain of the problem's functions; not shown to be empty"
+    )
+
+
 EXCLUDED = "p = 0 is excluded"
+UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
 
 

@@ -1,6 +1,6 @@
 """Retractions of the rotation group, all of the form ``R(x, x Omega) = x g(Omega)`` and hence left-equivariant.
 
-[Absil, Mahony, Sepulchre 2008, example 4.1.2; Boumal 2023, 7.4; their inverses: Kaneko, Fiori, Tanaka 2013.]
+[Absil, Mahony, Sepulchre 2008, example 4.1.2; Boumal 2023, 7.4; inverses of polar and QR: Kaneko, Fiori, Tanaka 2013.]
 """
 
 from typing import final

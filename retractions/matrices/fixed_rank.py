@@ -1,4 +1,4 @@
-"""Retractions of the manifold of matrices of one rank [Absil, Oseledets 2015]."""
+"""Retractions of the manifold of matrices of one rank [Absil, Oseledets 2015], with inverses derived here."""
 
 from typing import final
 

@@ -1,7 +1,7 @@
 """Rational and factorisation retractions of the Stiefel manifold.
 
-Differentiated retractions are those of [Zhu 2017] and [Manton 2002] where a formula has no derivation beside it; inverses
-are written with ``y - x``, so that they keep the relative accuracy of short vectors.
+The differentiated QR retraction is that of [Absil, Mahony, Sepulchre 2008, 8.1], of the others and of all adjoints the formulas
+are derived here; inverses are written with ``y - x``, so that they keep the relative accuracy of short vectors.
 """
 
 from typing import final
@@ -120,7 +120,7 @@ class StiefelCayley(DifferentiatedRetraction):
         R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
 
     Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
-    eigenvalue -1, its domain the whole tangent space [Wen, Yin 2013; Zhu, Sato 2020].
+    eigenvalue -1, its domain the whole tangent space [Wen, Yin 2013; inverse after Zhu, Sato 2020].
     """
 
     manifold: Stiefel

@@ -22,7 +22,7 @@ class StiefelExponential(Retraction):
 
         R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a).
 
-    Inverse (logarithm) by shooting [Zimmermann, Hueper 2022, section 5]: from the chord, Levenberg-Marquardt steps, with
+    Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
     derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
     of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024]; its image the points nearer than pi.
     """

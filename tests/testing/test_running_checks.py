@@ -163,3 +163,11 @@ def test_the_edge_of_a_domain_that_is_not_star_shaped_is_the_first(pair):
 def test_drawn_covectors_are_tangent_representatives(pair):
     x, p = pair
     assert norm(x @ p) < 1e-14
+
+
+def test_an_ambient_that_is_a_shape_is_refused_in_words():
+    class Flat(Sphere):
+        ambient = (3,)
+
+    with pytest.raises(InvalidInputError, match="must consist of arrays without entries"):
+        check_manifold(Flat(2))

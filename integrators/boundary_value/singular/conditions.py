@@ -160,8 +160,9 @@ def _chosen(c: Classification, condition: NodeCondition, nodes: Node) -> Pair:
     broken = ", ".join(f"{name} equation = {value:.3g}" for name, value in values if not abs(value) <= CONTRADICTED)
     end = condition.parts[0].name.split(",")[0]
     given = [part.name for part in condition.parts if part.fixed]
+    piece = "the first piece of P_f" if c.stratified else "P_f"
     raise InvalidInputError(
-        f"the boundary data admit no extremal: no point of P_f found that meets the conditions at the {end} "
+        f"the boundary data admit no extremal: no point of {piece} found that meets the conditions at the {end} "
         f"({', '.join(given) + ' prescribed' if given else 'all of it free'}); equations of P_f that they contradict: {broken} "
         f"(relative) whatever the {'free states and ' if len(given) < len(condition.parts) else ''}costates, at q = {z[0]}; "
         "free the components that these equations restrict, or prescribe values on P_f (classification.manifold.nearby)"

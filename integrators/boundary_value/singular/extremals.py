@@ -50,12 +50,13 @@ def solve_on_final_manifold(request: Request, c: Classification, integrator: Sin
     """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``.
 
     Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm, constant on every
-    step. Raises ``InvalidInputError`` if ``P_f`` is empty, if the data of one end contradict its equations, or for abnormal
-    extremals, whose costates are known up to a factor only.
+    step. Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the data of one end contradict them,
+    or for abnormal extremals, whose costates are known up to a factor only.
     """
     began = time.perf_counter()
     if c.empty:
         raise InvalidInputError(f"the problem is singular and has no interior singular extremal: P_f is empty\n{c}")
+    c.require_reliable()
     if request.problem.abnormal:
         raise InvalidInputError(
             "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start (q0, p0)"

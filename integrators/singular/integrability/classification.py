@@ -100,6 +100,19 @@ class Classification(IntegrabilityResult[Stratum]):
         return any(level.slow for level in self.levels)
 
     @property
+    def reliable(self) -> bool:
+        """Whether every level has points where its equations are regular, so that ranks, and with them ``P_f``, are known."""
+        return not any(level.slow and level.slow == level.consistent for level in self.levels)
+
+    def require_reliable(self) -> None:
+        """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular, so that nothing is known about it."""
+        if not self.reliable or (not self.empty and len(self.equations.names) != self.codimension):
+            raise InvalidInputError(
+                "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so they do not "
+                f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
+            )
+
+    @property
     def gauge_components(self) -> tuple[int, ...]:
         """Components of the control that can be given freely; the others follow from them and the state."""
         return self.stratum.feedback.pivots.free
@@ -116,11 +129,7 @@ class Classification(IntegrabilityResult[Stratum]):
         Valid around the point of the stratum, as far as the elimination of the controls reaches. Raises
         ``InvalidInputError`` if the equations are irregular there.
         """
-        if len(self.equations.names) != self.codimension:
-            raise InvalidInputError(
-                "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so they do not "
-                f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
-            )
+        self.require_reliable()
         bundle = CotangentBundle(self.problem.manifold)
         return Submanifold(bundle, self.equations) if self.codimension else bundle
 

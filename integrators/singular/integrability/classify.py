@@ -1,6 +1,7 @@
 """Classification of an optimal control problem: regular or singular, and where its singular extremals live."""
 
 import time
+from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, overload
 
@@ -182,11 +183,13 @@ def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
 
 
 def _stratum(points: Points, members: list[int], final: list[PointRanks], last: int) -> Stratum:
-    index = max(members, key=lambda i: final[i].gap)
-    history = [point_ranks(points, index, level) for level in range(last + 1)]
+    histories = {i: [*(point_ranks(points, i, level) for level in range(last)), final[i]] for i in members}
+    # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
+    stops = {i: _stops(history) for i, history in histories.items()}
+    ((usual, _),) = Counter(stops.values()).most_common(1)
+    index = max((i for i in members if stops[i] == usual), key=lambda i: final[i].gap)
+    history, (k_f, base) = histories[index], usual
     ranks, signature = history[-1], history[-1].signature
-    k_f = next(k for k, r in enumerate(history) if r.signature == signature)
-    base = next(k for k, r in enumerate(history) if r.signature.codimension == signature.codimension)
     point = select(points, index)
     z = jax.tree.map(jnp.asarray, point.at.z)
     return Stratum(
@@ -203,6 +206,13 @@ def _stratum(points: Points, members: list[int], final: list[PointRanks], last: 
         equations=final_equations(points, index, base, history[base]),
         feedback=final_equations(points, index, k_f, history[k_f]),
     )
+
+
+def _stops(history: list[PointRanks]) -> tuple[int, int]:
+    """Levels from which on all ranks, and the codimension, are those of the last."""
+    last = history[-1].signature
+    k_f = next(k for k, r in enumerate(history) if r.signature == last)
+    return k_f, next(k for k, r in enumerate(history) if r.signature.codimension == last.codimension)
 
 
 def _first_level(determined: list[bool]) -> int | None:

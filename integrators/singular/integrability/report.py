@@ -10,6 +10,8 @@ from ..words import Line, many
 from .classification import Classification, Stratum
 from .levels import Level
 
+APPROACHED = 1e-6  # smallest relative residual of conditions that contradict each other
+
 
 def report_text(classification: Classification) -> str:
     """What a reader of a paper wants to know, a line each."""
@@ -66,7 +68,8 @@ def _empty(c: Classification) -> Iterator[Line]:
     if c.excluded:
         yield "P_f", words.EMPTY_WITHOUT_IT
     else:
-        yield "P_f", f"empty: the conditions up to level {c.levels[-1].index} contradict each other at every point tried"
+        level = c.levels[-1]
+        yield "P_f", words.unmet_words(level.index) if level.residual > APPROACHED else words.approached_words(level.residual)
 
 
 def _final(c: Classification) -> Iterator[Line]:
@@ -83,6 +86,8 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     kernel = total - codimension - s.rank
     seen = f", {many(s.count, 'point')}" if c.stratified else ""
     irregular = "" if len(s.equations.names) == codimension else ", others irregular"
+    if not c.reliable:
+        yield "NOT RELIABLE", words.UNRELIABLE
     yield "P_f", words.final_words(total - codimension, total, s.equations.names) + irregular + seen
     yield "k_f", words.stop_words(s.k_f, s.k_f_base)
     yield "omega_f", words.form_words(s.rank, kernel)

@@ -34,7 +34,9 @@ def singular_integrator(
     ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the control,
     ``t`` from the start of the integration; without it the control of least norm is taken.
 
-    Raises ``InvalidInputError`` if ``P_f`` is empty, or if the strategy asked for does not apply.
+    Where ``P_f`` has several pieces the integrator is for the first; ``classification.choose(i)`` takes another.
+
+    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, or if the strategy asked for does not apply.
     """
     if not isinstance(classification, Classification):
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
@@ -43,6 +45,7 @@ def singular_integrator(
     if gauge is not None and not classification.gauge_controls:
         raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
     classification.problem.check_discretization(discretization)
+    classification.require_reliable()
     lift, refusals = CotangentLift(discretization), list[str]()
     for name in STRATEGIES if strategy is None else (strategy,):
         try:
@@ -50,7 +53,8 @@ def singular_integrator(
         except NotApplicableError as error:
             refusals.append(f"not {name}: {error}")
             continue
-        return replace(found, reason="; ".join([f"{name}: {found.reason}", *_gauge(classification, gauge), *refusals]))
+        remarks = [*_gauge(classification, gauge), *_piece(classification), *refusals]
+        return replace(found, reason="; ".join([f"{name}: {found.reason}", *remarks]))
     if strategy is None:
         raise InvalidInputError(f"no strategy applies: {'; '.join(refusals)}")
     other = singular_integrator(classification, discretization, gauge=gauge)
@@ -62,3 +66,10 @@ def _gauge(classification: Classification, gauge: Gauge | None) -> list[str]:
     if not classification.gauge_controls:
         return []
     return ["gauge controls as given" if gauge else "gauge controls of least norm, for want of gauge(t, q, p)"]
+
+
+def _piece(classification: Classification) -> list[str]:
+    """Words on the piece of ``P_f`` that is taken, if there are several."""
+    if not classification.stratified:
+        return []
+    return [f"on piece 0 of the {len(classification.strata)} of P_f, classification.choose(i) takes another"]

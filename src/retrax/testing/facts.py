@@ -32,6 +32,11 @@ class Facts(ABC):
         self.seeds, self.tolerance = tuple(seeds), tolerance
         if not self.seeds:
             raise InvalidInputError("the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)")
+        if not all(hasattr(leaf, "shape") and hasattr(leaf, "dtype") for leaf in jax.tree.leaves(manifold.ambient)):
+            raise InvalidInputError(
+                f"the ambient of {manifold} must consist of arrays without entries, got {manifold.ambient!r}; "
+                "try jax.ShapeDtypeStruct((2,), float)"
+            )
         self.sampler = Sampler(manifold)
         self.kernels: dict[str, Callable] = {}
         self._samples: dict[str, list[Sample]] = {}

@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, classify
+from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
 from retrax.integrators.singular.integrability.points import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.problems import SINGULAR
+from retrax.retractions import Addition, Midpoint
 
 from tests.integrators.singular.cases import classified, known, martinet, scaled
 
@@ -125,6 +126,38 @@ def test_irregular_equations_are_flagged():
         assert "equations irregular at all of them: ranks not reliable" in str(c)
     with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
         _ = c.manifold
+
+
+def test_nothing_is_built_on_equations_that_are_irregular():
+    """``x1' = x2``, ``x2' = u``, cost ``x1^4/4``: the conditions are ``x1^3 = 0`` and its derivatives, and ``P_f`` is a point."""
+    space = Euclidean(2)
+    problem = OptimalControlProblem(space, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[0] ** 4 / 4, 1)
+    c, midpoint = classify(problem), Midpoint(Addition(space))
+    assert not c.reliable
+    assert "NOT RELIABLE" in str(c)
+    for build in (
+        lambda: c.manifold,
+        lambda: singular_integrator(c, midpoint),
+        lambda: solve(problem, midpoint, jnp.zeros(2), jnp.array([1.0, 0.0]), 1.0, 10, classification=c),
+    ):
+        with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
+            build()
+
+
+def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
+    """``x' = u1``, ``y' = x u2``, cost ``u1^2/2``: ``p2 x = 0``, of which the piece ``p2 = 0`` is primary from most starts."""
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), lambda q, u: u[0] ** 2 / 2, 2)
+    found = [[(s.signature, s.k_f, s.equations.names) for s in classify(problem, seed=seed).strata] for seed in range(3)]
+    assert found[0] == found[1] == found[2]
+    assert (0, ("primary",)) in [piece[1:] for piece in found[0]]
+
+
+def test_conditions_that_are_only_approached_are_not_called_contradictory():
+    """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain."""
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.log(q) + u, lambda q, u: q @ q / 2, 1)
+    c = classify(problem)
+    assert c.empty
+    assert "not shown to be empty" in str(c)
 
 
 @pytest.mark.parametrize(
