@@ -76,8 +76,9 @@ def test_a_projection_keeps_the_manifold_but_not_its_form(name):
 
 @pytest.mark.slow
 def test_stages_on_an_affine_final_manifold_keep_its_form():
-    change, size, gap = one_step(classified("academic"), chosen("academic", "direct"), start("academic"), jnp.asarray(0.2))
-    assert change < 1e-14 < 0.1 < size
+    change, gap = one_step("academic", chosen("academic", "direct"), 0.2)
+    assert classified("academic").rank
+    assert change < 1e-14
     assert gap < 1e-15
 
 
