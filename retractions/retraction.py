@@ -82,7 +82,7 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambie
     begin = vec.components(source, vec.subtract(there, here) if start is None else start)
     c, converged = find_root(_miss(retraction, x, y), begin)
     v = retraction.manifold.projection(x, vec.combine(source, c))
-    reached = converged & same_point(retraction(x, v), y, default_tolerance())
+    reached = converged & same_point(_moved(retraction, x, v), y, default_tolerance())
     return nan_unless(reached, v)
 
 
@@ -100,9 +100,15 @@ def _miss(retraction: Retraction, x: Ambient, y: Ambient) -> Callable[[Array], A
 
     def residual(c: Array) -> Array:
         v = retraction.manifold.projection(x, vec.combine(source, c))
-        return vec.components(target, vec.subtract(retraction(x, v), y))
+        return vec.components(target, vec.subtract(_moved(retraction, x, v), y))
 
     return residual
+
+
+@eqx.filter_jit
+def _moved(retraction: Retraction, x: Ambient, v: Ambient) -> Ambient:
+    """``R(x, v)``, traced once for all that Newton's method makes of it."""
+    return retraction(x, v)
 
 
 def nan_unless(valid: Bool[Array, ""], v: Ambient) -> Ambient:

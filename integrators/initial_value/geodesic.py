@@ -25,8 +25,10 @@ class GeodesicRetraction(Retraction):
     an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The inverse is
     Newton's method.
 
-    Second derivatives are those of ``jax.hessian``, forward over reverse: of a loop over steps JAX keeps the rule of implicit
-    differentiation in one reverse sweep only, and raises in a second one.
+    By default 8 steps of order 4: on the unit sphere within 3e-7 of the exponential for ``|v| = 1``.
+
+    Second derivatives are those of forward over forward mode. Of a loop JAX keeps the rule of implicit differentiation for one
+    derivative in reverse mode: forward over reverse is wrong for short ``v``, and reverse over reverse raises.
     """
 
     metric: Metric
@@ -54,6 +56,8 @@ class GeodesicRetraction(Retraction):
 
     def flow(self, x: Ambient, p: Ambient) -> StepResult:
         """Point and covector after unit time from the point ``x`` and the covector ``p``, and whether all steps were solved."""
+        # Off the manifold a step's equations hold in its frame alone, and their derivatives are not those of its values.
+        x = self.manifold.restore(x)
         energy, p = self.metric.kinetic_energy, self.manifold.projection(x, p)
 
         def step(last: StepResult, _: Any) -> tuple[StepResult, None]:

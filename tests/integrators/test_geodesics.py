@@ -22,6 +22,7 @@ from retrax.manifolds import (
     vee,
 )
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Projection, Retraction, SPDSecondOrder
+from retrax.testing import check_retraction
 from scipy.linalg import expm
 
 from tests.support.cases import Ellipsoid
@@ -135,6 +136,35 @@ def test_newtons_method_finds_the_initial_velocity(seed):
     back, rest = _round_trip()(x, v)
     np.testing.assert_allclose(back, v, atol=1e-13)
     np.testing.assert_allclose(rest, x, atol=1e-15)
+
+
+LOOP = "of a loop over steps JAX keeps the rule of implicit differentiation for one derivative in reverse mode"
+SKIPPED = ("second_derivatives_agree_in_every_mode", "second_derivatives_are_those_of_differences_of_gradients")
+
+
+@pytest.mark.slow
+def test_the_exponential_of_an_embedded_metric_conforms(seeds):
+    check_retraction(GEODESICS["ellipsoid"], order=2, reach=0.3, seeds=seeds[:3], skip=dict.fromkeys(SKIPPED, LOOP))
+
+
+@pytest.mark.slow
+def test_second_derivatives_forward_over_forward_are_those_of_differences():
+    # Also off the tangent bundle, and at v = 0, where forward over reverse is off by 1e-2 here.
+    exponential, rng = GEODESICS["sphere"], np.random.default_rng(0)
+    x, d, e = np.eye(3)[0], *rng.standard_normal((2, 2, 3))
+    first = compiled(lambda z: jax.jvp(lambda z: exponential(*z), (z,), (d,))[1])
+    second = compiled(lambda z: jax.jvp(first.__wrapped__, (z,), (e,))[1])
+    for v in (0 * x, np.array([0.0, 0.3, 0.1])):
+        z = np.stack([x, v])
+        along = differences(np.stack([first(z + s * e) for s in 2e-3 * NODES]), 2e-3)
+        np.testing.assert_allclose(second(z), along, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_the_default_accuracy_is_the_one_stated():
+    exponential = compiled(GeodesicRetraction(EmbeddedMetric(Sphere(2))))
+    error = np.max(np.abs(exponential(np.eye(3)[0], np.eye(3)[1]) - [np.cos(1.0), np.sin(1.0), 0.0]))
+    assert 1e-7 < error < 3e-7
 
 
 @pytest.mark.parametrize(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..manifolds import CotangentBundle, Manifold, TangentBundle
+from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..retractions import Retraction
 from .numerics import Vector, compiled, flat, unflat
@@ -69,29 +70,30 @@ class DomainEdge:
 
     def __init__(self, retraction: Retraction) -> None:
         back = unflat(retraction.manifold)
-        derived = type(retraction).domain is Retraction.domain
-        self.margin, bisections = (1e-2, 14) if derived else (1e-8, 52)
+        self._derived = type(retraction).domain is Retraction.domain
+        self.margin, self._bisections = (1e-2, 14) if self._derived else (1e-8, 52)
+        self._domain = compiled(lambda x, v: retraction.domain(back(x), back(v)))
+        self._preimages = compiled(jax.vmap(lambda x, y: flat(retraction.preimage(back(x), back(y))), (None, 0)))
+        self.move = compiled(lambda x, v: flat(retraction(back(x), back(v))))
 
-        def edge(x: Vector, u: Vector, longest: jax.Array) -> jax.Array:
-            def inside(t: jax.Array) -> jax.Array:
-                return retraction.domain(back(x), back(t * u))
+    def preimage(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """``R_x^-1(y)``, from a batch of one."""
+        return self._preimages(x, y[None])[0]
 
-            def narrow(state: tuple[jax.Array, jax.Array, jax.Array]) -> tuple[jax.Array, jax.Array, jax.Array]:
-                low, high, count = state
-                climbing = count < RUNGS
-                tried = jnp.where(climbing, longest * (count + 1) / RUNGS, (low + high) / 2)
-                yes = inside(tried)
-                low, high = jnp.where(yes, tried, low), jnp.where(yes, high, tried)
-                return low, high, jnp.where(climbing & ~yes, RUNGS, count + 1)
-
-            def unfinished(state: tuple[jax.Array, jax.Array, jax.Array]) -> jax.Array:
-                low, _, count = state
-                return (count < RUNGS + bisections) & (low < longest)
-
-            return jax.lax.while_loop(unfinished, narrow, (0 * longest, longest, jnp.zeros((), int)))[0]
-
-        self._edge = compiled(edge)
+    def _inside(self, x: np.ndarray, v: np.ndarray) -> bool:
+        if not self._derived:
+            return bool(self._domain(x, v))
+        # The round trip by the kernels that the checks of the inverse read: Newton's method takes long to compile.
+        return bool(same_point(self.preimage(x, self.move(x, v)), v, default_tolerance()))
 
     def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
         """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most ``longest``."""
-        return float(self._edge(x, u, longest))
+        rungs = longest * np.arange(1, RUNGS + 1) / RUNGS
+        outside = next((k for k, t in enumerate(rungs) if not self._inside(x, t * u)), None)
+        if outside is None:
+            return longest
+        low, high = rungs[outside] - rungs[0], rungs[outside]
+        for _ in range(self._bisections):
+            middle = (low + high) / 2
+            low, high = (middle, high) if self._inside(x, middle * u) else (low, middle)
+        return float(low)

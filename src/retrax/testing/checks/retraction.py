@@ -57,6 +57,7 @@ class RetractionFacts(Facts):
         self._edge = DomainEdge(retraction)
         self._longest = max(LONGEST, reach)
         self._edges: dict[int, float] = {}
+        self.kernels[self._invert.__name__] = self._invert  # made of compiled parts
 
     def draw(self, kind: str, seed: int) -> Sample:
         """``x`` and ``v`` with ``edge``, the length of the domain along ``v``, a point ``y`` near ``x`` and directions.
@@ -86,6 +87,15 @@ class RetractionFacts(Facts):
         drawn = {"x": x, "v": length * u, "u": u, "w": w, "frame": frame, "edge": edge, "step": step, "y": y, "c": c}
         return {**drawn, "d": np.stack(directions[:2]), "e": np.stack(directions[2:])}
 
+    def inverses(self, *kinds: str) -> Batch:
+        """Inverses of the value at ``(x, v)`` and of the point ``y``, and where the latter leads."""
+        return self.measure(self._invert, *kinds)
+
+    def _invert(self, sample: Sample) -> Sample:
+        move, preimage, x = self._edge.move, self._edge.preimage, sample["x"]
+        value, to_y = move(x, sample["v"]), preimage(x, sample["y"])
+        return {"value": value, "back": preimage(x, value), "to y": to_y, "there": move(x, to_y)}
+
 
 def flat_retraction(retraction: Retraction) -> Callable[[Vector, Vector], Vector]:
     """``R(x, v)`` on flat vectors, traced once for all that a kernel makes of it."""
@@ -103,14 +113,6 @@ def _values(retraction: Retraction, sample: Sample) -> dict:
     violations = jax.vmap(lambda y: max_violation(retraction.manifold, unflat(retraction.manifold)(y)))(nearby)
     rest = {"violation": violations[0], "violations nearby": violations[1:]}
     return {"value": value, "at zero": at_zero, "short": jnp.stack(short), "alone": move(x, v), **rest}
-
-
-def _inverses(retraction: Retraction, sample: Sample) -> dict:
-    """Inverses of the value at ``(x, v)`` and of the point ``y``, and ``D_v R`` on the basis."""
-    move, back, x = flat_retraction(retraction), unflat(retraction.manifold), sample["x"]
-    value, push = jax.linearize(lambda v: move(x, v), sample["v"])
-    found, to_y = jax.vmap(lambda y: flat(retraction.preimage(back(x), back(y))))(jnp.stack([value, sample["y"]]))
-    return {"value": value, "push": jax.vmap(push)(sample["frame"]), "back": found, "to y": to_y, "there": move(x, to_y)}
 
 
 def _first(retraction: Retraction, sample: Sample) -> dict:
@@ -230,26 +232,25 @@ def domain_reaches_as_far_as_expected(facts: RetractionFacts) -> Comparison:
 @fact
 def inverse_finds_the_tangent_vector(facts: RetractionFacts) -> Comparison:
     """``R_x^-1(R(x, v)) = v``, to rounding times the condition of ``R_x``."""
-    f = facts.measure(_inverses, "zero", "inside")
-    return _inverse_error(facts, f)
+    return _inverse_error(facts, "zero", "inside")
 
 
 @fact
 def inverse_is_exact_up_to_the_edge_of_the_domain(facts: RetractionFacts) -> Comparison:
     """``R_x^-1(R(x, v)) = v`` up to 1e-8 from the edge of the domain, to rounding times the condition of ``R_x``."""
-    f = facts.measure(_inverses, "far", "edge")
-    return _inverse_error(facts, f)
+    return _inverse_error(facts, "far", "edge")
 
 
-def _inverse_error(facts: RetractionFacts, f: Batch) -> Comparison:
-    limit = facts.tolerance * conditioning(f["push"]) * np.maximum(1.0, largest_entries(f["value"]))
+def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
+    f, push = facts.inverses(*kinds), facts.measure(_first, *kinds)["push"]
+    limit = facts.tolerance * conditioning(push) * np.maximum(1.0, largest_entries(f["value"]))
     return facts.compare("|R_x^-1(R(x, v)) - v|", f, f["back"], f["v"], limit)
 
 
 @fact
 def inverse_keeps_the_accuracy_of_short_vectors(facts: RetractionFacts) -> Comparison:
     """``R_x^-1(R(x, v)) = v`` for vectors from 1e-12 to 1e-8 long, to the rounding of the two points."""
-    f = facts.measure(_inverses, "tiny")
+    f = facts.inverses("tiny")
     limit = 0.01 * facts.tolerance * (1 + largest_entries(f["x"])) ** 2
     return facts.bound("|R_x^-1(R(x, v)) - v|", f, largest_entries(f["back"] - f["v"]), limit)
 
@@ -257,14 +258,14 @@ def inverse_keeps_the_accuracy_of_short_vectors(facts: RetractionFacts) -> Compa
 @fact
 def retraction_inverts_its_inverse(facts: RetractionFacts) -> Comparison:
     """``R(x, R_x^-1(y)) = y`` for points ``y`` that were found without the retraction."""
-    f = facts.measure(_inverses, "zero")
+    f = facts.inverses("zero")
     return facts.compare("|R(x, R_x^-1(y)) - y|", f, f["there"], f["y"], facts.tolerance)
 
 
 @fact
 def inverse_is_tangent(facts: RetractionFacts) -> Comparison:
     """``R_x^-1(y)`` is a tangent vector at ``x``."""
-    f = facts.measure(_inverses, "zero")
+    f = facts.inverses("zero")
     tangential = np.einsum("ki,kji,kjl->kl", f["to y"], f["frame"], f["frame"])
     return facts.compare("the normal part of R_x^-1(y)", f, tangential, f["to y"], facts.tolerance)
 
