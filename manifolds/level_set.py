@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 from .manifold import Manifold, default_tolerance, real
 from .numerics.ambient import Ambient, is_traced
-from .numerics.errors import InvalidInputError
+from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
 
@@ -29,7 +29,7 @@ class LevelSet(Manifold):
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
     def __check_init__(self) -> None:
-        values, size = jax.eval_shape(self.constraint, self.ambient), prod(self.shape)
+        values, size = shapes_of(self.constraint, f"the constraint of {type(self).__name__}", self.ambient), prod(self.shape)
         if not hasattr(values, "size"):
             raise InvalidInputError(
                 f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])"

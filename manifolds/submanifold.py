@@ -11,7 +11,7 @@ from .level_set import GAUSS_NEWTON_STEPS, point_from_random_starts
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
-from .numerics.errors import InvalidInputError
+from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.root import solve_small, tolerance
 
 
@@ -26,7 +26,7 @@ class Submanifold(Manifold):
     equations: Callable[[Any], Any]
 
     def __check_init__(self) -> None:
-        values = jax.eval_shape(self.equations, self.parent.ambient)
+        values = shapes_of(self.equations, "the function of a submanifold's equations", self.parent.ambient)
         if getattr(values, "ndim", None) != 1:
             raise InvalidInputError(
                 f"the equations of a submanifold return a vector, one entry an equation, got {values}; "

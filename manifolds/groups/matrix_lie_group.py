@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace, complex_entries, real
 from ..numerics import ambient as vec
+from ..numerics.errors import shapes_of
 from ..numerics.matrices import exponential
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
@@ -36,6 +37,9 @@ class MatrixLieGroup(HomogeneousSpace):
 
     def __check_init__(self) -> None:
         lie_algebra(self.algebra)
+        if type(self).violations is MatrixLieGroup.violations:
+            # An error here in place of one at every use: of groups that their invariants do not tell.
+            shapes_of(self.equations, f"the function equations of {type(self).__name__}", self.ambient)
 
     @property
     def lie_algebra(self) -> LieAlgebra:

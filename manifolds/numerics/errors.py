@@ -1,5 +1,10 @@
 """Errors raised for a user's mistake: what came, what was expected, what to try."""
 
+from collections.abc import Callable
+from typing import Any
+
+import jax
+
 
 class RetraxError(Exception):
     """Base of every error that this library raises."""
@@ -23,3 +28,17 @@ class DomainError(InvalidInputError):
 
 class ConvergenceError(RetraxError, RuntimeError):
     """An iteration ended without meeting the conditions that its result claims."""
+
+
+def shapes_of(function: Callable[..., Any], what: str, *arguments: Any) -> Any:
+    """Shapes of the values of a user's ``function``, called ``what``, from those of its arguments.
+
+    Raises ``InvalidInputError`` where JAX cannot trace it, as one that is written with NumPy.
+    """
+    try:
+        return jax.eval_shape(function, *arguments)
+    except jax.errors.JAXTypeError as reason:
+        raise InvalidInputError(
+            f"{what} cannot be traced by JAX ({type(reason).__name__}), expected a function written in jax.numpy; "
+            "try jnp.sin in place of np.sin, jnp.where in place of if"
+        ) from reason

@@ -38,6 +38,10 @@ WRAPPED = {
     ),
     "geomstats sphere": (lambda: forced("geomstats", geomstats_space("hypersphere", "Hypersphere", 2)), [0.6, 0.0, -0.8]),
     "pymanopt ball": (lambda: from_pymanopt(theirs.PoincareBall(2))[:2], [0.3, -0.2]),
+    "geomstats shapes": (
+        lambda: from_geomstats(geomstats_space("pre_shape", "PreShapeSpace", 3, 2))[:2],
+        np.array([[1.0, 0.2], [-0.7, 0.5], [-0.3, -0.7]]) / np.sqrt(2.36),
+    ),
     "pymanopt cone": (lambda: from_pymanopt(theirs.Positive(2, 1))[:2], [[0.9], [1.3]]),
 }
 
@@ -142,6 +146,13 @@ def test_a_wrapped_retraction_keeps_the_promises_of_one():
     )
 
 
+@pytest.mark.slow
+def test_a_wrapped_space_of_pymanopt_keeps_the_promises_too():
+    manifold, retraction = WRAPPED["pymanopt cone"][0]()
+    check_manifold(manifold, seeds=(0, 1), tolerance=1e-9)
+    check_retraction(retraction, reach=0.05, seeds=(0, 1), tolerance=1e-9)
+
+
 REFUSED = {
     "quotient": (lambda: from_pymanopt(theirs.PSDFixedRank(4, 2)), "stand for classes"),
     "another quotient": (lambda: from_pymanopt(theirs.Elliptope(4, 2)), "span 4 dimensions where it says 3"),
@@ -171,6 +182,42 @@ def test_copies_with_a_metric_of_their_own_are_wrapped():
         np.testing.assert_allclose(retraction(x, v), space.metric.exp(np.asarray(v), np.asarray(x)), atol=1e-13)
         assert manifold.contains(x)
         np.testing.assert_array_equal(conventions.point(x), x)
+
+
+GEOMSTATS_NAMES = {
+    "correlations": ("full_rank_correlation_matrices", "FullRankCorrelationMatrices", 2),
+    "hemisphere": ("open_hemisphere", "OpenHemisphere", 2),
+    "positive reals": ("positive_reals", "PositiveReals"),
+    "half-plane": ("poincare_half_space", "PoincareHalfSpace", 2),
+}
+
+
+@pytest.mark.parametrize("name", GEOMSTATS_NAMES)
+def test_spaces_of_geomstats_are_wrapped_with_their_exponential_maps(name):
+    space = geomstats_space(*GEOMSTATS_NAMES[name])
+    manifold, retraction, _, _ = from_geomstats(space)
+    x = manifold.random_point(jax.random.key(0))
+    v = 0.1 * manifold.random_tangent(jax.random.key(1), x)
+    assert isinstance(manifold, WrappedManifold)
+    np.testing.assert_allclose(retraction(x, v), space.metric.exp(np.asarray(v), np.asarray(x)), atol=1e-13)
+
+
+PYMANOPT_SPACES = {
+    "symmetric": lambda: theirs.Symmetric(3),
+    "skew": lambda: theirs.SkewSymmetric(3),
+    "complement": lambda: theirs.SphereSubspaceComplementIntersection(np.eye(3)[:, :1]),
+    "positive": lambda: theirs.Positive(2, 2),
+}
+
+
+@pytest.mark.parametrize("name", PYMANOPT_SPACES)
+def test_spaces_of_pymanopt_are_wrapped_with_their_retractions(name):
+    space = PYMANOPT_SPACES[name]()
+    manifold, retraction, _, _ = from_pymanopt(space)
+    x = manifold.random_point(jax.random.key(0))
+    v = 0.1 * manifold.random_tangent(jax.random.key(1), x)
+    assert isinstance(manifold, WrappedManifold)
+    np.testing.assert_allclose(retraction(x, v), space.retraction(np.asarray(x), np.asarray(v)), atol=1e-13)
 
 
 def test_points_that_the_library_takes_for_none_are_refused():

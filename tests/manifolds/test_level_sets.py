@@ -102,6 +102,22 @@ def test_equations_that_are_none_are_refused_in_words():
         Submanifold(Sphere(2), lambda x: x[2])
 
 
+@final
+class Numpy(LevelSet):
+    """A sphere by a function that JAX cannot trace."""
+
+    def constraint(self, x):
+        return np.sum(np.square(np.asarray(x))) - 1
+
+
+def test_equations_written_with_numpy_are_refused_in_words():
+    words = r"cannot be traced by JAX \(Tracer.*\), expected a function written in jax.numpy; try jnp.sin"
+    with pytest.raises(InvalidInputError, match=f"the constraint of Numpy {words}"):
+        Numpy(3)
+    with pytest.raises(InvalidInputError, match=f"equations {words}"):
+        Submanifold(Sphere(2), lambda x: x[2:] if x[0] > 0 else x[1:2])
+
+
 def test_random_points_differ():
     points = [draw_point(MANIFOLDS["ellipsoid"], seed)[0] for seed in range(4)]
     assert min(np.max(np.abs(flat(a - b))) for i, a in enumerate(points) for b in points[:i]) > 1e-3
