@@ -143,6 +143,7 @@ def peers(name):
         "SO8": lambda: {"pymanopt": pymanopt_rotations(8), "geomstats": geomstats_space(gs_so.SpecialOrthogonal(8))},
         "St(20,5)": lambda: {
             "pymanopt": pymanopt_batches(lambda k: pm.Stiefel(20, 5, k=k), "retraction", None),
+            "pymanopt polar": pymanopt_batches(lambda k: pm.Stiefel(20, 5, k=k, retraction="polar"), "retraction", None),
             "geomstats": geomstats_space(gs_stiefel.Stiefel(20, 5), "retraction", "lifting"),
         },
         "SPD6": lambda: {

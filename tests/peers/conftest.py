@@ -1,5 +1,6 @@
 """Settings of the peers' tests on our classes: double precision, seeds, and what docs/peers.md says is expected to fail."""
 
+import builtins
 import random
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -18,9 +19,20 @@ PAGE = Path(__file__).parents[2] / "docs" / "peers.md"
 
 
 def expected_failures():
-    """Rows ``(class, test, reason)`` of the page's table; class and test are patterns."""
+    """Rows ``(class, test, exception, reason)`` of the page's table; class and test are patterns."""
     cells = [line.strip("|").split(" | ") for line in PAGE.read_text().splitlines() if line.startswith("| `")]
-    return [(case.strip(" `"), test.strip(" `"), reason.strip()) for case, test, reason in cells]
+    return [tuple(cell.strip(" `") for cell in row) for row in cells]
+
+
+def matches(item, row):
+    """Whether a row of the table is about a test."""
+    return fnmatchcase(item.cls.__name__, row[0]) and fnmatchcase(item.originalname, row[1])
+
+
+@pytest.fixture(scope="session")
+def unmatched_rows(request):
+    """Rows of the table that are about none of the collected tests."""
+    return [row for row in expected_failures() if not any(matches(item, row) for item in request.session.items)]
 
 
 @pytest.fixture(autouse=True)
@@ -35,6 +47,7 @@ def pytest_collection_modifyitems(session, config, items):
     drop_inactive(session, config, items)
     rows = expected_failures()
     for item in items:
-        for case, test, reason in rows:
-            if fnmatchcase(item.cls.__name__, case) and fnmatchcase(item.originalname, test):
-                item.add_marker(pytest.mark.xfail(reason=reason, strict=True))
+        for row in rows:
+            if matches(item, row):
+                raises = None if row[2] == "any" else getattr(builtins, row[2])
+                item.add_marker(pytest.mark.xfail(reason=row[3], raises=raises, strict=True))
