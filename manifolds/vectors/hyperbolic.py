@@ -2,15 +2,14 @@
 
 from typing import final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..groups.special_orthogonal import skew_basis
-from ..manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace
 from ..metric import Metric
-from ..numerics.sizes import plain, require_size
+from .hypersurface import Hypersurface
 
 Vector = Float[Array, " n+1"]
 
@@ -21,26 +20,13 @@ def lorentz(v: Vector, w: Vector) -> Array:
 
 
 @final
-class Hyperbolic(HomogeneousSpace):
+class Hyperbolic(Hypersurface, HomogeneousSpace):
     """Hyperbolic space ``H^n = {x : <x, x>_L = -1, x_0 > 0}``; points have shape ``(n + 1,)``, the time coordinate first.
 
     Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of products,
     by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``. The Lorentz
     group acts on it.
     """
-
-    n: int = eqx.field(static=True, converter=plain)
-
-    def __check_init__(self) -> None:
-        require_size(self, self.n, 1)
-
-    @property
-    def dimension(self) -> int:
-        return self.n
-
-    @property
-    def ambient(self) -> jax.ShapeDtypeStruct:
-        return real((self.n + 1,))
 
     def projection(self, x: Array, a: Array) -> Array:
         normal = _flipped(x)

@@ -2,31 +2,16 @@
 
 from typing import final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..manifold import Manifold, real
-from ..numerics.sizes import plain, require_size
+from .hypersurface import Hypersurface
 
 
 @final
-class Simplex(Manifold):
+class Simplex(Hypersurface):
     """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``."""
-
-    n: int = eqx.field(static=True, converter=plain)
-
-    def __check_init__(self) -> None:
-        require_size(self, self.n, 1)
-
-    @property
-    def dimension(self) -> int:
-        return self.n
-
-    @property
-    def ambient(self) -> jax.ShapeDtypeStruct:
-        return real((self.n + 1,))
 
     def projection(self, x: Array, a: Array) -> Array:
         return a - jnp.mean(a)

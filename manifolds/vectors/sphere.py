@@ -2,32 +2,18 @@
 
 from typing import final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ..groups.special_orthogonal import skew_basis
-from ..manifold import HomogeneousSpace, real
-from ..numerics.sizes import plain, require_size
+from ..manifold import HomogeneousSpace
+from .hypersurface import Hypersurface
 
 
 @final
-class Sphere(HomogeneousSpace):
+class Sphere(Hypersurface, HomogeneousSpace):
     """Unit sphere ``S^n = {x : |x| = 1}``; points are vectors of shape ``(n + 1,)``. Rotations of space act on it."""
-
-    n: int = eqx.field(static=True, converter=plain)
-
-    def __check_init__(self) -> None:
-        require_size(self, self.n, 1)
-
-    @property
-    def dimension(self) -> int:
-        return self.n
-
-    @property
-    def ambient(self) -> jax.ShapeDtypeStruct:
-        return real((self.n + 1,))
 
     def projection(self, x: Array, a: Array) -> Array:
         return a - jnp.sum(x * a) * x  # half the time of a product of matrices in large batches

@@ -3,7 +3,6 @@
 from functools import cached_property
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..manifolds import CotangentBundle, Manifold, TangentBundle
