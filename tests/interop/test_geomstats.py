@@ -4,10 +4,24 @@ import equinox as eqx
 import numpy as np
 import pytest
 from hypothesis import given
+from retrax.integrators import GeodesicRetraction
 from retrax.interop import from_geomstats, to_geomstats
 from retrax.interop.metrics import exponential_map, is_symmetric
 from retrax.interop.peers import import_peer, seeded
-from retrax.manifolds import SE, SO, EmbeddedMetric, Euclidean, LeftInvariantMetric, Power, Product, ScaledMetric, Sphere, U
+from retrax.manifolds import (
+    SE,
+    SL,
+    SO,
+    SU,
+    EmbeddedMetric,
+    Euclidean,
+    LeftInvariantMetric,
+    Power,
+    Product,
+    ScaledMetric,
+    Sphere,
+    U,
+)
 from retrax.retractions import GroupExponential, PowerRetraction, ProductRetraction, SEDecoupled, SphereExponential
 from scipy.linalg import expm
 
@@ -117,6 +131,7 @@ def test_the_mean_of_two_points_of_a_group_is_half_way(manifold):
 BODY = LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0])
 MAPS = {
     "scaled": (ScaledMetric(EmbeddedMetric(U(2)), 0.5), GroupExponential(U(2))),
+    "special unitary": (EmbeddedMetric(SU(3)), GroupExponential(SU(3))),
     "decoupled": (EmbeddedMetric(SE(3)), SEDecoupled(SE(3))),
     "split": (EmbeddedMetric(SE(3) * Sphere(2)), ProductRetraction(SEDecoupled(SE(3)), SphereExponential(Sphere(2)))),
     "power": (EmbeddedMetric(Power(SE(2), 3)), PowerRetraction(SEDecoupled(SE(2)), 3)),
@@ -131,6 +146,7 @@ def test_metrics_have_the_exponential_maps_that_are_known(name):
 
 def test_other_metrics_have_integrated_geodesics():
     assert exponential_map(BODY).metric == BODY
+    assert isinstance(exponential_map(EmbeddedMetric(SL(2))), GeodesicRetraction)  # no bi-invariant metric, no closed form
     assert not is_symmetric(BODY)
     assert is_symmetric(EmbeddedMetric(SO(3)))
 
