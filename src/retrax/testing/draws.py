@@ -87,11 +87,11 @@ class DomainEdge:
 
     def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
         """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most ``longest``."""
-        rungs = longest * np.arange(1, RUNGS + 1) / RUNGS
-        outside = next((k for k, t in enumerate(rungs) if not self._inside(x, t * u)), None)
+        rungs = longest * np.arange(RUNGS + 1) / RUNGS
+        outside = next((k for k in range(1, RUNGS + 1) if not self._inside(x, rungs[k] * u)), None)
         if outside is None:
             return longest
-        low, high = rungs[outside] - rungs[0], rungs[outside]
+        low, high = rungs[outside - 1], rungs[outside]
         for _ in range(self._bisections):
             middle = (low + high) / 2
             low, high = (middle, high) if self._inside(x, middle * u) else (low, middle)
