@@ -116,10 +116,10 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
 
 
 def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
-    """The levels until ``P^k`` stops or no point is consistent, and the points at the last of them.
+    """The levels until ``P^k`` stops around each of its points or none is consistent, and the points at the last of them.
 
-    ``P^k = P^{k-1}`` makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k``: nothing changes after it. The
-    batch keeps its size, so that one kernel serves all levels up to the order of the array.
+    ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
+    changes after it. The batch keeps its size, so that one kernel serves all levels up to the order of the array.
     """
     points, levels, morse = first, [], None
     while True:
@@ -127,18 +127,19 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         if level > points.array.order:
             points = _lengthened(points, first, levels)
         points = make_consistent(points, level, unit_costate)
-        ranks = [point_ranks(points, i, level) for i in np.flatnonzero(points.reliable)]
+        reliable = np.flatnonzero(points.reliable)
+        ranks = [point_ranks(points, i, level) for i in reliable]
         levels.append(summarise(points, level, ranks))
         if level == 0 and ranks:
             morse = _morse(select(points, points.consistent))
-        settled = level > 0 and _extent(levels[-1]) == _extent(levels[-2])
+        settled = level > 0 and all(_new_equations(points, i, r, level) == 0 for i, r in zip(reliable, ranks, strict=True))
         if not ranks or settled:
             return levels, morse, points
 
 
-def _extent(level: Level) -> set[tuple[int, int]]:
-    """What the strata of ``P^k`` are: codimension and rank of the form."""
-    return {(signature.codimension, signature.form_rank) for signature in level.strata}
+def _new_equations(points: Points, index: int, ranks: PointRanks, level: int) -> int:
+    """By how many dimensions ``P^level`` is smaller than ``P^{level-1}`` around one of its points, of these ``ranks``."""
+    return ranks.signature.codimension - point_ranks(points, index, level - 1).signature.codimension
 
 
 def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ....manifolds import CotangentBundle, Euclidean, Manifold
+from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
@@ -149,7 +150,8 @@ def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: 
 def _draw() -> Callable[..., Any]:
     """Points of ``T*Q``, centers of charts of U and coordinates in them, and sizes of the velocity and the cost there.
 
-    A Euclidean U has one chart, around zero.
+    A Euclidean U has one chart, around zero, and controls that change the velocity by as much as there is of it without them:
+    their unit is no size.
     """
 
     def one(problem: OptimalControlProblem, key: Array) -> Any:
@@ -157,6 +159,7 @@ def _draw() -> Callable[..., Any]:
         u = problem.controls.random_point(second)
         z = CotangentBundle(problem.manifold).random_point(first)
         if isinstance(problem.controls, Euclidean):
+            u = vec.scale(_balance(problem, z[0], u), u)
             center, first = vec.zeros(problem.controls.ambient), jnp.ravel(u)
         else:
             center, first = u, jnp.zeros(problem.controls.dimension)
@@ -166,6 +169,14 @@ def _draw() -> Callable[..., Any]:
         return jax.lax.map(lambda key: one(problem, key), keys)
 
     return _compiled(batch)
+
+
+def _balance(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> Array:
+    """The size of the velocity without controls over that of its change by ``u``; one where either is zero."""
+    still = problem.velocity(q, vec.zeros(u))
+    drift, change = vec.size(still), vec.size(vec.subtract(problem.velocity(q, u), still))
+    least = default_tolerance() * jnp.maximum(drift, change)
+    return jnp.where((drift > least) & (change > least), drift / jnp.where(change > 0, change, 1.0), 1.0)
 
 
 def _around(manifold: Manifold, z: Pair, keys: Array, costate: float) -> Pair:
@@ -199,12 +210,13 @@ def _host(at: Linearised) -> Linearised:
 def _units(at: Linearised) -> Units:
     """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns by their largest one.
 
-    Entries are weighed with the sizes that a state, a costate and the derivatives of a control have in the problem, so that
-    its answers do not depend on the units of time and cost.
+    Entries are weighed with the sizes that a state, a costate, a control and its derivatives have at the starts, so that the
+    answers do not depend on the units of time, cost and controls.
     """
     costate, rate = _sizes(np.asarray(at.cost_rate), np.linalg.norm(at.velocity[:, : at.velocity.shape[1] // 2], axis=1))
     across = np.repeat([1.0, costate], at.velocity.shape[1] // 2)
-    along = np.broadcast_to((rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
+    control = float(np.sqrt(np.mean(at.jet[:, 0] ** 2))) or 1.0
+    along = np.broadcast_to(control * (rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
     by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
     largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
     rows = _typical(np.maximum(largest, np.abs(at.array)))
