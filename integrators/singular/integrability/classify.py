@@ -1,6 +1,5 @@
 """Classification of an optimal control problem: regular or singular, and where its singular extremals live."""
 
-import time
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, overload
@@ -69,9 +68,12 @@ def classify(
 
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
     agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
-    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
+    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
+    no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
+
+    Raises ``InvalidInputError`` for what is no problem with controls, no number of starts, or outside the reach of exact
+    algebra, and ``NotOnManifoldError`` if ``near`` is no state.
     """
-    began = time.perf_counter()
     _check(problem, starts, near)
     if symbolic:
         return _symbolic(problem, exclude_zero_costate, near)
@@ -86,8 +88,7 @@ def classify(
     trivial = np.max(np.abs(found.at.costate[:, 1:]), axis=1, initial=0.0) <= VANISHING_COSTATE
     excluded = int(np.sum(trivial)) if exclude else 0
     strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
-    seconds = time.perf_counter() - began
-    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude), seconds)
+    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude))
 
 
 def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
@@ -164,7 +165,9 @@ def _morse(points: Points) -> MorseTest:
     hessian = [numerical_rank(matrix, unit=1.0) for matrix in by_jet]
     worst = [min(ranks, key=lambda rank: rank.singular_values[-1]).singular_values for ranks in (family, hessian)]
     return MorseTest(
-        points=len(by_jet),
+        count=len(by_jet),
+        states=points.at.z,
+        controls=points.at.control,
         family=not points.slow.any() and all(rank.rank == size for rank in family),
         family_singular_values=worst[0],
         regular=not points.slow.any() and all(rank.rank == size for rank in hessian),

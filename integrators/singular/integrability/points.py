@@ -154,27 +154,35 @@ def _draw() -> Callable[..., Any]:
     their unit is no size.
     """
 
-    def one(problem: OptimalControlProblem, key: Array) -> Any:
+    def one(problem: OptimalControlProblem, key: Array) -> tuple[Pair, Ambient, Array]:
         first, second = jax.random.split(key)
         u = problem.controls.random_point(second)
         z = CotangentBundle(problem.manifold).random_point(first)
         if isinstance(problem.controls, Euclidean):
-            u = vec.scale(_balance(problem, z[0], u), u)
-            center, first = vec.zeros(problem.controls.ambient), jnp.ravel(u)
-        else:
-            center, first = u, jnp.zeros(problem.controls.dimension)
-        return z, center, first, (vec.size(problem.velocity(z[0], u)), jnp.abs(problem.cost_rate(z[0], u)))
+            return z, vec.zeros(problem.controls.ambient), jnp.ravel(u)
+        return z, u, jnp.zeros(problem.controls.dimension)
+
+    def sizes(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
+        return vec.size(problem.velocity(q, u)), jnp.abs(problem.cost_rate(q, u))
 
     def batch(problem: OptimalControlProblem, keys: Array) -> Any:
-        return jax.lax.map(lambda key: one(problem, key), keys)
+        z, centers, first = jax.lax.map(lambda key: one(problem, key), keys)
+        first = _balance(problem, z[0], centers, first) * first
+        controls = jax.vmap(problem.steer)(centers, first)
+        return z, centers, first, jax.lax.map(lambda at: sizes(problem, *at), (z[0], controls))
 
     return _compiled(batch)
 
 
-def _balance(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> Array:
-    """The size of the velocity without controls over that of its change by ``u``; one where either is zero."""
-    still = problem.velocity(q, vec.zeros(u))
-    drift, change = vec.size(still), vec.size(vec.subtract(problem.velocity(q, u), still))
+def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
+    """Typical size of the velocity at the centers over that of its change by these controls; one where either is zero."""
+
+    def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
+        q, center, c = at
+        still = problem.velocity(q, center)
+        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem.steer(center, c)), still))
+
+    drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
     least = default_tolerance() * jnp.maximum(drift, change)
     return jnp.where((drift > least) & (change > least), drift / jnp.where(change > 0, change, 1.0), 1.0)
 
