@@ -6,8 +6,9 @@ A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first c
 from other starts with other moments of inertia, which are arrays of an ``equinox.Module``, and one with its functions made
 anew, which compiles again.
 
-The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same lifted midpoint map.
-Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart. One JSON line a case.
+The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same
+lifted midpoint map. Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart.
+One JSON line a case.
 """
 
 import argparse

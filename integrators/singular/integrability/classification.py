@@ -26,9 +26,9 @@ from .levels import Level, Signature
 class MorseTest:
     """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``count`` points with ``dH/du = 0``.
 
-    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``: ``D(dH/du)`` has rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the
-    point where the smallest is smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the
-    first one not counted.
+    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``: ``D(dH/du)`` has
+    rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the point where the smallest is
+    smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the first one not counted.
     """
 
     count: int

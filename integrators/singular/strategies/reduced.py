@@ -75,7 +75,8 @@ class ReducedIntegrator(SingularIntegrator):
         reduced, count = integrator.chain.reduced.manifold, len(integrator.chain.reductions)
         if 2 * reduced.dimension != classification.dimension:
             raise NotApplicableError(
-                f"the reduction is to the cotangent bundle of {space_name(reduced)}, but P_f has dimension {classification.dimension}"
+                f"the reduction is to the cotangent bundle of {space_name(reduced)}, but P_f has dimension "
+                f"{classification.dimension}"
             )
         times = "once" if count == 1 else f"{count} times"
         return replace(integrator, reason=f"P_f is the cotangent bundle of {space_name(reduced)}, by Goh's reduction {times}")
