@@ -1,9 +1,14 @@
-"""Time per step of each strategy on the final constraint manifold, beside the regular integrator of the same dimension.
+"""Time of a classification, and per step of each strategy on the final manifold beside the regular integrator.
 
     python benchmarks/singular.py [--steps 1000] [--repeats 7]
 
-The peer is the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same lifted midpoint map.
-Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart. One JSON line a case.
+A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first call with its compilation, the median of calls
+from other starts with other moments of inertia, which are arrays of an ``equinox.Module``, and one with its functions made
+anew, which compiles again.
+
+The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same
+lifted midpoint map. Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart.
+One JSON line a case.
 """
 
 import argparse
@@ -11,9 +16,12 @@ import json
 import statistics
 import time
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, classify, integrate, singular_integrator
+from retrax.manifolds import SO, Euclidean, hat
 from retrax.problems import SINGULAR
 from retrax.retractions import CotangentLift, Midpoint, default_retraction
 
@@ -26,6 +34,39 @@ CASES = {
     "free actuator": ("rattle", "reduced", "project"),
 }
 STEP = 1e-3
+
+
+class RigidBody(eqx.Module):
+    """``R' = R hat(w)``, ``J w' = u - w x J w`` with moments of inertia ``J``."""
+
+    inertia: Array
+
+    def __call__(self, q, u):
+        attitude, rate = q
+        return attitude @ hat(rate), (u - jnp.cross(rate, self.inertia * rate)) / self.inertia
+
+
+def torque_cost(q, u):
+    """The third torque costs nothing."""
+    return u[:2] @ u[:2] / 2 + q[1] @ q[1]
+
+
+def measure_classification(repeats):
+    """Seconds of ``classify`` on a phase space of dimension 12 with 3 controls."""
+
+    def run(inertia, seed):
+        problem = OptimalControlProblem(SO(3) * Euclidean(3), RigidBody(jnp.array(inertia)), torque_cost, 3)
+        return timed(lambda: classify(problem, seed=seed).stratum.q)
+
+    cold = run((1.0, 1.7, 2.3), 0)
+    warm = [run((1.0, 1.7, 2.3 + i / 10), i) for i in range(1, repeats + 1)]
+    rebuilt = timed(lambda: classify(SINGULAR["free actuator"]().problem).stratum.q)
+    return {
+        "problem": "free actuator",
+        "classify, cold seconds": round(cold, 2),
+        "warm": round(statistics.median(warm), 2),
+        "rebuilt": round(rebuilt, 2),
+    }
 
 
 def made_regular(problem):
@@ -79,6 +120,7 @@ def main():
     parser.add_argument("--steps", type=int, default=1000)
     parser.add_argument("--repeats", type=int, default=7)
     options = parser.parse_args()
+    print(json.dumps(measure_classification(options.repeats)), flush=True)
     for name, strategies in CASES.items():
         for record in measure(name, strategies, options.steps, options.repeats):
             print(json.dumps(record), flush=True)

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..singular.words import table
 from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
@@ -11,9 +12,7 @@ LONGEST_MOMENTUM = 6
 
 def report_text(solution: Solution) -> str:
     """What a user checks, a line each."""
-    lines = [*_optimality(solution), *_geometry(solution), *_effort(solution)]
-    width = max(len(name) for name, _ in lines)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+    return table([*_optimality(solution), *_geometry(solution), *_effort(solution)])
 
 
 def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -34,7 +33,7 @@ def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
     gauge = f"; {arc.gauge_controls} gauge controls" if arc.gauge_controls else ""
     yield "problem", f"singular: the extremal lies in P_f, of dimension {arc.dimension}, {form}{gauge}"
     kind = "presymplectic" if arc.presymplectic else "not presymplectic"
-    yield "integrator", f"{arc.strategy} ({kind})"
+    yield "integrator", f"{kind}\n{arc.strategy}"
     yield "second order", arc.second_order
     yield "ends", f"{len(arc.conditions)} conditions, {arc.independent} coordinates of them independent on P_f"
     for name, violation in arc.conditions.items():

@@ -70,6 +70,11 @@ class DiracIntegrator(Integrator):
             raise InvalidInputError(f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold")
         _check_shapes(system, q, p)
         residual, mobility, speed = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
+        if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
+            raise InvalidInputError(
+                f"the constraints and their derivatives along the forms are {residual} and {mobility} at the start, expected "
+                "finite numbers: give a smooth Hamiltonian, or one whose controls dH/du = 0 determines"
+            )
         values = np.linalg.svd(mobility, compute_uv=False)
         if not values[-1] > 1e-10 * max(values[0], 1e-300):
             raise InvalidInputError(

@@ -1,7 +1,7 @@
 """Hamiltonian systems with nonholonomic constraints, as implicit systems in a Dirac structure."""
 
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, Self, final
 
 import equinox as eqx
 import jax
@@ -12,6 +12,8 @@ from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 from ...manifolds.numerics.root import find_root
+from ..initial_value.integrator import find_control, resting_control
+from ..problem import OptimalControlProblem
 from ..stages.hamiltonian import Hamiltonian
 
 Multipliers = Float[Array, " m"]
@@ -33,6 +35,21 @@ class DiracSystem(eqx.Module):
     hamiltonian: Hamiltonian
     forms: Callable[[Any], Frame]
     rates: Callable[[Any], Multipliers] | None = None
+
+    @classmethod
+    def controlled(
+        cls,
+        problem: OptimalControlProblem,
+        forms: Callable[[Any], Frame],
+        rates: Callable[[Any], Multipliers] | None = None,
+    ) -> Self:
+        """The system of Pontryagin's ``H(q, p, u)`` and ``dH/du = 0``, where that determines ``u`` near the resting control.
+
+        There ``H(q, p, u(q, p))`` has the differential by ``(q, p)`` that ``H`` has with ``u`` held. It is NaN elsewhere.
+        """
+        if not isinstance(problem, OptimalControlProblem):
+            raise InvalidInputError(f"controlled takes an OptimalControlProblem, got {problem!r}; or give DiracSystem an H(q, p)")
+        return cls(problem.manifold, _ExtremalHamiltonian(problem), forms, rates)
 
     def __check_init__(self) -> None:
         if not isinstance(self.manifold, Manifold):
@@ -70,3 +87,14 @@ class DiracSystem(eqx.Module):
         if not is_traced(found) and not found:
             raise ConvergenceError(f"no covector near {p} satisfies the constraints at q = {q}; are the one-forms independent?")
         return self.kick(q, p, r)
+
+
+@final
+class _ExtremalHamiltonian(eqx.Module):
+    """``H(q, p, u)`` with ``dH/du = 0``."""
+
+    problem: OptimalControlProblem
+
+    def __call__(self, q: Ambient, p: Ambient) -> Array:
+        u, found = find_control(self.problem, q, p, resting_control(self.problem.controls))
+        return jnp.where(found, self.problem.hamiltonian(q, p, u), jnp.nan)

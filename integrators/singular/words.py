@@ -1,17 +1,42 @@
-"""Words that the reports of a numeric and a symbolic classification share."""
+"""Words that reports share."""
 
+import re
 from collections.abc import Iterable
+from textwrap import wrap
 
+from ...manifolds import Euclidean, Manifold, Product
 from ..problem import OptimalControlProblem
 
 Line = tuple[str, str]
+WIDTH = 110  # characters of a line of text
 ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
 
 
 def table(lines: list[Line]) -> str:
-    """Names and texts in two columns."""
-    width = max(len(name) for name, _ in lines)
-    return "\n".join(f"{name:<{width}}  {text}" for name, text in lines)
+    """Names and texts in two columns, the second at most ``WIDTH`` wide."""
+    width = max(len(name) for name, _ in lines) + 2
+    return "\n".join(f"{name:<{width}}" + ("\n" + " " * width).join(_wrapped(text)) for name, text in lines)
+
+
+def clauses(parts: Iterable[str]) -> str:
+    """Sentences that begin a line each, of at most ``WIDTH`` characters; lines that continue one are indented."""
+    return ";\n".join("\n  ".join(_wrapped(part)) for part in parts)
+
+
+def _wrapped(text: str) -> list[str]:
+    lines = (wrap(line, WIDTH, break_long_words=False, break_on_hyphens=False) for line in text.splitlines())
+    return [piece for pieces in lines for piece in pieces] or [""]
+
+
+def space_name(manifold: Manifold) -> str:
+    """``SO(3) x R^3``: a manifold as a paper would name it."""
+    if isinstance(manifold, Product):
+        names = [f"({space_name(m)})" if isinstance(m, Product) else space_name(m) for m in manifold.factors]
+        return " x ".join(names)
+    if isinstance(manifold, Euclidean):
+        shape = " x ".join(map(str, manifold.shape)) or "1"
+        return f"R^{shape}" if len(manifold.shape) < 2 else f"R^({shape})"
+    return re.sub(r"\b\w+=", "", str(manifold))
 
 
 def many(count: int, noun: str) -> str:
@@ -27,7 +52,7 @@ def ordinal(level: int) -> str:
 def problem_words(problem: OptimalControlProblem) -> str:
     """Which extremals of which problem."""
     kind = "abnormal (p_0 = 0)" if problem.abnormal else "normal (p_0 = 1)"
-    return f"{kind} extremals on T*Q, Q = {problem.manifold}, controls in {problem.controls}"
+    return f"{kind} extremals on T*Q, Q = {space_name(problem.manifold)}, controls in {space_name(problem.controls)}"
 
 
 def family_words(family: bool) -> str:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from retrax.integrators import OptimalControlProblem
-from retrax.manifolds import SO, CotangentBundle, Euclidean, Manifold, Sphere, hat
+from retrax.manifolds import SO, CotangentBundle, Euclidean, Manifold, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import DiscretizationMap, Retraction
 from scipy.spatial.transform import Rotation
@@ -75,16 +75,11 @@ class FreeTheta(DiscretizationMap):
         return self.inner(x, vec.scale(-self.split, v)), self.inner(x, vec.scale(1 - self.split, v))
 
 
-def form_matrix(bundle: CotangentBundle, z: tuple, frame: tuple) -> Array:
-    """``omega(frame_i, frame_j)``, the canonical two-form on a frame of ambient vectors."""
-    return jax.vmap(lambda a: jax.vmap(lambda b: bundle.two_form(z, a, b))(frame))(frame)
-
-
 def hamiltonian_field(bundle: CotangentBundle, energy: Any, z: tuple) -> tuple:
     """The ``X`` tangent to ``T*Q`` with ``omega(X, w) = dH(w)`` for every tangent ``w``, by linear algebra."""
     frame = bundle.basis(z)
     slope = jax.vmap(lambda w: jax.jvp(lambda s: energy(*s), (z,), (w,))[1])(frame)
-    return vec.combine(frame, jnp.linalg.solve(form_matrix(bundle, z, frame).T, slope))
+    return vec.combine(frame, jnp.linalg.solve(form_matrix(bundle.two_form, z, frame).T, slope))
 
 
 def at(tree: Any, index: int) -> Any:

@@ -19,12 +19,12 @@ from retrax.integrators import (
     SymplecticIntegrator,
     integrate,
 )
-from retrax.manifolds import CotangentBundle, InvalidInputError, hat
+from retrax.manifolds import CotangentBundle, InvalidInputError, form_matrix, hat
 from retrax.retractions import Cayley, CotangentLift, Midpoint, Projection
 
 from tests.support.numerics import SEEDS, compiled, norm, slope
 
-from .problems import INERTIA, SO3, SPHERE, form_matrix, pendulum_energy
+from .problems import INERTIA, SO3, SPHERE, pendulum_energy
 
 WEIGHTS = {
     "triple jump": (TRIPLE_JUMP, 4, (16, 32, 64)),
@@ -73,7 +73,7 @@ def kernel():
         images = jax.vmap(lambda w: jax.jvp(lambda z: step(0.1, z), (z0,), (w,))[1])(frame)
         z1 = step(0.1, z0)
         back = step(-0.1, z1)
-        defect = form_matrix(bundle, z1, images) - form_matrix(bundle, z0, frame)
+        defect = form_matrix(bundle.two_form, z1, images) - form_matrix(bundle.two_form, z0, frame)
         return {
             "symplectic": defect,
             "back": jax.tree.map(jnp.subtract, back, z0),

@@ -19,6 +19,7 @@ from retrax.integrators import (
     DiracSystem,
     HamiltonianStage,
     Integrator,
+    OptimalControlProblem,
     form_defect,
     integrate,
 )
@@ -192,6 +193,21 @@ def test_an_integrable_constraint_on_a_sphere_gives_great_circles():
     np.testing.assert_allclose(p0, [0.8, 0.0, -0.6], atol=1e-15)
     np.testing.assert_allclose(path.q[:, 1], 0.0, atol=1e-15)
     np.testing.assert_allclose(jnp.linalg.norm(path.p, axis=1), 1.0, atol=1e-14)
+
+
+def test_controls_follow_from_the_hamiltonian():
+    """Cost ``sum cosh u`` of the velocity ``u``: ``u = asinh p``, in ``H`` a sum of ``p asinh p - sqrt(1 + p^2)``."""
+    cost = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(jnp.cosh(u)), 3)
+    closed = DiracSystem(R3, lambda q, p: jnp.sum(p * jnp.arcsinh(p) - jnp.sqrt(1 + p * p)), contact_form)
+    start = START[0], closed.project(*START)
+    paths = [integrate(system, NODES, start, 0.1, 10) for system in (DiracSystem.controlled(cost, contact_form), closed)]
+    for found, expected in zip(*((path.q, path.p, path.controls) for path in paths), strict=True):
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    free = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(q), 3)
+    with pytest.raises(InvalidInputError, match="whose controls dH/du = 0 determines"):
+        integrate(DiracSystem.controlled(free, contact_form), NODES, START, 0.1, 1)
+    with pytest.raises(InvalidInputError, match="controlled takes an OptimalControlProblem"):
+        DiracSystem.controlled(kinetic_energy, contact_form)
 
 
 def test_a_start_off_the_constraints_is_refused():

@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, integrate
 from retrax.integrators.initial_value import lifted_step
 from retrax.integrators.initial_value.integrator import extremal_control
-from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, hat
+from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Projection, Theta, default_retraction
 
 from tests.support.numerics import SEEDS, compiled, norm
 
-from .problems import INERTIA, RIGID, SO3, SPHERE, form_matrix
+from .problems import INERTIA, RIGID, SO3, SPHERE
 
 
 def steer(q: jax.Array, u: jax.Array) -> jax.Array:
@@ -110,7 +110,7 @@ def kernel(name: str) -> Callable:
             "hamilton": contraction - slope,
             "control": stationary(jnp.zeros(controls.dimension)),
             "on the controls": vec.subtract(controls.restore(u), u),
-            "symplectic": form_matrix(bundle, z1, images) - form_matrix(bundle, z0, frame),
+            "symplectic": form_matrix(bundle.two_form, z1, images) - form_matrix(bundle.two_form, z0, frame),
         }
 
     return compiled(facts)

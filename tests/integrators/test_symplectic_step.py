@@ -11,7 +11,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
-from retrax.manifolds import CotangentBundle, Euclidean
+from retrax.manifolds import CotangentBundle, Euclidean, form_matrix
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
@@ -22,7 +22,6 @@ from .problems import (
     MANIFOLDS,
     SPHERE,
     FreeTheta,
-    form_matrix,
     hamiltonian_field,
     pendulum_energy,
 )
@@ -65,7 +64,7 @@ def kernel(name: str) -> Callable:
         field = hamiltonian_field(bundle, energy, (x, pi))
         return {
             "converged": converged,
-            "symplectic": form_matrix(bundle, z1, images) - form_matrix(bundle, z0, frame),
+            "symplectic": form_matrix(bundle.two_form, z1, images) - form_matrix(bundle.two_form, z0, frame),
             "tangent": vec.subtract(images, tangent),
             "on the bundle": bundle.violations(z1),
             "definition": vec.subtract(lift((x, pi), vec.scale(h, field)), (z0, z1)),

@@ -133,6 +133,10 @@ def curved_cost(q: Array, u: Array) -> Array:
 
 @pytest.mark.slow
 def test_rattle_stays_on_a_curved_final_manifold_and_its_energy_does_not_drift():
+    """From this start in steps of 1/10 an independent program finds errors up to 1.08e-5 in every quarter of 1000 steps.
+
+    They are largest once a period, of some 70 steps, so a hundred times as many steps find the same.
+    """
     space = Euclidean(3)
     problem = OptimalControlProblem(space, curved_drift, curved_cost, 1)
     split = ControlAffineSplitting(problem, (0,))
@@ -148,7 +152,7 @@ def test_rattle_stays_on_a_curved_final_manifold_and_its_energy_does_not_drift()
     assert np.max(np.abs(jax.vmap(lambda q, p: equations((q, p)))(path.q, path.p))) < 1e-14
     errors = energies - energies[0]
     quarters = [np.max(np.abs(part)) for part in np.array_split(errors, 4)]
-    assert 1e-6 < max(quarters) < 1.02 * min(quarters)
+    np.testing.assert_allclose(quarters, 1.08e-5, rtol=5e-3)
     means = [np.mean(part) for part in np.array_split(errors, 50)]
     (drift, _), covariance = np.polyfit(np.arange(50.0), means, 1, cov=True)
     assert abs(drift) < 2 * np.sqrt(covariance[0, 0])

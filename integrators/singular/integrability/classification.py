@@ -24,14 +24,16 @@ from .levels import Level, Signature
 
 @dataclass(frozen=True)
 class MorseTest:
-    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``points`` with ``dH/du = 0``.
+    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``count`` points with ``dH/du = 0``.
 
-    ``family``: ``D(dH/du)`` has rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the
-    point where the smallest is smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the
-    first one not counted.
+    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``: ``D(dH/du)`` has
+    rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the point where the smallest is
+    smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the first one not counted.
     """
 
-    points: int
+    count: int
+    states: Ambient
+    controls: Ambient
     family: bool
     family_singular_values: np.ndarray
     regular: bool
@@ -87,7 +89,6 @@ class Classification(IntegrabilityResult[Stratum]):
     levels: tuple[Level, ...]
     excluded: int
     zero_costate_excluded: bool
-    seconds: float
 
     @property
     def regular(self) -> bool:

@@ -1,6 +1,5 @@
 """Classification of an optimal control problem: regular or singular, and where its singular extremals live."""
 
-import time
 from collections import Counter
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, overload
@@ -69,9 +68,12 @@ def classify(
 
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
     agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
-    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
+    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
+    no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
+
+    Raises ``InvalidInputError`` for what is no problem with controls, no number of starts, or outside the reach of exact
+    algebra, and ``NotOnManifoldError`` if ``near`` is no state.
     """
-    began = time.perf_counter()
     _check(problem, starts, near)
     if symbolic:
         return _symbolic(problem, exclude_zero_costate, near)
@@ -86,8 +88,7 @@ def classify(
     trivial = np.max(np.abs(found.at.costate[:, 1:]), axis=1, initial=0.0) <= VANISHING_COSTATE
     excluded = int(np.sum(trivial)) if exclude else 0
     strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
-    seconds = time.perf_counter() - began
-    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude), seconds)
+    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude))
 
 
 def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
@@ -116,10 +117,10 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
 
 
 def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
-    """The levels until ``P^k`` stops or no point is consistent, and the points at the last of them.
+    """The levels until ``P^k`` stops around each of its points or none is consistent, and the points at the last of them.
 
-    ``P^k = P^{k-1}`` makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k``: nothing changes after it. The
-    batch keeps its size, so that one kernel serves all levels up to the order of the array.
+    ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
+    changes after it. The batch keeps its size, so that one kernel serves all levels up to the order of the array.
     """
     points, levels, morse = first, [], None
     while True:
@@ -127,18 +128,19 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         if level > points.array.order:
             points = _lengthened(points, first, levels)
         points = make_consistent(points, level, unit_costate)
-        ranks = [point_ranks(points, i, level) for i in np.flatnonzero(points.reliable)]
+        reliable = np.flatnonzero(points.reliable)
+        ranks = [point_ranks(points, i, level) for i in reliable]
         levels.append(summarise(points, level, ranks))
         if level == 0 and ranks:
             morse = _morse(select(points, points.consistent))
-        settled = level > 0 and _extent(levels[-1]) == _extent(levels[-2])
+        settled = level > 0 and all(_new_equations(points, i, r, level) == 0 for i, r in zip(reliable, ranks, strict=True))
         if not ranks or settled:
             return levels, morse, points
 
 
-def _extent(level: Level) -> set[tuple[int, int]]:
-    """What the strata of ``P^k`` are: codimension and rank of the form."""
-    return {(signature.codimension, signature.form_rank) for signature in level.strata}
+def _new_equations(points: Points, index: int, ranks: PointRanks, level: int) -> int:
+    """By how many dimensions ``P^level`` is smaller than ``P^{level-1}`` around one of its points, of these ``ranks``."""
+    return ranks.signature.codimension - point_ranks(points, index, level - 1).signature.codimension
 
 
 def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
@@ -163,7 +165,9 @@ def _morse(points: Points) -> MorseTest:
     hessian = [numerical_rank(matrix, unit=1.0) for matrix in by_jet]
     worst = [min(ranks, key=lambda rank: rank.singular_values[-1]).singular_values for ranks in (family, hessian)]
     return MorseTest(
-        points=len(by_jet),
+        count=len(by_jet),
+        states=points.at.z,
+        controls=points.at.control,
         family=not points.slow.any() and all(rank.rank == size for rank in family),
         family_singular_values=worst[0],
         regular=not points.slow.any() and all(rank.rank == size for rank in hessian),

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ....manifolds import CotangentBundle, Euclidean, Manifold
+from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
@@ -149,23 +150,41 @@ def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: 
 def _draw() -> Callable[..., Any]:
     """Points of ``T*Q``, centers of charts of U and coordinates in them, and sizes of the velocity and the cost there.
 
-    A Euclidean U has one chart, around zero.
+    A Euclidean U has one chart, around zero, and controls that change the velocity by as much as there is of it without them:
+    their unit is no size.
     """
 
-    def one(problem: OptimalControlProblem, key: Array) -> Any:
+    def one(problem: OptimalControlProblem, key: Array) -> tuple[Pair, Ambient, Array]:
         first, second = jax.random.split(key)
         u = problem.controls.random_point(second)
         z = CotangentBundle(problem.manifold).random_point(first)
         if isinstance(problem.controls, Euclidean):
-            center, first = vec.zeros(problem.controls.ambient), jnp.ravel(u)
-        else:
-            center, first = u, jnp.zeros(problem.controls.dimension)
-        return z, center, first, (vec.size(problem.velocity(z[0], u)), jnp.abs(problem.cost_rate(z[0], u)))
+            return z, vec.zeros(problem.controls.ambient), jnp.ravel(u)
+        return z, u, jnp.zeros(problem.controls.dimension)
+
+    def sizes(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
+        return vec.size(problem.velocity(q, u)), jnp.abs(problem.cost_rate(q, u))
 
     def batch(problem: OptimalControlProblem, keys: Array) -> Any:
-        return jax.lax.map(lambda key: one(problem, key), keys)
+        z, centers, first = jax.lax.map(lambda key: one(problem, key), keys)
+        first = _balance(problem, z[0], centers, first) * first
+        controls = jax.vmap(problem.steer)(centers, first)
+        return z, centers, first, jax.lax.map(lambda at: sizes(problem, *at), (z[0], controls))
 
     return _compiled(batch)
+
+
+def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
+    """Typical size of the velocity at the centers over that of its change by these controls; one where either is zero."""
+
+    def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
+        q, center, c = at
+        still = problem.velocity(q, center)
+        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem.steer(center, c)), still))
+
+    drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
+    least = default_tolerance() * jnp.maximum(drift, change)
+    return jnp.where((drift > least) & (change > least), drift / jnp.where(change > 0, change, 1.0), 1.0)
 
 
 def _around(manifold: Manifold, z: Pair, keys: Array, costate: float) -> Pair:
@@ -199,12 +218,13 @@ def _host(at: Linearised) -> Linearised:
 def _units(at: Linearised) -> Units:
     """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns by their largest one.
 
-    Entries are weighed with the sizes that a state, a costate and the derivatives of a control have in the problem, so that
-    its answers do not depend on the units of time and cost.
+    Entries are weighed with the sizes that a state, a costate, a control and its derivatives have at the starts, so that the
+    answers do not depend on the units of time, cost and controls.
     """
     costate, rate = _sizes(np.asarray(at.cost_rate), np.linalg.norm(at.velocity[:, : at.velocity.shape[1] // 2], axis=1))
     across = np.repeat([1.0, costate], at.velocity.shape[1] // 2)
-    along = np.broadcast_to((rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
+    control = float(np.sqrt(np.mean(at.jet[:, 0] ** 2))) or 1.0
+    along = np.broadcast_to(control * (rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
     by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
     largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
     rows = _typical(np.maximum(largest, np.abs(at.array)))

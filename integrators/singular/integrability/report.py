@@ -17,7 +17,6 @@ def report_text(classification: Classification) -> str:
     """What a reader of a paper wants to know, a line each."""
     lines = [*_problem(classification), *_morse(classification), *_levels(classification)]
     lines += _empty(classification) if classification.empty else _final(classification)
-    lines.append(("time", f"{classification.seconds:.2f} s"))
     return words.table(lines)
 
 
@@ -30,7 +29,7 @@ def _problem(c: Classification) -> Iterator[Line]:
 def _morse(c: Classification) -> Iterator[Line]:
     if c.morse is None:
         return
-    where = f"{many(c.morse.points, 'point')} with dH/du = 0"
+    where = f"{many(c.morse.count, 'point')} with dH/du = 0"
     values = f"smallest singular values {_values(c.morse.family_singular_values)} at {where}"
     yield "H", f"{words.family_words(c.morse.family)} ({values})"
     kind = "regular" if c.morse.regular else "singular"

@@ -5,6 +5,7 @@ from dataclasses import replace
 from ....manifolds import InvalidInputError
 from ....retractions import CotangentLift, DiscretizationMap
 from ..integrability import Classification
+from ..words import clauses
 from .direct import DirectIntegrator
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
@@ -30,7 +31,8 @@ def singular_integrator(
 ) -> SingularIntegrator:
     """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a discretization map.
 
-    By default the first strategy of ``STRATEGIES`` that applies; its ``reason`` says why, and why not those before it.
+    By default the first strategy of ``STRATEGIES`` that applies; its ``reason`` says why, and why not those before it,
+    a line each.
     ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the control,
     ``t`` from the start of the integration; without it the control of least norm is taken.
 
@@ -54,11 +56,11 @@ def singular_integrator(
             refusals.append(f"not {name}: {error}")
             continue
         remarks = [*_gauge(classification, gauge), *_piece(classification), *refusals]
-        return replace(found, reason="; ".join([f"{name}: {found.reason}", *remarks]))
+        return replace(found, reason=clauses([f"{name}: {found.reason}", *remarks]))
     if strategy is None:
-        raise InvalidInputError(f"no strategy applies: {'; '.join(refusals)}")
+        raise InvalidInputError(f"no strategy applies:\n{clauses(refusals)}")
     other = singular_integrator(classification, discretization, gauge=gauge)
-    raise InvalidInputError(f"{refusals[0]}; what applies is {other.reason}")
+    raise InvalidInputError(f"{refusals[0]}; what applies is\n{other.reason}")
 
 
 def _gauge(classification: Classification, gauge: Gauge | None) -> list[str]:

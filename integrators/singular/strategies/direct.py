@@ -6,6 +6,7 @@ from typing import Any, ClassVar, Self, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ....manifolds.manifold import default_tolerance
@@ -18,7 +19,7 @@ from ..integrability import Classification
 from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
 from .strategy import Gauge, NotApplicableError
 
-TEST_STEP = 0.1  # how far the steps of the test of composability go, relative to the size of the state
+TEST_STEP = 0.1  # how far the steps of the test of composability go, relative to the size of the states
 
 
 @final
@@ -36,6 +37,8 @@ class DirectIntegrator(DynamicsIntegrator):
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
         found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason="")
         gap = float(_departure(found, classification.problem, classification.stratum.states))
+        if not np.isfinite(gap):
+            raise NotApplicableError("a step with its stage in S_f was not found from every point of P_f that was tried")
         if not gap <= default_tolerance():
             raise NotApplicableError(
                 f"steps with stages in S_f leave P_f, its equations {gap:.1e} after one: they do not compose"
@@ -55,14 +58,16 @@ class DirectIntegrator(DynamicsIntegrator):
 @eqx.filter_jit
 def _departure(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
     """Largest violation of the equations of ``P_f`` after one step from each of some points of it (leading axis)."""
+    states = jax.tree.map(jnp.asarray, states)
+    first = integrator.begin(problem, *jax.tree.map(lambda leaf: leaf[0], states))
+    # Of all points together: one that is almost at rest would ask for a step without end.
+    speed = jnp.mean(jax.vmap(lambda z: vec.size(problem.velocity(z[0], first.control)))(states))
+    h = TEST_STEP * jnp.where(speed > 0, jnp.mean(jax.vmap(vec.size)(states)) / jnp.where(speed > 0, speed, 1.0), 1.0)
 
     def one(z: tuple[Ambient, Ambient]) -> Array:
         z = integrator.dynamics.manifold.restore(z)
-        first = integrator.begin(problem, z[0], z[1])
-        speed = vec.size(problem.velocity(z[0], first.control))
-        h = TEST_STEP * jnp.where(speed > 0, vec.size(z) / jnp.where(speed > 0, speed, 1.0), 1.0)
         new = integrator.step(problem, h, z[0], z[1], first)
         gaps = integrator.dynamics.manifold.violations((new.q, new.p)).values()
         return jnp.where(new.converged, jnp.max(jnp.stack(list(gaps))), jnp.nan)
 
-    return jnp.max(jax.lax.map(one, jax.tree.map(jnp.asarray, states)))
+    return jnp.max(jax.lax.map(one, states))

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import sympy
@@ -14,6 +15,7 @@ LONG = 20  # terms of an equation at which a branch of smaller dimension is left
 
 Expression = Any
 Equation = tuple[Expression, int]  # to be made zero, and the level of the algorithm that asks for it
+History = tuple[tuple[Expression, Expression, int], ...]  # symbols, their values by those found later, and the levels
 
 
 @dataclass(frozen=True)
@@ -41,21 +43,32 @@ class Phase:
 class SymbolicStratum:
     """A piece of ``P_f`` in closed form.
 
-    ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``solution``: coordinates
-    that they determine; ``controls``: determined controls as expressions, and the levels that determine them; ``history``:
-    the order in which all these were found, with their values then and the levels; ``nonzero``: expressions assumed not to
-    vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
+    ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``history``: the coordinates
+    and controls that are determined, in the order in which they were found, with their values then and the levels;
+    ``nonzero``: expressions assumed not to vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
     """
 
     phase: Phase
     equations: tuple[Equation, ...] = ()
-    solution: dict[Expression, Expression] = field(default_factory=dict)
-    controls: dict[Expression, Expression] = field(default_factory=dict)
-    levels: dict[Expression, int] = field(default_factory=dict)
-    history: tuple[tuple[Expression, Expression, int], ...] = ()
+    history: History = ()
     nonzero: tuple[Expression, ...] = ()
     irregular: bool = False
     degenerate: Expression | None = None
+
+    @property
+    def solution(self) -> dict[Expression, Expression]:
+        """The determined coordinates and controls, by those that are free."""
+        return _inserted(self.history)
+
+    @property
+    def controls(self) -> dict[Expression, Expression]:
+        """The determined controls."""
+        return {s: e for s, e in self.solution.items() if s in self.phase.u}
+
+    @property
+    def levels(self) -> dict[Expression, int]:
+        """The levels that determine the controls."""
+        return {s: level for s, _, level in self.history if s in self.phase.u}
 
     @property
     def coordinates(self) -> tuple[Expression, ...]:
@@ -74,10 +87,8 @@ class SymbolicStratum:
 
     def up_to(self, level: int) -> "SymbolicStratum":
         """The stratum of ``P^level`` that holds this one: what was known at that level."""
-        known = SymbolicStratum(self.phase, equations=tuple(e for e in self.equations if e[1] <= level))
-        for symbol, value, at in self.history:
-            known = known.insert(symbol, value, at) if at <= level else known
-        return known
+        equations = tuple(e for e in self.equations if e[1] <= level)
+        return SymbolicStratum(self.phase, equations, tuple(found for found in self.history if found[2] <= level))
 
     @property
     def k_f_base(self) -> int:
@@ -125,18 +136,17 @@ class SymbolicStratum:
 
     def reduce(self, expression: Expression) -> Expression:
         """An expression on this piece, with the determined controls and coordinates inserted."""
-        return normal_form(sympy.sympify(expression).xreplace({**self.solution, **self.controls}))
+        return normal_form(sympy.sympify(expression).xreplace(self.solution))
 
-    def insert(self, symbol: Expression, value: Expression, level: int) -> "SymbolicStratum":
-        """The piece with one more coordinate or control determined, and inserted in all others."""
 
-        def inserted(known: dict[Expression, Expression]) -> dict[Expression, Expression]:
-            return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()}
-
-        solution, controls = inserted(self.solution), inserted(self.controls)
-        (controls if symbol in self.phase.u else solution)[symbol] = value
-        levels = self.levels | {symbol: level} if symbol in self.phase.u else self.levels
-        return replace(self, solution=solution, controls=controls, levels=levels, history=(*self.history, (symbol, value, level)))
+@lru_cache(maxsize=1024)  # pieces share the beginnings of their histories
+def _inserted(history: History) -> dict[Expression, Expression]:
+    """What was found, each with all that was found later inserted."""
+    if not history:
+        return {}
+    *_, (symbol, value, _) = history
+    known = _inserted(history[:-1])
+    return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()} | {symbol: value}
 
 
 @dataclass(frozen=True)
@@ -163,10 +173,7 @@ def generic_ranks(phase: Phase) -> tuple[int, int] | None:
     pieces, _ = strata(phase, last=0)
     slope = sympy.Matrix([phase.hamiltonian]).jacobian(sympy.Matrix(phase.u))
     state, control = (slope.jacobian(sympy.Matrix(symbols)) for symbols in ((*phase.q, *phase.p), phase.u))
-    found = [
-        [generic_rank(matrix.xreplace({**piece.solution, **piece.controls})) for matrix in (state.row_join(control), control)]
-        for piece in pieces
-    ]
+    found = [[generic_rank(matrix.xreplace(piece.solution)) for matrix in (state.row_join(control), control)] for piece in pieces]
     return (min(family for family, _ in found), min(hessian for _, hessian in found)) if found else None
 
 
@@ -227,7 +234,8 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
         ended.unsolved.append(equation)
         return
     symbol, coefficient = linear
-    generic = piece.insert(symbol, normal_form(symbol - expression / coefficient), level)
+    value = normal_form(symbol - expression / coefficient)
+    generic = replace(piece, history=(*piece.history, (symbol, value, level)))
     if controls:
         special, further = [coefficient], []
     else:

@@ -163,5 +163,5 @@ def _distinct(pieces: list[SymbolicStratum]) -> list[SymbolicStratum]:
     """Pieces with different solutions, the first of each."""
     seen: dict[Any, SymbolicStratum] = {}
     for piece in pieces:
-        seen.setdefault(frozenset({**piece.solution, **piece.controls}.items()), piece)
+        seen.setdefault(frozenset(piece.solution.items()), piece)
     return list(seen.values())

@@ -23,15 +23,17 @@ REGULAR_EQUATIONS = [
     for name in SINGULAR
     if known(name).empty_at is None and known(name).regular_equations
 ]
+SEEDS = pytest.mark.parametrize("seeds", [(0,), pytest.param((1, 2), marks=pytest.mark.slow)])
 
 
+@SEEDS
 @pytest.mark.parametrize("name", REGULAR_EQUATIONS)
-def test_known_answers_from_every_start_and_at_every_scale(name):
+def test_known_answers_from_every_start_and_at_every_scale(name, seeds):
     answer = known(name)
-    for factors in SCALES:
-        c = classified(name, factors)
+    for factors, seed in product(SCALES, seeds):
+        c = classified(name, factors, seed)
         assert not c.stratified, c
-        assert c.levels[-1].consistent >= 18, c
+        assert c.levels[-1].consistent == c.levels[-1].tried == 20, c
         found = (c.k_f, c.k_f_base), c.dimension, c.rank, c.gauge_controls
         assert found == (answer.levels, answer.dimension, answer.rank, answer.gauge), (factors, str(c))
         assert min(level.gap for level in c.levels) > 1e8
@@ -40,10 +42,11 @@ def test_known_answers_from_every_start_and_at_every_scale(name):
         assert c.regular == (name == "regular")
 
 
+@SEEDS
 @pytest.mark.parametrize("name", EMPTY)
-def test_contradictory_conditions_are_said_to_be_empty(name):
-    for factors in SCALES:
-        c = classified(name, factors)
+def test_contradictory_conditions_are_said_to_be_empty(name, seeds):
+    for factors, seed in product(SCALES, seeds):
+        c = classified(name, factors, seed)
         assert c.empty
         assert c.levels[-1].index == known(name).empty_at
         assert c.levels[-1].residual > 1e-3
@@ -82,7 +85,7 @@ def test_abnormal_extremals_of_the_martinet_distribution(bend):
         assert c.zero_costate_excluded
         assert [s.signature for s in c.strata] == [REST, LINES], str(c)
         assert c.irregular, "some starts come to where the pieces cross"
-        assert "of them where equations are irregular, as where pieces cross: not counted" in str(c)
+        assert "of them where equations are irregular, as where pieces cross: not counted" in " ".join(str(c).split())
         rest, lines = c.strata
         assert np.max(np.abs(rest.u)) < 1e-7
         assert np.max(np.abs([lines.q[0], lines.u[0], *lines.p[:2]])) < 1e-12
@@ -118,12 +121,13 @@ def test_one_of_several_pieces_is_chosen():
         c.choose(5)
 
 
-def test_irregular_equations_are_flagged():
-    for factors in SCALES:
-        c = classified("irregular", factors)
+@SEEDS
+def test_irregular_equations_are_flagged(seeds):
+    for factors, seed in product(SCALES, seeds):
+        c = classified("irregular", factors, seed)
         assert c.irregular
         assert not c.morse.family
-        assert "equations irregular at all of them: ranks not reliable" in str(c)
+        assert "equations irregular at all of them: ranks not reliable" in " ".join(str(c).split())
     with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
         _ = c.manifold
 
@@ -197,7 +201,11 @@ def test_the_morse_family_is_told_from_a_dummy_control():
     assert regular.regular
     assert singular.family
     assert not singular.regular
-    assert singular.points == 20
+    assert singular.count == 20
+    (q, p), problem = singular.states, known("aly-chan").problem
+    slopes = jax.vmap(jax.grad(problem.hamiltonian, argnums=2))(q, p, singular.controls)
+    assert slopes.shape == (20, 1)
+    np.testing.assert_allclose(slopes, 0, atol=1e-9)
     assert classified("regular").regular
 
 

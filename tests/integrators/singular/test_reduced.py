@@ -265,7 +265,7 @@ def test_it_is_made_from_a_classification_where_it_applies():
     found = classified("aly-chan")
     method = singular_integrator(found, Midpoint(default_retraction(found.problem.manifold)), "reduced")
     assert isinstance(method, ReducedIntegrator)
-    assert method.reason == "reduced: P_f is the cotangent bundle of Euclidean(shape=(1,)), by Goh's reduction once"
+    assert method.reason == "reduced: P_f is the cotangent bundle of R^1, by Goh's reduction once"
     with pytest.raises(NotApplicableError, match="gauge control"):
         ReducedIntegrator.suited(classified("academic"), method.lift, None)
 

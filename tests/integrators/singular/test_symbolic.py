@@ -120,7 +120,7 @@ def test_branches_too_long_to_follow_are_said():
     assert len(exact.strata) == 1
     assert exact.stratum.levels == {exact.phase.u[0]: 2}
     assert any(level == 2 and expression.free_symbols <= set(exact.stratum.coordinates) for expression, level in exact.unsolved)
-    assert "no short closed form" in str(exact)
+    assert "no short closed form" in " ".join(str(exact).split())
 
 
 def test_a_traced_function_has_the_values_of_the_function():
