@@ -1,8 +1,7 @@
 """Systems that several tests integrate or solve, and the numerics that their facts are stated with."""
 
-from typing import Any, final
+from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +9,6 @@ from jaxtyping import Array, ArrayLike
 from retrax.integrators import OptimalControlProblem
 from retrax.manifolds import SO, CotangentBundle, Euclidean, Manifold, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import DiscretizationMap, Retraction
 from scipy.spatial.transform import Rotation
 
 from tests.support.cases import Ellipsoid
@@ -54,25 +52,6 @@ def towed_body_energy(q: tuple, p: tuple) -> Array:
 
 
 ENERGIES = {"S2": pendulum_energy, "SO3": top_energy, "ellipsoid": pendulum_energy, "SO3*R3": towed_body_energy}
-
-
-@final
-class FreeTheta(DiscretizationMap):
-    """A discretization map of one's own: ``(R(x, -split v), R(x, (1 - split) v))`` with ``split`` an array.
-
-    ``theta`` only helps solvers to begin; here it is right for ``split = 1/2`` alone.
-    """
-
-    inner: Retraction
-    split: Array
-    theta: float = eqx.field(static=True, default=0.5)
-
-    @property
-    def retraction(self) -> Retraction:
-        return self.inner
-
-    def __call__(self, x: Any, v: Any) -> tuple:
-        return self.inner(x, vec.scale(-self.split, v)), self.inner(x, vec.scale(1 - self.split, v))
 
 
 def hamiltonian_field(bundle: CotangentBundle, energy: Any, z: tuple) -> tuple:

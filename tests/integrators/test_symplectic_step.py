@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cache
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,26 +12,61 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
-from retrax.manifolds import CotangentBundle, Euclidean, form_matrix
+from retrax.manifolds import CotangentBundle, EmbeddedMetric, Euclidean, Manifold, form_matrix
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
-from tests.support.numerics import SEEDS, compiled, norm
+from tests.support.cases import RETRACTIONS, THETAS, FreeTheta
+from tests.support.numerics import SEEDS, compiled, flat, norm
 
 from .problems import (
     ENERGIES,
     MANIFOLDS,
     SPHERE,
-    FreeTheta,
     hamiltonian_field,
     pendulum_energy,
 )
 
-THETAS = (0.0, 0.3, 0.5, 1.0)
 STEPS = st.floats(0.01, 0.2)
 
+# A second retraction of the manifolds above, and two of others.
+OTHERS = (
+    "projection-S2",
+    "cayley-SO3",
+    "cayley-SO3*R3",
+    "polar-St42",
+    "cayley-St42",
+    "exponential-SPD2",
+    "quadratic-SPD2",
+    "exponential-SE3",
+    "cayley-SE3",
+    "exponential-H2",
+    "projection-H2",
+    "polar-Gr42",
+    "cayley-Gr42",
+    "cayley-SU2",
+)
+
+
+def coupled_energy(manifold: Manifold) -> Callable:
+    """Motion by the metric of the ambient space under a force without symmetry, coupled with the momentum."""
+    kinetic = EmbeddedMetric(manifold).kinetic_energy
+
+    def energy(q: Any, p: Any) -> jax.Array:
+        x, y = flat(q), flat(manifold.projection(q, p))
+        weights = jnp.cos(jnp.arange(x.size))
+        return kinetic(q, p) + jnp.sin(weights @ x) + 0.3 * (x @ y) * (weights @ y) + 0.2 * (weights @ y) ** 4
+
+    return energy
+
+
+SUBJECTS = {
+    **{name: (default_retraction(manifold), ENERGIES[name]) for name, manifold in MANIFOLDS.items()},
+    **{name: (RETRACTIONS[name], coupled_energy(RETRACTIONS[name].manifold)) for name in OTHERS},
+}
+
 on_every_manifold = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3*R3") else name for name in MANIFOLDS]
+    "name", [name if name in ("S2", "SO3") else pytest.param(name, marks=pytest.mark.slow) for name in SUBJECTS]
 )
 
 
@@ -44,12 +80,12 @@ def with_every_theta(test: Callable) -> Callable:
 
 @cache
 def kernel(name: str) -> Callable:
-    """One compiled function a manifold: a step from a random point, its derivative on a basis, and the definition."""
-    manifold, energy = MANIFOLDS[name], ENERGIES[name]
-    bundle = CotangentBundle(manifold)
+    """One compiled function a retraction: a step from a random point, its derivative on a basis, and the definition."""
+    retraction, energy = SUBJECTS[name]
+    bundle = CotangentBundle(retraction.manifold)
 
     def facts(seed: jax.Array, h: jax.Array, theta: jax.Array) -> dict[str, jax.Array]:
-        lift = CotangentLift(FreeTheta(default_retraction(manifold), theta))
+        lift = CotangentLift(FreeTheta(retraction, theta))
         stage = SymplecticIntegrator(lift).stage(energy, h)
 
         def step(z: tuple) -> tuple:

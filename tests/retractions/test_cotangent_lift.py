@@ -9,10 +9,12 @@ from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphe
 from retrax.retractions import BundleRetraction, CotangentLift, Exponential, Midpoint, SphereExponential, Theta
 from retrax.retractions.discretization import newton_preimage
 from retrax.testing import check_cotangent_lift
-from retrax.testing.checks.discretization import flat_ends
+from retrax.testing.checks.cotangent_lift import omega_of_both_ends, tangent_lift_of_omega
+from retrax.testing.checks.discretization import both_ends, flat_ends
+from retrax.testing.numerics import ambient_size
 
-from tests.support.cases import LIFTED_MAPS, reach
-from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, unflat
+from tests.support.cases import LIFTED_MAPS, RETRACTIONS, THETAS, FreeTheta, reach
+from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, norm, unflat
 
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
 
@@ -31,7 +33,24 @@ def test_is_a_cotangent_lift(name, seeds):
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)
 
 
-@pytest.mark.parametrize("theta", [0.0, 0.3, 0.5, 1.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RETRACTIONS)
+def test_the_lifts_over_every_retraction_are_symplectic(name, seeds):
+    """At the zero vector and at two others, by one compiled function of theta."""
+    retraction = RETRACTIONS[name]
+    n = ambient_size(retraction.manifold)
+    measure = compiled(lambda theta, sample: both_ends(CotangentLift(FreeTheta(retraction, theta)), sample)["push"])
+    for seed, length in zip(seeds, (0.0, 0.5, 1.0), strict=False):
+        w, frame = draw_bundle_tangent(retraction.manifold, seed, length * min(1.0, reach(name)))
+        x, v = np.split(w, 2)
+        expected = frame @ tangent_lift_of_omega(n) @ frame.T
+        for theta in THETAS:
+            push = measure(theta, {"x": x, "v": v, "frame": frame})
+            defect = norm(push @ omega_of_both_ends(n) @ push.T - expected)
+            assert defect < 1e-11 * (1 + norm(expected)), f"theta={theta}, seed={seed}"
+
+
+@pytest.mark.parametrize("theta", THETAS)
 @given(seed=SEEDS)
 def test_on_a_vector_space_the_lift_is_known(theta, seed):
     lift = CotangentLift(Theta(Exponential(Euclidean((2, 3))), theta))

@@ -1,7 +1,8 @@
 """Manifolds, retractions and discretization maps under test, by readable names."""
 
-from typing import final
+from typing import Any, final
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -33,6 +34,7 @@ from retrax.manifolds import (
     TangentBundle,
     U,
 )
+from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import (
     QR,
     Adjoint,
@@ -88,6 +90,25 @@ class Heisenberg(MatrixLieGroup):
         basis = np.zeros((3, 3, 3))
         basis[0, 0, 1] = basis[1, 1, 2] = basis[1, 0, 1] = basis[2, 0, 2] = 1
         return basis
+
+
+@final
+class FreeTheta(DiscretizationMap):
+    """A discretization map of one's own: ``(R(x, -split v), R(x, (1 - split) v))`` with ``split`` an array.
+
+    ``theta`` only helps solvers to begin; here it is right for ``split = 1/2`` alone.
+    """
+
+    inner: Retraction
+    split: Array
+    theta: float = eqx.field(static=True, default=0.5)
+
+    @property
+    def retraction(self) -> Retraction:
+        return self.inner
+
+    def __call__(self, x: Any, v: Any) -> tuple:
+        return self.inner(x, vec.scale(-self.split, v)), self.inner(x, vec.scale(1 - self.split, v))
 
 
 NESTED = Product(SO(3) * Euclidean(3), Sphere(2))
@@ -173,7 +194,7 @@ _MAPPED: dict[str, Retraction] = {
     "orthographic-rank1-3x3": FixedRankOrthographic(FixedRank(3, 3, 1)),
 }
 
-# No discretization maps are made of the latter ones: a map does not know from which closed form a retraction comes.
+# The latter ones are not in MAPS: a map does not know from which closed form a retraction comes.
 RETRACTIONS: dict[str, Retraction] = {
     **_MAPPED,
     "exponential-U2": Exponential(U(2)),
@@ -268,6 +289,8 @@ QUICK = (
     "polar-St42",
     "cayley-Gr42",
 )
+
+THETAS = (0.0, 0.3, 0.5, 1.0)
 
 LIFTED_MAPS: dict[str, DiscretizationMap] = {
     **{f"theta=0.3, {name}": Theta(RETRACTIONS[name], 0.3) for name in REPRESENTATIVES},

@@ -17,10 +17,10 @@ from retrax.integrators import (
     integrate,
 )
 from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator
-from retrax.manifolds import CotangentBundle, Euclidean, Submanifold
-from retrax.retractions import Addition, CotangentLift, Euler, Midpoint, Projection
+from retrax.manifolds import CotangentBundle, Euclidean, Submanifold, hat
+from retrax.retractions import Addition, Cayley, CotangentLift, Euler, Midpoint, Projection
 
-from tests.integrators.problems import SPHERE, pendulum_energy
+from tests.integrators.problems import SO3, SPHERE, pendulum_energy, rigid_body_energy
 
 STEPS = 600
 MAPS = {"midpoint": Midpoint(Projection(SPHERE)), "euler": Euler(Projection(SPHERE))}
@@ -69,6 +69,22 @@ def test_the_energy_error_of_the_pendulum_does_not_drift(name):
     assert abs(slope) * STEPS < 0.1 * np.max(np.abs(errors))
     quarters = [np.max(np.abs(part)) for part in np.array_split(errors, 4)]
     assert max(quarters) < 1.1 * min(quarters)
+
+
+@pytest.mark.slow
+def test_a_free_rigid_body_after_a_million_steps():
+    """Rounding adds up in the momentum alone; the energy oscillates as the step size squared, and as much in every quarter."""
+    lift = CotangentLift(Midpoint(Cayley(SO3)))
+    start = jnp.eye(3), hat(jnp.array([0.3, 1.0, -0.5])) / 2
+    path = integrate(rigid_body_energy, SymplecticIntegrator(lift), start, 0.05, 1_000_000, save_every=500)
+    attitude, momentum = np.asarray(path.q), np.asarray(jax.vmap(SO3.spatial)(path.q, path.p))
+    assert np.max(np.abs(np.swapaxes(attitude, 1, 2) @ attitude - np.eye(3))) < 1e-14
+    assert np.max(np.abs(momentum - momentum[0])) < 1e-9
+    energies = np.asarray(jax.vmap(rigid_body_energy)(path.q, path.p))
+    spreads = [np.ptp(part) for part in np.array_split(energies, 4)]
+    assert 5e-6 < max(spreads) < 1.05 * min(spreads) < 2e-5
+    means = [np.mean(part) for part in np.array_split(energies, 4)]
+    assert np.ptp(means) < 0.02 * max(spreads)
 
 
 R5 = Euclidean(5)
