@@ -93,12 +93,14 @@ def plot_paths(solution: Solution, path):
     axis.plot_wireframe(*sphere, color="0.85", linewidth=0.5)
     for i, name in enumerate(("first", "second", "third")):
         points = solution.states[0][:, :, i]
-        axis.plot(*points.T, label=f"{name} body axis")
-        axis.scatter(*points[[0, -1]].T, s=20)
-    axis.set_box_aspect((1, 1, 1))
+        (path_of_axis,) = axis.plot(*points.T, label=f"{name} body axis")
+        color = path_of_axis.get_color()
+        axis.plot(*points[:1].T, "o", color=color, markerfacecolor="white")
+        axis.plot(*points[-1:].T, "o", color=color)
+    axis.set_box_aspect((1, 1, 1), zoom=1.6)
     axis.set_axis_off()
     axis.legend(loc="upper left", fontsize="small")
-    axis.set_title("Body axes in the inertial frame")
+    axis.set_title("Body axes in the inertial frame, from the open to the full dot")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

@@ -5,10 +5,12 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 
 from ..manifolds.manifold import working_precision
+from .functions import by_data
 
 _compiled: dict[Any, Any] = {}  # executables by function and structure of the arguments, oldest first
 MOST_COMPILED = 256
@@ -21,9 +23,9 @@ def _is_data(leaf: Any) -> bool:
 def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
     """Value of ``function(*arguments)``; seconds to trace and compile it, 0 if that was done before, and to run it.
 
-    Arrays in the arguments are data, all other leaves are part of the function and hashable.
+    Arrays in the arguments are data, all other leaves are part of the function and hashable; functions compare by their data.
     """
-    leaves, structure = jax.tree.flatten(arguments)
+    leaves, structure = jax.tree.flatten(by_data(arguments))
     data = [leaf for leaf in leaves if _is_data(leaf)]
     fixed = tuple(_is_data if _is_data(leaf) else leaf for leaf in leaves)
     key = (function, fixed, structure, tuple((a.shape, a.dtype) for a in data), working_precision())
@@ -39,6 +41,17 @@ def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, floa
     value = _compiled[key](data)
     jax.block_until_ready(jax.tree.leaves(value)[:1])  # all outputs of one executable become ready together
     return value, seconds, time.perf_counter() - began
+
+
+def compiled(function: Callable, **options: Any) -> Callable:
+    """``equinox.filter_jit(function)``, with the functions among its arguments compared by their data."""
+    jitted = eqx.filter_jit(function, **options)
+
+    def call(*arguments: Any) -> Any:
+        return jitted(*by_data(arguments))
+
+    call.__doc__ = function.__doc__
+    return call
 
 
 def _merged(structure: Any, fixed: tuple, data: list) -> Any:

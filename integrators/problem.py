@@ -72,7 +72,8 @@ class OptimalControlProblem(eqx.Module):
 
     def steer(self, u: Ambient, c: Array) -> Ambient:
         """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``u``."""
-        return default_retraction(self.controls)(u, vec.combine(self.controls.basis(u), c))
+        retraction = default_retraction(self.controls)
+        return retraction.chart(u, retraction.frame(u), c)
 
     def normal_size(self, q: Ambient, u: Ambient) -> tuple[Array, Array]:
         """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""

@@ -4,15 +4,17 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds import DomainError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...retractions import DiscretizationMap
+from ...retractions import DiscretizationMap, Retraction, default_retraction
 from ..compilation import call_compiled
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
+
+ASIDE = 0.05  # of the chord
 
 
 class Guess(NamedTuple):
@@ -29,46 +31,55 @@ class Guess(NamedTuple):
 def default_guess(
     problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
 ) -> Guess:
-    """Guess along the curve of the retraction from start to end, or, outside its image, along a walk towards the end.
+    """Guess along the curve of the manifold's default retraction from start to end, or, outside its image, a walk to the end.
 
-    Controls rest, costates are zero. Raises ``DomainError`` if neither curve arrives near the end: the two points are
-    opposite to each other, and the user has to say which way round.
+    Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out in a direction that is
+    random but always the same: there are several ways round, and this is one of them. Controls rest, costates are zero.
+    Raises ``DomainError`` if no curve arrives near the end.
     """
-    (guess, arrived), *_ = call_compiled(_curve, problem, discretization, start, end, steps)
-    if not arrived:
-        (guess, arrived), *_ = call_compiled(_walk, problem, discretization, start, end, steps)
-    if not arrived:
-        raise DomainError(
-            "no default guess: the end is opposite to the start (for rotations: half a turn away), so no direction leads "
-            "to it; pass a guess, for instance one that goes through a point between them"
-        )
-    return guess
+    retraction, theta = default_retraction(problem.manifold), discretization.theta
+    for curve in (_curve, _walk):
+        (guess, arrived), *_ = call_compiled(curve, problem, retraction, theta, start, end, steps)
+        if arrived:
+            return guess
+    raise DomainError(
+        "no default guess: the walk from start to end does not arrive; pass a guess that goes through points between"
+    )
 
 
 def _curve(
-    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
+    problem: OptimalControlProblem, retraction: Retraction, theta: ArrayLike, start: Ambient, end: Ambient, steps: int
 ) -> tuple[Guess, Array]:
     """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether there is such a ``v``."""
-    retraction = discretization.retraction
     v = retraction.preimage(start, end)
-    times = (jnp.arange(steps) + discretization.theta) / steps
-    states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))(times)
+    states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))((jnp.arange(steps) + theta) / steps)
     return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v))
 
 
 def _walk(
-    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
+    problem: OptimalControlProblem, retraction: Retraction, theta: ArrayLike, start: Ambient, end: Ambient, steps: int
 ) -> tuple[Guess, Array]:
-    """A walk that covers, at step k of N, the fraction ``1/(N - k)`` of the chord's tangential part; and whether it arrives."""
-    manifold, retraction = discretization.manifold, discretization.retraction
+    """A walk along the chord's tangential part, at step k of N the fraction ``1/(N - k)`` of its length; and whether it arrives.
+
+    It begins a little beside the start, because the chord to an opposite point has no tangential part.
+    """
+    manifold = retraction.manifold
+    chord = vec.subtract(end, start)
+    aside = manifold.random_tangent(jax.random.key(0), start)
+    aside = manifold.projection(start, jax.tree.map(lambda a, c: ASIDE * vec.size(c) * a, aside, chord))
+
+    def as_long(v: Array, chord: Array) -> Array:
+        length = jnp.linalg.norm(v)
+        return jnp.where(length > 0, jnp.linalg.norm(chord) / jnp.where(length > 0, length, 1.0), 0.0) * v
 
     def step(x: Ambient, k: Array) -> tuple[Ambient, Ambient]:
-        chord = manifold.projection(x, vec.subtract(end, x))
-        ahead = retraction(x, vec.scale(1 / (steps - k), chord))
+        chord = vec.subtract(end, x)
+        along = manifold.projection(x, jax.tree.map(as_long, manifold.projection(x, chord), chord))
+        ahead = retraction(x, vec.scale(1 / (steps - k), along))
         return ahead, ahead
 
-    last, states = jax.lax.scan(step, start, jnp.arange(steps))
-    arrived = vec.size(vec.subtract(last, end)) < vec.size(vec.subtract(start, end)) / 2
+    last, states = jax.lax.scan(step, retraction(start, aside), jnp.arange(steps))
+    arrived = vec.size(vec.subtract(last, end)) < vec.size(chord) / 2
     return _at_rest(problem, states, steps), arrived
 
 

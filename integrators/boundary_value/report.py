@@ -44,9 +44,12 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     for equation, violation in checks.violations.items():
         yield "constraint error", f"{equation}: {violation:.1e}"
-    yield "Hamiltonian", f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e}"
+    share = checks.hamiltonian_spread / checks.hamiltonian_size if checks.hamiltonian_size else 0.0
+    yield (
+        "Hamiltonian",
+        f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e} ({share:.1e} of its parts)",
+    )
     if checks.too_coarse:
-        share = checks.hamiltonian_spread / checks.hamiltonian_size
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"

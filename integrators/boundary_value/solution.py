@@ -1,5 +1,6 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
+from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, Self
@@ -94,9 +95,9 @@ class SingularArc:
     second_order: str
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Solution:
-    """A discrete extremal. Arrays are NumPy arrays with the nodes (N + 1) or stages (N) along the leading axis.
+    """A discrete extremal. Arrays are read-only NumPy arrays with the nodes (N + 1) or stages (N) along the leading axis.
 
     ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
     ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
@@ -121,6 +122,10 @@ class Solution:
     checks: Checks
     statistics: Statistics
     singular: SingularArc | None = None
+
+    def __post_init__(self) -> None:
+        for array in _arrays(vars(self)):
+            array.setflags(write=False)
 
     @property
     def steps(self) -> int:
@@ -155,6 +160,15 @@ class Solution:
                 _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
         with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
             np.savez(file, allow_pickle=False, **flat)
+
+
+def _arrays(value: Any) -> Iterator[np.ndarray]:
+    """The arrays in nested tuples and dictionaries."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple | dict):
+        for part in value.values() if isinstance(value, dict) else value:
+            yield from _arrays(part)
 
 
 _RECORDS = {"checks": Checks, "statistics": Statistics, "singular": SingularArc}

@@ -10,9 +10,10 @@ from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
-from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
+from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_traced
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
+from ..functions import by_data, reads_traced, same_by_data
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
@@ -58,7 +59,8 @@ def solve(
     solved as given (of a singular problem: boundary data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the
     conditions are not met; otherwise read ``success``.
     """
-    if is_traced(start, end, horizon, problem, guess):
+    problem = by_data(problem)
+    if is_traced(start, end, horizon, problem, guess) or reads_traced(problem):
         raise InvalidInputError("solve runs outside jit, vmap and grad: it checks its input and compiles its own kernel")
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
@@ -93,7 +95,7 @@ def _check_method(
 ) -> None:
     """Raise if the classification or the integrator belongs to something else than the problem."""
     if classification is not None and not (
-        isinstance(classification, Classification) and eqx.tree_equal(classification.problem, problem)
+        isinstance(classification, Classification) and same_by_data(classification.problem, problem)
     ):
         raise InvalidInputError(f"classification must be that of the problem, got {classification!r}; try classify(problem)")
     if integrator is None:
@@ -118,7 +120,7 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
-        if not isinstance(count, int | np.integer) or count < 1:
+        if not is_count(count):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
 
 

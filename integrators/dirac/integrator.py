@@ -2,7 +2,6 @@
 
 from typing import NamedTuple, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +13,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
+from ..compilation import compiled
 from ..initial_value import Integrator, StepResult
 from ..initial_value.step import StepEquations
 from ..stages import HamiltonianStage
@@ -131,7 +131,7 @@ def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
             raise InvalidInputError(f"rates(q) must return one number for each of the {count[0]} one-forms, got {rates}")
 
 
-@eqx.filter_jit
+@compiled
 def _facts(system: DiracSystem, q: Ambient, p: Ambient) -> tuple[Array, Array, Array]:
     """The constraints at ``(q, p)``, their derivative along impulses there, and the size of the velocity."""
 

@@ -14,6 +14,7 @@ from ...manifolds.manifold import working_precision
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
+from ..compilation import compiled
 from ..problem import OptimalControlProblem
 from ..stages import ControlStage, HamiltonianStage
 from ..stages.hamiltonian import Hamiltonian
@@ -152,7 +153,7 @@ def resting_control(controls: Manifold) -> Ambient:
     )
 
 
-@eqx.filter_jit
+@compiled
 def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Ambient:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none near."""
     return find_control(problem, q, p, resting_control(problem.controls))[0]
@@ -165,7 +166,7 @@ def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: A
     return problem.steer(near, jnp.where(found, root, zero)), found
 
 
-@eqx.filter_jit
+@compiled
 def _control_curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient, u: Ambient) -> Array:
     """Singular values, descending, of ``d2H/du2``."""
     hessian = jax.hessian(lambda c: problem.hamiltonian(q, p, problem.steer(u, c)))(jnp.zeros(problem.controls.dimension))

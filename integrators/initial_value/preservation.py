@@ -1,6 +1,5 @@
 """How much of a two-form a step preserves."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool
@@ -8,6 +7,7 @@ from jaxtyping import Array, ArrayLike, Bool
 from ...manifolds import ConvergenceError, PresymplecticManifold
 from ...manifolds.numerics.ambient import Ambient, is_traced
 from ...manifolds.symplectic import form_matrix
+from ..compilation import compiled
 from .integrator import Integrator
 
 Pair = tuple[Ambient, Ambient]
@@ -29,7 +29,7 @@ def form_defect(space: PresymplecticManifold, integrator: Integrator, system: ob
     return defect
 
 
-@eqx.filter_jit
+@compiled
 def _defect(
     space: PresymplecticManifold, integrator: Integrator, system: object, z: Pair, h: Array
 ) -> tuple[Array, Bool[Array, ""]]:

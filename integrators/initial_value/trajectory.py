@@ -5,11 +5,12 @@ from typing import Any, NamedTuple, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
-from ...manifolds.numerics.ambient import Ambient, is_finite_number, is_traced
+from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
+from ..compilation import compiled
+from ..functions import by_data, reads_traced
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
 
@@ -52,7 +53,8 @@ def integrate(
 
     ``system`` is a Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``, an ``OptimalControlProblem`` for a
     ``PresymplecticIntegrator``. ``p0`` is any ambient array: it stands for the covector that is its tangent projection.
-    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, where input is not checked.
+    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, where neither input nor output is checked:
+    a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
     ``ConvergenceError`` if a step cannot be solved.
@@ -64,7 +66,8 @@ def integrate(
     _check_counts(step_size, steps, save_every)
     warn_about_precision()
     q0, p0 = _checked_start(integrator.manifold, start)
-    if not is_traced(q0, p0):
+    system = by_data(system)
+    if not (is_traced(q0, p0) or is_jitting() or reads_traced(system)):
         integrator.check(system, q0, p0)
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
@@ -81,7 +84,7 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
     if wrong:
         raise NotOnManifoldError(f"start: {wrong}")
     q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in start)
-    if not is_traced(q0, p0):
+    if not (is_traced(q0, p0) or is_jitting()):
         verdict = manifold.contains(q0)
         if not verdict:
             raise NotOnManifoldError(f"start: {verdict.reason}")
@@ -90,7 +93,7 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
 
 def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
     for name, count in (("steps", steps), ("save_every", save_every)):
-        if not isinstance(count, int | np.integer) or count < 1:
+        if not is_count(count):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
     if steps % save_every:
         raise InvalidInputError(f"steps must be a multiple of save_every, got {steps} and {save_every}")
@@ -98,7 +101,7 @@ def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
         raise InvalidInputError(f"step_size must be a finite number other than 0, got {step_size!r}")
 
 
-@eqx.filter_jit
+@compiled
 def _integrate(
     system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
 ) -> Trajectory:

@@ -21,6 +21,16 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
+def is_jitting() -> bool:
+    """Whether this is the body of a function under ``jit``, where the value of no operation is known."""
+    return is_traced(jnp.zeros(()))
+
+
+def is_count(x: object) -> bool:
+    """Whether ``x`` is a whole number of at least 1."""
+    return isinstance(x, int | np.integer) and not isinstance(x, bool) and x >= 1
+
+
 def is_finite_number(x: object) -> bool:
     """Whether ``x`` is one finite real number."""
     known = isinstance(x, int | float | np.number | np.ndarray | jax.Array)

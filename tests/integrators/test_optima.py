@@ -24,12 +24,12 @@ def kinematic_slew(steps: int) -> Solution:
     return solve(KINEMATIC, Midpoint(Exponential(SO3)), IDENTITY, rotation(ANGLE * AXIS), 1.0, steps)
 
 
-@pytest.mark.parametrize("steps", [1, 3, 10])
+@pytest.mark.parametrize("steps", [1, pytest.param(3, marks=pytest.mark.slow), 10])
 def test_the_kinematic_slew_costs_half_the_square_of_its_angle(steps):
     assert kinematic_slew(steps).cost == pytest.approx(3.125, abs=1e-12)
 
 
-@pytest.mark.parametrize("steps", [1, 3, 10])
+@pytest.mark.parametrize("steps", [1, pytest.param(3, marks=pytest.mark.slow), 10])
 def test_the_kinematic_slew_has_the_constant_body_covector_angle_times_axis(steps):
     solution = kinematic_slew(steps)
     (body,) = solution.body_costates.values()

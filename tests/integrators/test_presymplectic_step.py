@@ -63,7 +63,9 @@ MAPS: dict[str, DiscretizationMap] = {
     "heading on a sphere": Midpoint(Exponential(Euclidean(3))),
     "shortest time": Theta(Exponential(Euclidean(3)), 1.0),
 }
-on_every_problem = pytest.mark.parametrize("name", PROBLEMS)
+on_every_problem = pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "underactuated body")) for name in PROBLEMS]
+)
 
 
 def random_steps(test: Callable) -> Callable:

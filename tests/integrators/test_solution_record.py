@@ -54,6 +54,9 @@ def test_a_solution_cannot_be_changed(solution):
         for field in fields(record):
             with pytest.raises(FrozenInstanceError):
                 setattr(record, field.name, None)
+    for leaf in jax.tree.leaves((solution.times, solution.states, solution.controls, solution.momenta)):
+        with pytest.raises(ValueError, match="read-only"):
+            leaf[...] = 0
 
 
 def test_the_report_has_the_numbers(solution, capsys):

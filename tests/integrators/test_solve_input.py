@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Result, solve
-from retrax.manifolds import ConvergenceError, DomainError, Euclidean, InvalidInputError, NotOnManifoldError, hat
+from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Midpoint, Projection
 
 from tests.support.numerics import norm
@@ -63,6 +63,7 @@ def test_a_problem_is_made_of_manifolds_and_functions(options, words):
         ({"horizon": None}, "horizon must be a positive finite time, got None"),
         ({"horizon": "60"}, "horizon must be a positive finite time, got '60'"),
         ({"steps": 0}, "steps must be a whole number of at least 1, got 0"),
+        ({"steps": True}, "steps must be a whole number of at least 1, got True"),
         ({"steps": -2}, "steps must be a whole number of at least 1, got -2"),
         ({"steps": 2.5}, "steps must be a whole number of at least 1, got 2.5"),
         ({"steps": "3"}, "steps must be a whole number of at least 1, got '3'"),
@@ -178,15 +179,23 @@ def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
 def test_under_a_transformation_it_says_that_it_runs_outside():
     with pytest.raises(InvalidInputError, match=r"outside jit"):
         jax.grad(lambda horizon: slew(horizon=horizon).cost)(1.0)
+    with pytest.raises(InvalidInputError, match=r"outside jit"):
+        jax.grad(lambda k: solve(problem(lambda q, u: q @ hat(k * u)), MAP, IDENTITY, END, 1.0, STEPS).cost)(1.0)
 
 
-def test_half_a_turn_has_no_default_guess():
-    with pytest.raises(DomainError, match=r"half a turn away.*pass a guess"):
-        slew(discretization=Midpoint(Cayley(SO3)), end=HALF_TURN)
+@pytest.mark.parametrize("end", [np.diag([1.0, -1.0, -1.0]), HALF_TURN], ids=["exact", "rounded"])
+def test_half_a_turn_is_made_one_way_or_the_other(end):
+    assert slew(end=end).cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
 
 
-def test_the_exponential_leads_half_a_turn_one_way_or_the_other():
-    assert slew(end=HALF_TURN).cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
+@pytest.mark.parametrize("degrees", [170, 175, 179.9, 179.99999, 180])
+def test_a_turn_near_the_edge_of_the_cayley_map_is_found_from_the_default_guess(degrees):
+    steps = 10
+    end = rotation(np.deg2rad(degrees) * np.array([1.0, 2.0, -2.0]) / 3)
+    solution = slew(discretization=Midpoint(Cayley(SO3)), end=end, steps=steps)
+    chord = 4 * steps * np.tan(np.deg2rad(degrees) / (4 * steps))  # the length of equal steps, each of two half ones
+    assert solution.cost == pytest.approx(chord**2 / 2, rel=1e-10)
+    assert solution.checks.strict_minimum
 
 
 def test_a_solution_of_the_equations_at_a_wrong_attitude_is_no_success():

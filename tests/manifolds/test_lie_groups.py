@@ -238,3 +238,14 @@ def test_a_wrong_inertia_is_refused(kind):
 def test_a_left_invariant_metric_of_no_group_is_refused():
     with pytest.raises(InvalidInputError, match=r"takes a MatrixLieGroup, got .*try SO\(3\)"):
         LeftInvariantMetric(Euclidean(3), jnp.ones(3))
+
+
+def test_hat_and_vee_take_whole_numbers_lists_and_leading_axes_and_refuse_other_shapes():
+    np.testing.assert_array_equal(vee(hat([1, 2, 3])), [1, 2, 3])
+    batch = jnp.arange(6.0).reshape(2, 3)
+    np.testing.assert_array_equal(vee(hat(batch)), batch)
+    np.testing.assert_array_equal(hat(batch)[1], hat(batch[1]))
+    with pytest.raises(InvalidInputError, match=r"hat takes an array whose last axes are \(3,\), got one of shape \(4,\)"):
+        hat(jnp.zeros(4))
+    with pytest.raises(InvalidInputError, match=r"vee takes an array whose last axes are \(3, 3\)"):
+        vee(jnp.zeros((2, 2)))

@@ -19,7 +19,16 @@ from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, n
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
 
 
-LARGE = ("nearest-ellipsoid", "exponential-(SO3*R3)*S2", "polar-St42", "projection-S4", "cayley-Gr42")
+LARGE = (
+    "nearest-ellipsoid",
+    "exponential-(SO3*R3)*S2",
+    "polar-St42",
+    "projection-S4",
+    "cayley-Gr42",
+    "qr-SO4",
+    "exponential-SO3",
+    "cayley-SO2",
+)
 
 
 def marked(name: str):

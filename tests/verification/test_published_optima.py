@@ -34,6 +34,10 @@ def spatial_covector(steps: int) -> np.ndarray:
     return covector
 
 
+STEPS = [pytest.param(50, marks=pytest.mark.slow), 100, pytest.param(200, marks=pytest.mark.slow)]
+
+
+@pytest.mark.slow
 def test_the_cost_of_the_slew_is_of_order_two_and_has_the_known_limit():
     coarse, middle, fine = (slew(steps).cost for steps in (50, 100, 200))
     assert observed_order(coarse, middle, fine) == pytest.approx(2.0, abs=0.05)
@@ -41,18 +45,19 @@ def test_the_cost_of_the_slew_is_of_order_two_and_has_the_known_limit():
     assert slew(200).checks.strict_minimum
 
 
-@pytest.mark.parametrize("steps", [50, 100, 200])
+@pytest.mark.parametrize("steps", STEPS)
 def test_the_spatial_covector_of_the_slew_is_constant(steps):
     covector = spatial_covector(steps)
     assert np.max(np.ptp(covector, axis=0)) < 1e-12 * np.max(np.abs(covector))
 
 
+@pytest.mark.slow
 def test_the_spatial_covector_of_the_slew_has_the_known_limit():
     limit = extrapolated(spatial_covector(100)[0], spatial_covector(200)[0])
     assert np.abs(limit) == pytest.approx([2005.83548, 441.24040, 946.65736], rel=1e-6)
 
 
-@pytest.mark.parametrize("steps", [50, 100, 200])
+@pytest.mark.parametrize("steps", STEPS)
 def test_every_attitude_of_the_slew_is_orthogonal(steps):
     attitude, _ = slew(steps).states
     assert np.max(np.abs(np.swapaxes(attitude, 1, 2) @ attitude - IDENTITY)) < 1e-13

@@ -13,6 +13,7 @@ from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....retractions import Retraction
+from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import Classification, FinalEquations
 from ..boundary import NodeCondition, Part
@@ -118,7 +119,7 @@ def points_at_ends(c: Classification, conditions: EndConditions, move: Retractio
     return found[0], found[1]
 
 
-@eqx.filter_jit
+@compiled
 def _nearest(
     problem: OptimalControlProblem,
     equations: FinalEquations,

@@ -6,7 +6,6 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,7 +15,7 @@ from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import DiscretizationMap
-from ...compilation import compiler_options
+from ...compilation import compiled, compiler_options
 from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
@@ -116,7 +115,7 @@ def _blend(fractions: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (1 - s) * a + s * b
 
 
-@eqx.filter_jit
+@compiled
 def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, costates: Ambient) -> Pair:
     """States with costates moved to where they violate the equations of ``P_f`` least."""
 
@@ -165,7 +164,7 @@ def _outcome() -> Callable[..., _Outcome]:
         return _Outcome(z, states, controls, cost, residual, diagnose(stage, (states, controls), *z))
 
     options: dict[str, Any] = {"compiler_options": compiler_options()}
-    return eqx.filter_jit(outcome, **options)
+    return compiled(outcome, **options)
 
 
 def _record(

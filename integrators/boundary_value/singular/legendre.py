@@ -1,6 +1,5 @@
 """The generalised Legendre-Clebsch condition along a singular arc."""
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,6 +7,7 @@ from jaxtyping import Array
 
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
+from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
 from ...singular.strategies.affine import brackets
@@ -51,12 +51,12 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
     return f"strict generalised Legendre-Clebsch condition met (largest eigenvalue {worst:.3g}); conjugate points not looked for"
 
 
-@eqx.filter_jit
+@compiled
 def _curvatures(problem: OptimalControlProblem, z: Pair, u: Array) -> Array:
     return jax.vmap(lambda q, p, u: jax.hessian(lambda u: problem.hamiltonian(q, p, u))(u))(*z, u)
 
 
-@eqx.filter_jit
+@compiled
 def _brackets(split: ControlAffineSplitting, z: Pair) -> tuple[Array, Array, Array, Array]:
     """``{phi_a, phi_b}`` and ``{phi_a, psi_b}`` at every node, with the products of the sizes of the differentials in them."""
 

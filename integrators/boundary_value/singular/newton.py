@@ -4,13 +4,12 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds.numerics.ambient import Frame
-from ...compilation import compiler_options
+from ...compilation import compiled, compiler_options
 from ...results import Result
 from .conditions import AtEnds, EndConditions
 from .least_squares import shortest_step
@@ -103,7 +102,7 @@ def _kernels() -> tuple[Callable[..., Any], ...]:
     """What places points on ``P_f``, what runs the segments from them, and what knows the boundary conditions."""
     options: dict[str, Any] = {"compiler_options": compiler_options()}
     methods = Shooting.place, Shooting.linearise, EndConditions.at
-    return tuple(eqx.filter_jit(lambda *arguments, f=f: f(*arguments), **options) for f in methods)
+    return tuple(compiled(lambda *arguments, f=f: f(*arguments), **options) for f in methods)
 
 
 def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, frames: Frame, d: np.ndarray) -> _State:

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,7 +16,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
-from ...compilation import compiler_options
+from ...compilation import compiled, compiler_options
 from ...problem import OptimalControlProblem
 from .jets import DerivativeArray, Pair, hamiltonian_field
 
@@ -74,7 +73,7 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
 
 def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     options: dict[str, Any] = {"compiler_options": compiler_options()}
-    return eqx.filter_jit(function, **options)
+    return compiled(function, **options)
 
 
 @lru_cache

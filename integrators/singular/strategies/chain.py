@@ -12,6 +12,7 @@ from ....manifolds import InvalidInputError
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import known_root
+from ...compilation import compiled
 from ...initial_value.integrator import extremal_control, find_control, resting_control
 from ...problem import OptimalControlProblem
 from .leaves import Point, ambient_field
@@ -121,7 +122,7 @@ def affine_controls(problem: OptimalControlProblem) -> tuple[int, ...]:
     return tuple(int(i) for i in np.flatnonzero(~curved))
 
 
-@eqx.filter_jit
+@compiled
 def _control_hessian(problem: OptimalControlProblem, key: Array) -> Array:
     """``d2H/du2`` at a random point of T*Q and the extremal control there, or the resting one if there is none."""
     first, second = jax.random.split(key)

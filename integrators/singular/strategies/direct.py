@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any, ClassVar, Self, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift
+from ...compilation import compiled
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
 from ..integrability import Classification
@@ -55,7 +55,7 @@ class DirectIntegrator(DynamicsIntegrator):
         return unknowns.control
 
 
-@eqx.filter_jit
+@compiled
 def _departure(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
     """Largest violation of the equations of ``P_f`` after one step from each of some points of it (leading axis)."""
     states = jax.tree.map(jnp.asarray, states)

@@ -11,6 +11,7 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldE
 from ....manifolds.numerics.ambient import Ambient, is_traced
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
+from ...functions import same_by_data
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import HamiltonianStage
@@ -63,7 +64,7 @@ class FinalDynamics(eqx.Module):
 
     def check(self, system: object, lift: CotangentLift, z: Pair) -> None:
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
-        if not is_traced(system) and not eqx.tree_equal(system, self.problem):
+        if not is_traced(system) and not same_by_data(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
         self.problem.check_discretization(lift.discretization)
         verdict = self.manifold.contains(z)

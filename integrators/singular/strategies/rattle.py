@@ -15,6 +15,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
+from ...compilation import compiled
 from ...initial_value.integrator import extremal_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
@@ -152,7 +153,7 @@ class _Facts(NamedTuple):
         return ""
 
 
-@eqx.filter_jit
+@compiled
 def _facts(split: ControlAffineSplitting, q: Ambient, p: Ambient) -> _Facts:
     u = _some_control(split.problem)
     velocity, cost = split.problem.velocity(q, u), split.problem.cost_rate(q, u)
@@ -172,7 +173,7 @@ def _some_control(problem: OptimalControlProblem) -> Array:
     return problem.controls.random_point(jax.random.key(0))
 
 
-@eqx.filter_jit
+@compiled
 def _curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Array:
     """``d2H/du2`` at a random control."""
     return jax.hessian(lambda u: problem.hamiltonian(q, p, u))(_some_control(problem))

@@ -12,6 +12,8 @@ from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift, DiscretizationMap, ProductRetraction, Retraction, Theta, default_retraction
+from ...compilation import compiled
+from ...functions import same_by_data
 from ...initial_value.integrator import PresymplecticIntegrator, find_control
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
@@ -86,7 +88,7 @@ class ReducedIntegrator(SingularIntegrator):
         return np.asarray(1.0)
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
-        if not eqx.tree_equal(system, self.chain.problem):
+        if not same_by_data(system, self.chain.problem):
             raise InvalidInputError("the reductions of this integrator are those of another problem; make them from this one")
         z, at = _there_and_back(self.chain, q, p)
         gap = float(vec.size(vec.subtract((at.q, at.p), (q, system.manifold.projection(q, p)))))
@@ -114,7 +116,7 @@ class ReducedIntegrator(SingularIntegrator):
         return unknowns.control
 
 
-@eqx.filter_jit
+@compiled
 def _there_and_back(chain: ReductionChain, q: Ambient, p: Ambient) -> tuple[Point, ExtremalPoint]:
     z, near = chain.down(q, p)
     return z, chain.up(z, near)

@@ -16,6 +16,7 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, Product
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from .affine import check_splitting, merge_controls
 from .factors import EuclideanPart
@@ -161,7 +162,7 @@ class _Sample(NamedTuple):
     curvature: Array
 
 
-@eqx.filter_jit
+@compiled
 def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], q: Ambient) -> _Sample:
     controls, places = problem.controls, np.asarray(singular)
     u = controls.random_point(jax.random.key(1))
@@ -217,7 +218,7 @@ def _check_potential(reduction: GohReduction, points: list[Ambient]) -> None:
             )
 
 
-@eqx.filter_jit
+@compiled
 def _potential_gap(reduction: GohReduction, q: Ambient) -> tuple[Array, Array]:
     """Relative size of ``d lambda / ds - l`` and of the brackets of the primary constraints."""
     q_r, s = reduction.coordinates(q)
