@@ -55,6 +55,7 @@ def test_contradictory_conditions_are_said_to_be_empty(name, seeds):
             _ = c.dimension
 
 
+@pytest.mark.slow
 def test_every_stratum_is_seen_where_a_vanishing_costate_is_admitted():
     # Without its terminal cost nothing excludes p = 0 from the Mayer form of Aly and Chan's problem.
     problem = known("aly-chan, Mayer").problem
@@ -109,6 +110,7 @@ def test_a_piece_is_looked_for_near_a_state(bend):
     assert 2.5 < np.std(p - away[1]) < 9
 
 
+@pytest.mark.slow
 def test_one_of_several_pieces_is_chosen():
     c = classify(martinet(0.5), near=ON_A_LINE)
     lines = c.choose([s.signature for s in c.strata].index(LINES))
