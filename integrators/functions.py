@@ -11,9 +11,11 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import numpy as np
+from jax.core import Tracer
 
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 PLAIN = bool | int | float | complex | str | bytes | None
+DEEPEST, LONGEST = 30, 10_000  # how deep, and how many objects, are read: what is beyond compares by identity
 
 
 @final
@@ -76,23 +78,29 @@ class _Reader:
 
     def __init__(self) -> None:
         self.traced = False
+        self.depth = 0
         self.seen: dict[int, tuple[int, object]] = {}  # what was met, by address: functions may refer to themselves
 
     def key(self, value: Any) -> Any:
         if isinstance(value, PLAIN):
             return type(value), repr(value)
-        if isinstance(value, jax.core.Tracer):
+        if isinstance(value, Tracer):
             self.traced = True
             return _Identical(object())  # it belongs to one trace: nothing compiled with it can serve again
         if isinstance(value, np.ndarray | np.generic | jax.Array):
-            array = np.asarray(value)
+            array = np.asarray(jax.random.key_data(value) if _is_random_key(value) else value)
             return array.shape, array.dtype.str, array.tobytes()
         if isinstance(value, type | ModuleType):
             return _Identical(value)
         if id(value) in self.seen:
             return "again", self.seen[id(value)][0]
+        if self.depth > DEEPEST or len(self.seen) > LONGEST:
+            return _Identical(value)
         self.seen[id(value)] = len(self.seen), value
-        return self._contents(value)
+        self.depth += 1
+        key = self._contents(value)
+        self.depth -= 1
+        return key
 
     def _contents(self, value: Any) -> Any:
         if isinstance(value, tuple | list):
@@ -113,6 +121,10 @@ class _Reader:
         names = [name for name in dict.fromkeys(_names(code)) if name in function.__globals__]
         read = [function.__defaults__, function.__kwdefaults__, cells, [function.__globals__[name] for name in names]]
         return code, self.key(read)
+
+
+def _is_random_key(value: Any) -> bool:
+    return isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key)
 
 
 def _is_filled(cell: Any) -> bool:

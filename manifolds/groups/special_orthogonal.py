@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from ..numerics.errors import InvalidInputError
 from ..numerics.frames import qr_factor
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
@@ -28,13 +27,13 @@ def skew_basis(n: int) -> np.ndarray:
 
 
 def hat(w: Float[ArrayLike, "... 3"]) -> Float[Array, "... 3 3"]:
-    """Skew matrix of a vector: ``hat(w) y = w x y``. Raises ``InvalidInputError`` if the last axis is not of length 3."""
+    """Skew matrix of a vector: ``hat(w) y = w x y``. Raises ``TypeError`` if the last axis is not of length 3."""
     w = _real_array("hat", w, (3,))
     return jnp.tensordot(w, jnp.asarray(skew_basis(3), w.dtype), 1)
 
 
 def vee(a: Float[ArrayLike, "... 3 3"]) -> Float[Array, "... 3"]:
-    """Vector of the skew part of a matrix: ``vee(hat(w)) = w``. Raises ``InvalidInputError`` if it is not 3 x 3."""
+    """Vector of the skew part of a matrix: ``vee(hat(w)) = w``. Raises ``TypeError`` if it is not 3 x 3."""
     a = _real_array("vee", a, (3, 3))
     return jnp.einsum("kij,...ij->...k", jnp.asarray(skew_basis(3) / 2, a.dtype), a)
 
@@ -43,7 +42,7 @@ def _real_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
     """``value`` as an array with the last axes ``shape``; whole numbers become floats."""
     array = jnp.asarray(value)
     if array.shape[-len(shape) :] != shape:
-        raise InvalidInputError(f"{name} takes an array whose last axes are {shape}, got one of shape {array.shape}")
+        raise TypeError(f"{name} takes an array whose last axes are {shape}, got one of shape {array.shape}")
     return array if jnp.issubdtype(array.dtype, jnp.inexact) else array.astype(float)
 
 

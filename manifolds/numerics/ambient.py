@@ -28,7 +28,7 @@ def is_jitting() -> bool:
 
 def is_count(x: object) -> bool:
     """Whether ``x`` is a whole number of at least 1."""
-    return isinstance(x, int | np.integer) and not isinstance(x, bool) and x >= 1
+    return isinstance(x, int | np.integer) and not isinstance(x, bool) and bool(x >= 1)
 
 
 def is_finite_number(x: object) -> bool:

@@ -299,4 +299,4 @@ def test_the_report_says_which_momenta_the_problem_conserves():
     for given, count in ((KINEMATIC, 3), (heavy, 1)):
         solution = slew(given)
         assert list(solution.checks.conserved.values()) == [count]
-        assert f"the problem conserves {count} of 3 components" in str(solution)
+        assert f"the problem conserves {count} of 3 components" in " ".join(str(solution).split())
