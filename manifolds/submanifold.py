@@ -12,7 +12,8 @@ from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
-from .numerics.root import solve_small, tolerance
+from .numerics.newton import tolerance
+from .numerics.root import solve_small
 
 
 @final

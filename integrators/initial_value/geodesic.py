@@ -27,9 +27,6 @@ class GeodesicRetraction(Retraction):
 
     By default 8 steps of order 4: on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1`` the error is 7e-5 for ``|v| = 1``, 1e-9 for
     ``|v| = 0.1``.
-
-    Second derivatives are those of forward over forward mode. Of a loop JAX keeps the rule of implicit differentiation for one
-    derivative in reverse mode: forward over reverse is wrong for short ``v``, and reverse over reverse raises.
     """
 
     metric: Metric

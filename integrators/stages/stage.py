@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.root import tolerance
+from ...manifolds.numerics.newton import tolerance
 from ...retractions import DiscretizationMap
 
 Unknowns = Any

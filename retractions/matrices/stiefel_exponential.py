@@ -9,7 +9,8 @@ from jaxtyping import Array, Bool
 from ...manifolds import Stiefel
 from ...manifolds.numerics.frames import complement, polar_factor, qr_factor
 from ...manifolds.numerics.matrices import exponential
-from ...manifolds.numerics.root import approach_root, tolerance
+from ...manifolds.numerics.newton import tolerance
+from ...manifolds.numerics.root import approach_root
 from ..groups.functions import rotations
 from ..retraction import Retraction, nan_unless, newton_preimage
 

@@ -138,18 +138,14 @@ def test_newtons_method_finds_the_initial_velocity(seed):
     np.testing.assert_allclose(rest, x, atol=1e-15)
 
 
-LOOP = "of a loop over steps JAX keeps the rule of implicit differentiation for one derivative in reverse mode"
-SKIPPED = ("second_derivatives_agree_in_every_mode", "second_derivatives_are_those_of_differences_of_gradients")
-
-
 @pytest.mark.slow
 def test_the_exponential_of_an_embedded_metric_conforms(seeds):
-    check_retraction(GEODESICS["ellipsoid"], order=2, reach=0.3, seeds=seeds[:3], skip=dict.fromkeys(SKIPPED, LOOP))
+    check_retraction(GEODESICS["ellipsoid"], order=2, reach=0.3, seeds=seeds[:3])
 
 
 @pytest.mark.slow
 def test_second_derivatives_forward_over_forward_are_those_of_differences():
-    # Also off the tangent bundle, and at v = 0, where forward over reverse is off by 1e-2 here.
+    # Also off the tangent bundle, and at v = 0.
     exponential, rng = GEODESICS["sphere"], np.random.default_rng(0)
     x, d, e = np.eye(3)[0], *rng.standard_normal((2, 2, 3))
 

@@ -111,6 +111,25 @@ def test_find_root_is_differentiated_by_the_implicit_function_theorem(seed):
     np.testing.assert_allclose(curved, jacobian.T @ (-np.sin(c) * dc - 6 * c * dc * weights), atol=1e-12)
 
 
+@pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
+@pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
+def test_second_derivatives_of_roots_in_a_loop_are_right_in_every_mode(outer, inner):
+    """The first guess is the root, and its inverse Jacobian is off by a factor: the iterations know no derivative."""
+
+    def twice(y):
+        def step(y, _):
+            root, _ = find_root(lambda c: jnp.stack([c[0] + c[0] ** 2, c[1] + c[0] * c[1]]) - y, 0 * y, inverse=0.7 * np.eye(2))
+            return root, None
+
+        return jax.lax.scan(step, y, length=2)[0]
+
+    # c0 = y0 - y0^2, c1 = y1 - y0 y1 to second order, and twice that.
+    expected = np.zeros((2, 2, 2))
+    expected[0, 0, 0], expected[1, 0, 1], expected[1, 1, 0] = -4, -2, -2
+    np.testing.assert_allclose(outer(inner(twice))(jnp.zeros(2)), expected, atol=1e-14)
+    np.testing.assert_allclose(jax.jit(jax.vmap(outer(inner(twice))))(jnp.zeros((3, 2)))[1], expected, atol=1e-14)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_find_root_knows_the_size_of_its_unknowns(scale):
     c, converged = find_root(lambda c: (c / scale) ** 2 - 2.0, jnp.array([scale]), scale)

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool, Shaped
 
 from ....manifolds.manifold import same_point
 from ....manifolds.numerics.matrices import exponential
-from ....manifolds.numerics.root import tolerance
+from ....manifolds.numerics.newton import tolerance
 
 Matrix = Shaped[Array, "n n"]
 

@@ -1,0 +1,72 @@
+"""Newton's method for small square systems, by chord iterations."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+MAX_JACOBIANS = 15
+MAX_CHORDS = 16
+SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
+
+Vector = Float[Array, " k"]
+
+
+def tolerance(x: Array, power: float) -> float:
+    """``eps^power`` for the precision of ``x``."""
+    return float(jnp.finfo(x.dtype).eps ** power)
+
+
+class _Iteration(NamedTuple):
+    c: Vector
+    step: Array  # largest entry of the last step, in units of the unknowns' sizes
+    ratio: Array  # the last step over the one before
+    converged: Array
+    chords: Array  # steps taken with the present Jacobian
+
+
+def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
+    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given."""
+    infinity, zero = jnp.asarray(jnp.inf, start.dtype), jnp.zeros((), int)
+    state = _Iteration(start, infinity, infinity, jnp.array(False), zero)
+    if inverse is not None:
+        tried = _chords(residual, lambda r: inverse @ r, state, exact=False)
+        better = tried.converged | (tried.step < 1)
+        state = tried._replace(c=jnp.where(better, tried.c, start))
+
+    def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
+        factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
+
+    def unfinished(pair: tuple[_Iteration, Array]) -> Array:
+        state, jacobians = pair
+        return ~state.converged & (jacobians < MAX_JACOBIANS) & jnp.all(jnp.isfinite(state.c))
+
+    state, _ = jax.lax.while_loop(unfinished, outer, (state, zero))
+    return state.c, state.converged
+
+
+def _chords(
+    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, exact: bool
+) -> _Iteration:
+    """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
+    quadratic, rounding = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+
+    def chord(s: _Iteration) -> _Iteration:
+        d = solve(residual(s.c))
+        step = jnp.max(jnp.abs(d))
+        ratio = step / s.step
+        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
+        remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
+        done = (remaining <= rounding) | ((step <= quadratic) & (ratio > STALLED) & (s.chords > 0))
+        taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
+        return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
+
+    def going(s: _Iteration) -> Array:
+        return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+
+    infinity = jnp.asarray(jnp.inf, state.c.dtype)
+    fresh = state._replace(step=infinity, ratio=infinity, converged=jnp.array(False), chords=jnp.zeros((), int))
+    return jax.lax.while_loop(going, chord, fresh)
