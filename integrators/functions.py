@@ -10,6 +10,7 @@ from typing import Any, final
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
@@ -88,7 +89,9 @@ class _Reader:
             self.traced = True
             return _Identical(object())  # it belongs to one trace: nothing compiled with it can serve again
         if isinstance(value, np.ndarray | np.generic | jax.Array):
-            array = np.asarray(jax.random.key_data(value) if _is_random_key(value) else value)
+            if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
+                value = jax.random.key_data(value)
+            array = np.asarray(value)
             return array.shape, array.dtype.str, array.tobytes()
         if isinstance(value, type | ModuleType):
             return _Identical(value)
@@ -109,7 +112,7 @@ class _Reader:
             return dict, tuple((self.key(name), self.key(item)) for name, item in value.items())
         if isinstance(value, MethodType):
             return self.key(value.__func__), self.key(value.__self__)
-        if isinstance(value, FunctionType) and value.__module__.partition(".")[0] not in LIBRARIES:
+        if isinstance(value, FunctionType) and (value.__module__ or "").partition(".")[0] not in LIBRARIES:
             return self._function(value)
         if isinstance(value, eqx.Module):
             return type(value), self.key(vars(value))
@@ -121,10 +124,6 @@ class _Reader:
         names = [name for name in dict.fromkeys(_names(code)) if name in function.__globals__]
         read = [function.__defaults__, function.__kwdefaults__, cells, [function.__globals__[name] for name in names]]
         return code, self.key(read)
-
-
-def _is_random_key(value: Any) -> bool:
-    return isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key)
 
 
 def _is_filled(cell: Any) -> bool:

@@ -11,6 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
@@ -63,7 +64,7 @@ def _value(*operands: Any, jaxpr: Jaxpr, begin: int, known: bool, axes: Axes) ->
 @_root.def_abstract_eval
 def _shapes(*operands: Any, axes: Axes, **_: Any) -> Sequence[Any]:
     shapes = jax.eval_shape(_mapped(lambda first, *rest: (first, jnp.array(True)), axes), *operands)
-    return [jax.core.ShapedArray(s.shape, s.dtype) for s in shapes]
+    return [ShapedArray(s.shape, s.dtype) for s in shapes]
 
 
 def _derivative(primals: Sequence[Any], tangents: Sequence[Any], *, axes: Axes, **parameters: Any) -> tuple[Any, Any]:

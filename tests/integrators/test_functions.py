@@ -48,6 +48,16 @@ def test_a_function_written_anew_is_the_same(make):
     assert hash(one) == hash(other)
 
 
+def test_a_function_of_no_module_is_read():
+    space = {}
+    exec("def double(x):\n    return factor * x", space)
+    space["factor"] = 2.0
+    before = ByData(space["double"])
+    assert ByData(space["double"]) == before
+    space["factor"] = 3.0
+    assert ByData(space["double"]) != before
+
+
 def test_a_random_key_is_data_and_a_long_chain_is_read_to_an_end():
     assert ByData(scaled(jax.random.key(1))) == ByData(scaled(jax.random.key(1)))
     assert ByData(scaled(jax.random.key(1))) != ByData(scaled(jax.random.key(2)))
