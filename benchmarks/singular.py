@@ -60,12 +60,10 @@ def measure_classification(repeats):
 
     cold = run((1.0, 1.7, 2.3), 0)
     warm = [run((1.0, 1.7, 2.3 + i / 10), i) for i in range(1, repeats + 1)]
-    rebuilt = timed(lambda: classify(SINGULAR["free actuator"]().problem).stratum.q)
     return {
         "problem": "free actuator",
         "classify, cold seconds": round(cold, 2),
         "warm": round(statistics.median(warm), 2),
-        "rebuilt": round(rebuilt, 2),
     }
 
 
