@@ -2,9 +2,8 @@
 
     python benchmarks/singular.py [--steps 1000] [--repeats 7]
 
-A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first call with its compilation, the median of calls
-from other starts with other moments of inertia, which are arrays of an ``equinox.Module``, and one with its functions made
-anew, which compiles again.
+A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first call with its compilation, and the median of
+calls from other starts with other moments of inertia, which are arrays of an ``equinox.Module``.
 
 The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same
 lifted midpoint map. Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart.
