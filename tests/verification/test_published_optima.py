@@ -25,8 +25,8 @@ def observed_order(coarse: float, middle: float, fine: float) -> float:
 
 @cache
 def slew(steps: int) -> Solution:
-    """Rest to rest, 150 degrees about (1, 2, -2)/3 in 60 s."""
-    return solve(SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, steps)
+    """Rest to rest, 150 degrees about (1, 2, -2)/3 in 60 s, solved to rounding."""
+    return solve(SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, steps, tolerance=1e-13)
 
 
 def spatial_covector(steps: int) -> np.ndarray:
