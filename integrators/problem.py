@@ -1,7 +1,7 @@
 """Optimal control problems and Pontryagin's Hamiltonian."""
 
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -105,23 +105,35 @@ class OptimalControlProblem(eqx.Module):
         Regular: ``d2H/du2`` is invertible at one of a few random controls and covectors at ``q``.
         """
         try:
-            probed, *_ = call_compiled(_probe, self, q, u, *self._directions())
+            found, *_ = call_compiled(_probe, self, q, u, *self._directions())
         except InvalidInputError:
             raise
         except (TypeError, ValueError, IndexError) as error:
             raise InvalidInputError(self._failure(error, q, u)) from error
-        normal, size, costs, curvatures = jax.tree.map(np.asarray, probed)
-        if not np.all(np.isfinite((normal, size, *costs))):
-            raise InvalidInputError(
-                f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size}, running and terminal "
-                f"cost {costs}; check them there"
-            )
+        probed = jax.tree.map(np.asarray, found)
+        self._require_finite(probed, q)
+        normal, size = np.max(probed.normals), np.max(probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
-        return any(_invertible(curvature) for curvature in curvatures)
+        return any(_invertible(curvature) for curvature in probed.curvatures)
+
+    def _require_finite(self, probed: "_Probed", q: Ambient) -> None:
+        """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
+        for i, size in enumerate(probed.sizes):
+            u = jax.tree.map(lambda leaf, i=i: leaf[i], probed.controls)
+            if not np.all(np.isfinite((size, *probed.costs))):
+                raise InvalidInputError(
+                    f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
+                    f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
+                )
+            if not np.all(np.isfinite(probed.slopes)):
+                raise InvalidInputError(
+                    f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
+                    "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
+                )
 
     def _directions(self) -> tuple[np.ndarray, Ambient]:
         """Random coordinates of controls and random ambient covectors, the same at every call."""
@@ -132,12 +144,14 @@ class OptimalControlProblem(eqx.Module):
     def _failure(self, error: Exception, q: Ambient, u: Ambient) -> str:
         """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
         shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
-        hint = "try another number of controls, or index what is there"
-        if not self._has_velocity(q, u) and self._has_velocity(u, q):
+        reason, hint = str(error), "try another number of controls, or index what is there"
+        if isinstance(error, jax.errors.JAXTypeError):
+            reason, hint = "JAX cannot trace them", "write them with jax.numpy in place of numpy, jnp.where in place of if"
+        elif not self._has_velocity(q, u) and self._has_velocity(u, q):
             hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
         return (
             f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
-            f"{self.controls}, shape {shapes[1]}: {error}; {hint}"
+            f"{self.controls}, shape {shapes[1]}: {reason}; {hint}"
         )
 
     def _has_velocity(self, *arguments: Ambient) -> bool:
@@ -148,24 +162,32 @@ class OptimalControlProblem(eqx.Module):
         return True
 
 
-def _probe(
-    problem: OptimalControlProblem, q: Ambient, u: Ambient, directions: Ambient, covectors: Ambient
-) -> tuple[Array, Array, tuple[Array, Array], Array]:
-    """Largest normal part and size of the velocity, for ``u`` and for another control, both costs, and ``d2H/du2``.
+class _Probed(NamedTuple):
+    """What the functions of a problem give at a point: with the control asked for, and with another."""
 
-    The last at controls in ``directions`` from ``u``, with the covectors that are projections of ``covectors``.
+    controls: Ambient
+    normals: Array  # size of the normal part of the velocity, with each control
+    sizes: Array  # size of the velocity, with each control
+    costs: tuple[Array, Array]  # running and terminal, with the first control
+    slopes: Array  # dH/du at the first control, for several covectors
+    curvatures: Array  # d2H/du2, for several controls and covectors
+
+
+def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient, directions: Ambient, covectors: Ambient) -> _Probed:
+    """The functions at ``(q, u)``; curvatures at controls in ``directions`` from ``u``.
+
+    The covectors are projections of ``covectors``.
     """
-
-    def probe(control: Ambient) -> tuple[Array, Array]:
-        return problem.normal_size(q, control)
-
-    def curvature(c: Array, covector: Ambient) -> Array:
-        p = problem.manifold.projection(q, covector)
-        return jax.hessian(lambda c: problem.hamiltonian(q, p, problem.steer(u, c)))(c)
-
-    normal, size = (jnp.maximum(a, b) for a, b in zip(probe(u), probe(problem.steer(u, directions[0])), strict=True))
+    controls = jax.tree.map(lambda *leaves: jnp.stack(leaves), u, problem.steer(u, directions[0]))
+    normals, sizes = jax.vmap(lambda control: problem.normal_size(q, control))(controls)
     costs = problem.cost_rate(q, u), problem.final_cost(q)
-    return normal, size, costs, jax.vmap(curvature)(directions, covectors)
+
+    def hamiltonian(c: Array, covector: Ambient) -> Array:
+        return problem.hamiltonian(q, problem.manifold.projection(q, covector), problem.steer(u, c))
+
+    slopes = jax.vmap(lambda covector: jax.grad(hamiltonian)(jnp.zeros_like(directions[0]), covector))(covectors)
+    curvatures = jax.vmap(jax.hessian(hamiltonian))(directions, covectors)
+    return _Probed(controls, normals, sizes, costs, slopes, curvatures)
 
 
 def _invertible(curvature: np.ndarray) -> bool:

@@ -1,7 +1,9 @@
 """The abstract manifold: a set of ambient arrays with its tangent spaces."""
 
+import re
 from abc import abstractmethod
 from dataclasses import dataclass
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -11,6 +13,8 @@ from jaxtyping import Array, Bool, PyTree
 
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
+
+NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
 
 @dataclass(frozen=True)
@@ -81,7 +85,8 @@ class Manifold(eqx.Module):
         """The verdict on a point with these violations of the defining equations."""
         for words, value in violations.items():
             if not float(value) <= limit:
-                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}")
+                hint = "; restore(x) brings a point near the manifold onto it" if float(value) < NEAR else ""
+                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}{hint}")
         return Verdict(True, f"a point of the manifold to {limit:.1g}")
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
@@ -99,17 +104,22 @@ class Manifold(eqx.Module):
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
         """Words on how the structure of ``a`` differs from an ambient vector of this manifold; empty if it does not."""
-        expected, given = jax.tree.structure(self.ambient), jax.tree.structure(a)
-        if expected != given:
+        if jax.tree.structure(self.ambient) != jax.tree.structure(a):
             hint = "; a list is no array, try numpy.array" if isinstance(a, list) else ""
-            return f"{role} of {self} has the structure {expected}, got {given}{hint}"
+            return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
-                return f"{role} of {self} has shape {shape.shape} where {np.shape(leaf)} came"
+                hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
+                came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
+                return f"{role} of {self} has shape {shape.shape} where {came} came{hint}"
             known = not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))
             if known and not np.all(np.isfinite(np.asarray(leaf))):
                 return f"{role} of {self} has entries that are NaN or infinite"
         return ""
+
+    def __str__(self) -> str:
+        """As a paper would name it: ``SO(3)``, ``SO(3) x R^3``."""
+        return re.sub(r"\b\w+=", "", repr(self))
 
     def __mul__(self, other: "Manifold") -> "Manifold":
         """Cartesian product; chains of ``*`` give one flat tuple of factors."""
@@ -134,6 +144,22 @@ class HomogeneousSpace(Manifold):
     def momentum(self, x: Ambient, p: Ambient) -> Array:
         """Momentum map ``J_i = <p, xi_i(x)>`` of a covector ``p`` at ``x``."""
         return vec.components(self.generators(x), p)
+
+
+def _outline(a: Any) -> str:
+    """The structure of a point in words: its arrays by their shapes, as ``(array[3,3], array[3])``."""
+
+    def words(leaf: Any) -> _Word:
+        is_array = isinstance(leaf, np.ndarray | jax.Array | jax.ShapeDtypeStruct)
+        return _Word(f"array{list(leaf.shape)}".replace(" ", "") if is_array else type(leaf).__name__)
+
+    return repr(jax.tree.map(words, a))
+
+
+class _Word(str):
+    """A text that is written without quotes in a structure."""
+
+    __repr__ = str.__str__
 
 
 def working_precision() -> np.dtype:

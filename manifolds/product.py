@@ -23,6 +23,9 @@ class Product(Manifold):
             raise InvalidInputError(f"Product takes one or more manifolds, got {factors!r}")
         self.factors = factors
 
+    def __str__(self) -> str:
+        return " x ".join(f"({factor})" if isinstance(factor, Product) else str(factor) for factor in self.factors)
+
     @property
     def dimension(self) -> int:
         return sum(factor.dimension for factor in self.factors)
@@ -61,7 +64,7 @@ class Product(Manifold):
 
 
 def homogeneous_factors(manifold: Manifold, point: Any, path: str = "") -> Iterator[tuple[str, HomogeneousSpace, Any]]:
-    """Factors on which a group acts, each with a name such as ``factor 0, SO(n=3)`` and its part of ``point``."""
+    """Factors on which a group acts, each with a name such as ``factor 0, SO(3)`` and its part of ``point``."""
     if isinstance(manifold, Product):
         for i, (factor, part) in enumerate(zip(manifold.factors, point, strict=True)):
             yield from homogeneous_factors(factor, part, f"{path}factor {i}, ")

@@ -112,7 +112,8 @@ def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:
         return
     wrong = "" if given is None else manifold.describe_mismatch(given, "a point")
     if wrong:
-        raise NotOnManifoldError(f"{name}: {wrong}")
+        hint = "; give one entry for each factor, None where it is free" if isinstance(manifold, Product) else ""
+        raise NotOnManifoldError(f"{name}: {wrong}{hint}")
     yield _Given(name, manifold, given)
 
 

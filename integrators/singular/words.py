@@ -1,10 +1,8 @@
 """Words that reports share."""
 
-import re
 from collections.abc import Iterable
 from textwrap import wrap
 
-from ...manifolds import Euclidean, Manifold, Product
 from ..problem import OptimalControlProblem
 
 Line = tuple[str, str]
@@ -28,17 +26,6 @@ def _wrapped(text: str) -> list[str]:
     return [piece for pieces in lines for piece in pieces] or [""]
 
 
-def space_name(manifold: Manifold) -> str:
-    """``SO(3) x R^3``: a manifold as a paper would name it."""
-    if isinstance(manifold, Product):
-        names = [f"({space_name(m)})" if isinstance(m, Product) else space_name(m) for m in manifold.factors]
-        return " x ".join(names)
-    if isinstance(manifold, Euclidean):
-        shape = " x ".join(map(str, manifold.shape)) or "1"
-        return f"R^{shape}" if len(manifold.shape) < 2 else f"R^({shape})"
-    return re.sub(r"\b\w+=", "", str(manifold))
-
-
 def many(count: int, noun: str) -> str:
     """``1 point``, ``2 points``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
@@ -52,7 +39,7 @@ def ordinal(level: int) -> str:
 def problem_words(problem: OptimalControlProblem) -> str:
     """Which extremals of which problem."""
     kind = "abnormal (p_0 = 0)" if problem.abnormal else "normal (p_0 = 1)"
-    return f"{kind} extremals on T*Q, Q = {space_name(problem.manifold)}, controls in {space_name(problem.controls)}"
+    return f"{kind} extremals on T*Q, Q = {problem.manifold}, controls in {problem.controls}"
 
 
 def family_words(family: bool) -> str:

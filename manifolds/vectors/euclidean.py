@@ -18,6 +18,10 @@ class Euclidean(HomogeneousSpace):
 
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
+    def __str__(self) -> str:
+        shape = " x ".join(map(str, self.shape)) or "1"
+        return f"R^{shape}" if len(self.shape) < 2 else f"R^({shape})"
+
     @property
     def dimension(self) -> int:
         return prod(self.shape)

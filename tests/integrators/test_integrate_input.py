@@ -63,8 +63,8 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
         ((Q, P[:2]), r"start: a covector of Sphere.*shape \(3,\) where \(2,\) came"),
         ((Q, np.nan * P), r"start: a covector of Sphere.*NaN"),
         ((np.nan * Q, P), r"start: a point of Sphere.*NaN"),
-        ((Q, None), r"start: a covector of Sphere.*structure PyTreeDef\(\*\), got PyTreeDef\(None\)"),
-        (([1.0, 0.0, 0.0], P), r"start: a point of Sphere.*structure PyTreeDef\(\*\), got PyTreeDef\(\[\*, \*, \*\]\)"),
+        ((Q, None), r"start: a covector of Sphere.*structure array\[3\], got None"),
+        (([1.0, 0.0, 0.0], P), r"start: a point of Sphere.*structure array\[3\], got \[float, float, float\]"),
     ],
 )
 def test_a_start_that_is_no_point_of_the_cotangent_bundle_is_described(start, words):

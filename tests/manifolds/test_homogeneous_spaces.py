@@ -106,7 +106,7 @@ def test_the_star_flattens_and_product_nests():
 def test_homogeneous_factors_are_named_by_their_path():
     point = unflat(NESTED)(draw_point(NESTED, 0)[0])
     found = list(homogeneous_factors(NESTED, point))
-    words = ["factor 0, factor 0, SO(n=3)", "factor 0, factor 1, Euclidean(shape=(3,))", "factor 1, Sphere(n=2)"]
+    words = ["factor 0, factor 0, SO(3)", "factor 0, factor 1, R^3", "factor 1, Sphere(2)"]
     assert [name for name, _, _ in found] == words
     assert [space for _, space, _ in found] == [SO(3), Euclidean(3), Sphere(2)]
     assert found[0][2] is point[0][0]

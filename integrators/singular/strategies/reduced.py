@@ -18,7 +18,6 @@ from ...initial_value.integrator import PresymplecticIntegrator, find_control
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
 from ..integrability import Classification
-from ..words import space_name
 from .chain import ExtremalPoint, ReductionChain, reduce_until_regular
 from .leaves import Point
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
@@ -77,11 +76,10 @@ class ReducedIntegrator(SingularIntegrator):
         reduced, count = integrator.chain.reduced.manifold, len(integrator.chain.reductions)
         if 2 * reduced.dimension != classification.dimension:
             raise NotApplicableError(
-                f"the reduction is to the cotangent bundle of {space_name(reduced)}, but P_f has dimension "
-                f"{classification.dimension}"
+                f"the reduction is to the cotangent bundle of {reduced}, but P_f has dimension {classification.dimension}"
             )
         times = "once" if count == 1 else f"{count} times"
-        return replace(integrator, reason=f"P_f is the cotangent bundle of {space_name(reduced)}, by Goh's reduction {times}")
+        return replace(integrator, reason=f"P_f is the cotangent bundle of {reduced}, by Goh's reduction {times}")
 
     @property
     def control_times(self) -> np.ndarray:
