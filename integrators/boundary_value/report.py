@@ -53,11 +53,14 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
-        first = np.array2string(momentum[0], precision=8) if momentum.shape[1] <= LONGEST_MOMENTUM else "at the start"
-        size = np.max(np.abs(momentum))
-        kept = f"the problem conserves {checks.conserved[name]} of {momentum.shape[1]} components"
-        spread = f"spread over the nodes {checks.momentum_spreads[name]:.1e}"
-        yield title, f"{name}: {first}, size {size:.3g}, {spread}; {kept}"
+        conserved, count = checks.conserved[name], momentum.shape[1]
+        if not conserved:
+            yield title, f"{name}: the problem conserves none of {count} components"
+            continue
+        first = np.array2string(momentum[0], precision=8) if count <= LONGEST_MOMENTUM else "at the start"
+        size, spread = np.max(np.abs(momentum)), checks.momentum_spreads[name]
+        kept = f"spread over the nodes {spread:.1e}; the problem conserves {conserved} of {count} components"
+        yield title, f"{name}: {first}, size {size:.3g}, {kept}"
 
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 
 from ...manifolds import InvalidInputError, Manifold, Metric
 from ...manifolds.manifold import same_manifold
-from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.ambient import Ambient, is_count
 from ...retractions import CotangentLift, Midpoint, Retraction, default_retraction
 from ...retractions.retraction import nan_unless
 from .composition import Composition
@@ -41,7 +41,7 @@ class GeodesicRetraction(Retraction):
         self.integrator = _order_four(metric.manifold) if integrator is None else integrator
         if not same_manifold(self.integrator.manifold, metric.manifold):
             raise InvalidInputError(f"the geodesics of {metric.manifold} need an integrator of it, got {self.integrator}")
-        if not isinstance(steps, int) or steps < 1:
+        if not is_count(steps):
             raise InvalidInputError(f"steps must be a whole number of at least 1, got {steps!r}")
 
     @property
