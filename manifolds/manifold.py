@@ -103,7 +103,17 @@ class Manifold(eqx.Module):
         return Verdict(True, f"tangent to the manifold to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
-        """Words on how the structure of ``a`` differs from an ambient vector of this manifold; empty if it does not."""
+        """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does not."""
+        wrong = self.describe_shapes(a, role)
+        if wrong:
+            return wrong
+        known = [leaf for leaf in jax.tree.leaves(a) if not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))]
+        if not all(np.all(np.isfinite(np.asarray(leaf))) for leaf in known):
+            return f"{role} of {self} has entries that are NaN or infinite"
+        return ""
+
+    def describe_shapes(self, a: Ambient, role: str) -> str:
+        """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do not."""
         if jax.tree.structure(self.ambient) != jax.tree.structure(a):
             hint = "; a list is no array, try numpy.array" if isinstance(a, list) else ""
             return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
@@ -112,9 +122,6 @@ class Manifold(eqx.Module):
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
                 return f"{role} of {self} has shape {shape.shape} where {came} came{hint}"
-            known = not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))
-            if known and not np.all(np.isfinite(np.asarray(leaf))):
-                return f"{role} of {self} has entries that are NaN or infinite"
         return ""
 
     def __str__(self) -> str:

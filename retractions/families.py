@@ -108,8 +108,8 @@ class RetractionFamily:
         known = [family.name for family in FAMILIES if family.knows(manifold)]
         raise UnknownRetractionError(
             f"{self.name} is not known on {manifold}; known there: {', '.join(known) or 'none'}. "
-            "Write a Retraction for it, and register it with the family if it belongs there; the exponential of any metric is "
-            "retrax.integrators.GeodesicRetraction(EmbeddedMetric(manifold))"
+            "Write a Retraction for it, and register it with the family if it belongs there"
+            + ("; the exponential of any metric is retrax.integrators.GeodesicRetraction(metric)" if known else "")
         )
 
     def __repr__(self) -> str:

@@ -12,7 +12,7 @@ from ..manifolds import EmbeddedMetric, Manifold, Metric
 from ..manifolds.manifold import default_tolerance
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from .constructions.second_order import acceleration
+from .constructions.second_order import acceleration, metric_on
 from .differential import differentiated
 from .retraction import Retraction
 
@@ -47,7 +47,7 @@ def order(
     At the point and tangent vector ``at = (x, v)``, or at as many random ``points``, it is measured twice: by derivatives at
     ``v = 0`` and by the values ``R(x, tv)`` for ``t`` from ``2^-5`` to ``2^-11``. The order is the smaller of both.
     """
-    metric = EmbeddedMetric(retraction.manifold) if metric is None else metric
+    metric = metric_on(retraction.manifold, metric)
     if at is None:
         draws = _draws(retraction.manifold, jax.random.split(jax.random.key(seed), points))
     else:

@@ -1,5 +1,7 @@
 """The abstract retraction, with the inverse and the domain that follow from its values."""
 
+import functools
+import inspect
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -9,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ..manifolds import DomainError, Manifold
+from ..manifolds import DomainError, InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
@@ -26,6 +28,20 @@ class Retraction(eqx.Module):
     """
 
     manifold: eqx.AbstractVar[Manifold]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        super().__init_subclass__(**options)
+        if "__call__" in vars(cls):
+            cls.__call__ = _at_one_point(cls.__call__)
+
+    def __check_init__(self) -> None:
+        """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their annotations."""
+        annotated = [item for kind in type(self).__mro__ for item in inspect.get_annotations(kind).items()]
+        for name, wanted in dict(reversed(annotated)).items():
+            made_of = isinstance(wanted, type) and issubclass(wanted, Manifold | Retraction | Metric)
+            if made_of and not isinstance(getattr(self, name), wanted):
+                raise InvalidInputError(f"{type(self).__name__} takes a {wanted.__name__}, got {getattr(self, name)!r}")
 
     @abstractmethod
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
@@ -61,15 +77,36 @@ class Retraction(eqx.Module):
         Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised, the
         entries are NaN there.
         """
+        _require_shapes(self.manifold, {"a base point": x, "a point": y})
         v = self.preimage(x, y)
         if not vec.is_traced(x, y, v):
             gap = vec.size(vec.subtract(self(x, v), y))
-            if not gap <= default_tolerance() * (1 + vec.size(y)):
+            # Far out, as on a hyperboloid, the value from x has the rounding errors of both points' sizes.
+            if not gap <= default_tolerance() * (1 + vec.size(x)) * (1 + vec.size(y)):
+                miss = "no tangent vector leads to it" if jnp.isnan(gap) else f"the inverse misses it by {gap:.3g}, expected 0"
                 raise DomainError(
-                    f"the point is outside the image of {type(self).__name__} at the base point: the inverse misses it by "
-                    f"{float(gap):.3g}, expected 0; take a nearer point, or a retraction with a larger image"
+                    f"the point is outside the image of {type(self).__name__} at the base point, or too far for the precision in "
+                    f"use: {miss}; take a nearer point, or a retraction with a larger image"
                 )
         return v
+
+
+def _at_one_point(method: Callable) -> Callable:
+    """The method ``R(x, v)`` of a retraction with a check of the shapes of its arguments."""
+
+    @functools.wraps(method)
+    def checked(self: Retraction, x: Ambient, v: Ambient) -> Ambient:
+        _require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
+        return method(self, x, v)
+
+    return checked
+
+
+def _require_shapes(manifold: Manifold, given: dict[str, Ambient]) -> None:
+    for role, a in given.items():
+        wrong = manifold.describe_shapes(a, role)
+        if wrong:
+            raise InvalidInputError(f"{wrong}; a retraction takes one point and one vector, jax.vmap makes it take batches")
 
 
 def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambient | None = None) -> Ambient:

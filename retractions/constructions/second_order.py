@@ -6,12 +6,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...manifolds import EmbeddedMetric, Manifold, Metric
-from ...manifolds.manifold import default_tolerance, same_point
+from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
+from ...manifolds.manifold import default_tolerance, same_manifold, same_point
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root
 from ..retraction import Retraction, nan_unless
+
+
+def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
+    """``metric``, by default that of the ambient space. Raises ``InvalidInputError`` for a metric of another manifold."""
+    if metric is None:
+        return EmbeddedMetric(manifold)
+    if not isinstance(metric, Metric) or not same_manifold(metric.manifold, manifold):
+        raise InvalidInputError(f"expected a metric of {manifold}, got {metric!r}; try EmbeddedMetric(manifold)")
+    return metric
 
 
 def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> Ambient:
@@ -49,8 +58,7 @@ class SecondOrder(Retraction):
     metric: Metric
 
     def __init__(self, inner: Retraction, metric: Metric | None = None) -> None:
-        self.inner = inner
-        self.metric = EmbeddedMetric(inner.manifold) if metric is None else metric
+        self.inner, self.metric = inner, metric_on(inner.manifold, metric)
 
     @property
     def manifold(self) -> Manifold:

@@ -21,6 +21,8 @@ from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_prei
 Matrix = Shaped[Array, "n n"]
 GroupMap = Callable[[Matrix], Matrix]
 
+OFF_ZERO = 0.1  # coordinates of the element of the algebra at which a group map is tried
+
 
 class GroupRetraction(Retraction):
     """A retraction ``R(x, x A) = x g(A)`` by a map ``g`` from the algebra to the group with ``g(0) = I``, ``Dg(0) = Id``.
@@ -106,7 +108,7 @@ class Translated(Retraction):
 
 
 def _check_axioms(group: MatrixLieGroup, group_map: GroupMap) -> None:
-    """Raise unless ``g(0) = I`` and ``Dg(0) = Id`` on the algebra."""
+    """Raise unless ``g(0) = I`` and ``Dg(0) = Id`` on the algebra, and ``g`` of an element near 0 is in the group."""
     expected, zero = group.ambient, vec.zeros(group.ambient)
     value = jax.eval_shape(group_map, zero)
     if getattr(value, "shape", None) != expected.shape or value.dtype != expected.dtype:
@@ -115,6 +117,12 @@ def _check_axioms(group: MatrixLieGroup, group_map: GroupMap) -> None:
     start, slopes = jax.vmap(lambda a: jax.jvp(group_map, (zero,), (a,)))(basis)
     if vec.is_traced(start):
         return
-    for words, gap in (("g(0) = I", vec.size(start - group.identity)), ("Dg(0) = Id", vec.size(slopes - basis))):
+    outside = max(group.violations(group_map(jnp.tensordot(jnp.full(len(basis), OFF_ZERO), basis, 1))).values())
+    gaps = {
+        "g(0) = I": vec.size(start - group.identity),
+        "Dg(0) = Id": vec.size(slopes - basis),
+        "its values in the group": outside,
+    }
+    for words, gap in gaps.items():
         if not gap <= default_tolerance():
             raise InvalidInputError(f"the group map must have {words}, it misses it by {float(gap):.3g}")

@@ -27,7 +27,8 @@ def _to_identity(factor: Array, a: Array) -> Array:
 class SPDExponential(MidpointRetraction):
     """``R(x, v) = l exp(l^-1 v l^-T) l'``, the geodesics of ``AffineInvariantMetric``.
 
-    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold, its domain every tangent vector [Bhatia 2007, chapter 6].
+    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold, its domain every tangent vector [Bhatia 2007, chapter 6] whose
+    exponential does not overflow.
     """
 
     manifold: SPD
@@ -41,7 +42,7 @@ class SPDExponential(MidpointRetraction):
         return symmetric(factor @ spd_log(_to_identity(factor, y)) @ factor.T)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return jnp.all(jnp.isfinite(self(x, v)))
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         factor = jnp.linalg.cholesky(x0)

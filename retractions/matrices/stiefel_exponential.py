@@ -83,6 +83,8 @@ class StiefelCanonicalExponential(Retraction):
     def _near(self, x: Array, y: Array) -> Array:
         """The rotation of ``[x, q]`` that takes ``x`` to ``y`` and whose logarithm does not turn ``q`` in its own span."""
         n, p = x.shape
+        if n == p:
+            return x @ rotations.logarithm(x.T @ y)
         # The factorisation of both frames keeps q orthogonal to x where y - x (x'y) has no digits.
         q = complement(x) if n < 2 * p else qr_factor(jnp.concatenate([x, y - x @ (x.T @ y)], axis=1))[:, p:]
         first = jnp.concatenate([x.T @ y, q.T @ y])

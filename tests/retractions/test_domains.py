@@ -17,7 +17,7 @@ from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
 NORTH = jnp.array([0.0, 0.0, 1.0])
 HALF_TURN = jnp.diag(jnp.array([-1.0, -1.0, 1.0]))
-WORDS = r"outside the image of {} at the base point: .* take a nearer point, or a retraction with a larger image"
+WORDS = r"outside the image of {} at the base point.*: .* take a nearer point, or a retraction with a larger image"
 
 
 @final

@@ -12,6 +12,7 @@ from retrax.testing import (
     ConformanceError,
     check_cotangent_lift,
     check_discretization_map,
+    check_lie_group,
     check_manifold,
     check_retraction,
     list_checks,
@@ -68,7 +69,7 @@ def test_a_report_is_a_table_of_all_outcomes():
         SPHERE, only=["projection_is_symmetric", "random_points_differ"], skip={"random_points_differ": "one is enough"}
     )
     lines = str(report).splitlines()
-    assert lines[0] == "Sphere(n=2): 1 holds, 1 skipped"
+    assert lines[0] == "Sphere(2): 1 holds, 1 skipped"
     assert "skipped" in lines[1]
     assert "random_points_differ: one is enough" in lines[1]
     assert "holds" in lines[2]
@@ -105,6 +106,21 @@ def test_what_cannot_be_checked_is_refused():
     for reach in (0.0, float("inf"), float("nan")):
         with pytest.raises(InvalidInputError, match=f"reach is a length, positive and finite, got {reach}"):
             check_retraction(Projection(SPHERE), reach=reach)
+
+
+@pytest.mark.parametrize(
+    ("check", "subject", "kind"),
+    [
+        (check_retraction, Sphere(2), "Retraction"),
+        (check_manifold, Exponential(Sphere(2)), "Manifold"),
+        (check_lie_group, Sphere(2), "MatrixLieGroup"),
+        (check_discretization_map, Sphere(2), "DiscretizationMap"),
+        (check_cotangent_lift, Exponential(Sphere(2)), "DiscretizationMap"),
+    ],
+)
+def test_the_checks_of_one_kind_refuse_another(check, subject, kind):
+    with pytest.raises(InvalidInputError, match=rf"the checks of a {kind}, got .*Sphere.*; see list_checks"):
+        check(subject)
 
 
 def test_the_reach_asked_for_may_be_any_length():

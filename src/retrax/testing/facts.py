@@ -21,14 +21,21 @@ Sample = dict[str, Any]  # names of flat arrays and numbers
 
 
 class Facts(ABC):
-    """What is measured of one object. A kernel is compiled and run when the first check reads it.
+    """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads it.
 
     ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size.
     """
 
-    def __init__(self, subject: Any, manifold: Manifold, seeds: Iterable[int], tolerance: float) -> None:
+    kind: type
+    subject: Any
+    manifold: Manifold
+
+    def __init__(self, subject: Any, seeds: Iterable[int], tolerance: float) -> None:
         require_double_precision()
-        self.subject, self.manifold = subject, manifold
+        if not isinstance(subject, self.kind):
+            raise InvalidInputError(f"these are the checks of a {self.kind.__name__}, got {subject!r}; see list_checks(object)")
+        self.subject = subject
+        self.manifold = manifold = subject if isinstance(subject, Manifold) else subject.manifold
         self.seeds, self.tolerance = tuple(seeds), tolerance
         if not self.seeds:
             raise InvalidInputError("the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)")

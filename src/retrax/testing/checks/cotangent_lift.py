@@ -29,12 +29,12 @@ class CotangentLiftFacts(DiscretizationFacts):
         seeds: Iterable[int] = SEEDS,
         tolerance: float = TOLERANCE,
     ) -> None:
-        if not isinstance(lift.manifold, CotangentBundle):
-            raise InvalidInputError(
-                f"a cotangent lift acts on a cotangent bundle, got one on {lift.manifold}; try CotangentLift(map)"
-            )
         super().__init__(lift, symmetric=symmetric, reach=reach, seeds=seeds, tolerance=tolerance)
-        self.base, self.equivariant = lift.manifold.base, equivariant
+        if not isinstance(self.manifold, CotangentBundle):
+            raise InvalidInputError(
+                f"a cotangent lift acts on a cotangent bundle, got one on {self.manifold}; try CotangentLift(map)"
+            )
+        self.base, self.equivariant = self.manifold.base, equivariant
 
 
 def _base_ends(lift: CotangentLift, sample: Sample) -> dict:

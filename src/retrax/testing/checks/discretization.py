@@ -25,6 +25,7 @@ class DiscretizationFacts(Facts):
     The kinds of samples are ``zero`` and ``inside`` (lengths up to ``reach``).
     """
 
+    kind = DiscretizationMap
     subject: DiscretizationMap
 
     def __init__(
@@ -36,7 +37,7 @@ class DiscretizationFacts(Facts):
         seeds: Iterable[int] = SEEDS,
         tolerance: float = TOLERANCE,
     ) -> None:
-        super().__init__(discretization, discretization.manifold, seeds, tolerance)
+        super().__init__(discretization, seeds, tolerance)
         self.symmetric, self.reach = symmetric, reach
 
     def draw(self, kind: str, seed: int) -> Sample:

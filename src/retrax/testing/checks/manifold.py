@@ -22,10 +22,11 @@ STEP = 2e-3
 class ManifoldFacts(Facts):
     """What is measured of a manifold, at random points."""
 
+    kind = Manifold
     subject: Manifold
 
     def __init__(self, manifold: Manifold, *, seeds: Iterable[int] = SEEDS, tolerance: float = TOLERANCE) -> None:
-        super().__init__(manifold, manifold, seeds, tolerance)
+        super().__init__(manifold, seeds, tolerance)
 
     def draw(self, kind: str, seed: int) -> Sample:
         """A random point with a random tangent vector, the basis there, and unit ambient vectors ``a`` and ``d``."""

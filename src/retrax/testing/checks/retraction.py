@@ -35,6 +35,7 @@ class RetractionFacts(Facts):
     its edge.
     """
 
+    kind = Retraction
     subject: Retraction
 
     def __init__(
@@ -51,7 +52,7 @@ class RetractionFacts(Facts):
             raise InvalidInputError(f"a retraction is checked to be of order 1 or 2, got order={order!r}")
         if not 0 < reach < np.inf:
             raise InvalidInputError(f"reach is a length, positive and finite, got {reach!r}; try reach={REACH}")
-        super().__init__(retraction, retraction.manifold, seeds, tolerance)
+        super().__init__(retraction, seeds, tolerance)
         self.order, self.reach = order, reach
         self.metric = EmbeddedMetric(self.manifold) if metric is None else metric
         self._edge = DomainEdge(retraction)

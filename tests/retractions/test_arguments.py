@@ -1,0 +1,85 @@
+"""What retractions are made of and given: anything else is refused in words."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.manifolds import SO, SPD, EmbeddedMetric, Hyperbolic, InvalidInputError, Sphere, Stiefel
+from retrax.retractions import (
+    QR,
+    Addition,
+    Cayley,
+    Exponential,
+    SecondOrder,
+    Stabilized,
+    StiefelCanonicalExponential,
+    StiefelPolar,
+    Translated,
+    order,
+)
+from scipy.spatial.transform import Rotation
+
+SPHERE, ROTATIONS = Exponential(Sphere(2)), Exponential(SO(3))
+POINTS = np.eye(3)
+ZEROS = np.zeros((3, 3))
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: SPHERE(POINTS, ZEROS), r"a point of Sphere\(2\) has shape \(3,\) where \(3, 3\) came.*jax.vmap"),
+        (lambda: SPHERE(POINTS[0], np.zeros(1)), r"a tangent vector of Sphere\(2\) has shape \(3,\) where \(1,\) came"),
+        (lambda: SPHERE(POINTS[0], 0.0), r"a tangent vector of Sphere\(2\) has shape \(3,\) where float came"),
+        (lambda: SPHERE.inverse(POINTS, POINTS), r"a base point of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"),
+        (lambda: jax.jit(lambda v: SPHERE(POINTS[0], v))(ZEROS), r"a tangent vector of .* \(3, 3\) came"),
+        (lambda: SPHERE([1.0, 0.0, 0.0], POINTS[1]), r"got \[float, float, float\]; a list is no array, try numpy.array"),
+        (lambda: ROTATIONS(Rotation.identity(), ZEROS), r"a point of SO\(3\) .* where Rotation came; try its as_matrix\(\)"),
+    ],
+)
+def test_one_point_and_one_vector_of_the_shapes_of_the_manifold(call, words):
+    with pytest.raises(InvalidInputError, match=words):
+        call()
+
+
+def test_batches_by_vmap():
+    reached = jax.vmap(SPHERE)(POINTS, jnp.roll(POINTS, 1, axis=0) * np.pi / 2)
+    assert np.allclose(reached, np.roll(POINTS, 1, axis=0), atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: StiefelPolar(SPD(3)), r"StiefelPolar takes a Stiefel, got SPD"),
+        (lambda: Addition(Sphere(2)), r"Addition takes a Euclidean, got Sphere"),
+        (lambda: Stabilized(SO(3)), r"Stabilized takes a Retraction, got SO"),
+        (lambda: SecondOrder(QR(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
+        (lambda: order(Cayley(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
+        (lambda: Translated(SO(3), lambda a: jnp.eye(3) + a), r"its values in the group, it misses it by 0.0"),
+    ],
+)
+def test_made_of_what_the_annotations_say(make, words):
+    with pytest.raises(InvalidInputError, match=words):
+        make()
+
+
+@pytest.mark.parametrize("distance", [1.0, 8.0, 9.0, 10.0])
+def test_the_logarithm_of_the_hyperboloid_from_far_out_is_no_error(distance):
+    """From far out the base point has rounding errors of relative size ``exp(2 d) eps``: 5e-8 at d = 10."""
+    exponential, base = Exponential(Hyperbolic(2)), np.eye(3)[0]
+    far = exponential(base, distance * np.array([0.0, 0.6, 0.8]))
+    v = exponential.inverse(far, base)
+    size = np.sqrt(v[1] ** 2 + v[2] ** 2 - v[0] ** 2)
+    assert float(size) == pytest.approx(distance, abs=1e-13 * np.exp(2 * distance))
+
+
+def test_the_canonical_logarithm_of_square_frames_is_that_of_rotations():
+    frames = Stiefel(3, 3)
+    exponential, x = StiefelCanonicalExponential(frames), frames.random_point(jax.random.key(0))
+    v = x @ np.cross(np.eye(3), np.array([0.3, -0.5, 0.4]))
+    assert np.allclose(exponential.inverse(x, exponential(x, v)), v, atol=1e-14)
+
+
+def test_the_domain_of_the_exponential_of_definite_matrices_ends_where_it_overflows():
+    exponential = Exponential(SPD(2))
+    assert exponential.domain(np.eye(2), 700 * np.eye(2))
+    assert not exponential.domain(np.eye(2), 800 * np.eye(2))
