@@ -37,13 +37,15 @@ def lyapunov(s: Matrix, c: Matrix) -> Matrix:
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))
 def spd_sqrt(a: Matrix, rounding: float = 0.0) -> Matrix:
-    """Square root of a symmetric positive definite matrix; eigenvalues from ``-rounding`` to 0 count as 0.
+    """Square root of a symmetric positive definite matrix; eigenvalues up to ``rounding`` below 0 count as 0.
 
+    ``rounding`` is relative to the largest eigenvalue, or to 1 if that is larger.
     The derivative solves a Lyapunov equation: differentiating the eigenvectors instead divides by the gaps between
     eigenvalues, which are zero at the identity.
     """
     values, vectors = jnp.linalg.eigh(a)
-    return (vectors * jnp.sqrt(jnp.where(values < -rounding, values, jnp.maximum(values, 0.0)))) @ vectors.T
+    lowest = -rounding * jnp.maximum(values[-1], 1.0)
+    return (vectors * jnp.sqrt(jnp.where(values < lowest, values, jnp.maximum(values, 0.0)))) @ vectors.T
 
 
 @spd_sqrt.defjvp

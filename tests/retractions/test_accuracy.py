@@ -175,3 +175,13 @@ def test_the_distance_grows_at_unit_rate_and_has_a_subgradient_at_zero(seed, len
     forward, reverse, at_start = _distance_along()(APEX, vector(seed, 3, 1.0), length)
     np.testing.assert_allclose((forward, reverse), 1.0, rtol=1e-14)
     np.testing.assert_array_equal(at_start, 0.0)
+
+
+def test_the_inverse_at_the_fold_of_definite_matrices_is_a_number_beside_large_eigenvalues():
+    """Rounding of a point of size 1e13 puts an eigenvalue that is zero 1e-3 below it."""
+    retraction = SPDSecondOrder(CONE)
+    for seed in range(20):
+        q = np.linalg.qr(np.random.default_rng(seed).standard_normal((3, 3)))[0]
+        v = q @ np.diag([1e-6 - 1, 0.0, 1e7]) @ q.T
+        back = retraction.preimage(np.eye(3), retraction(np.eye(3), v))
+        np.testing.assert_allclose(back, v, rtol=0, atol=1e-7 * 1e7)
