@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 COLD = "--cold"
+TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
 
 
 def retrax_slew(steps):
@@ -43,7 +44,7 @@ def retrax_slew(steps):
     target = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
     start, end = (np.eye(3), np.zeros(3)), (target, np.zeros(3))
     discretization = Midpoint(Cayley(manifold))
-    return lambda: solve(problem, discretization, start, end, horizon=60.0, steps=steps)
+    return lambda: solve(problem, discretization, start, end, horizon=60.0, steps=steps, tolerance=TOLERANCE)
 
 
 def casadi_slews(steps):

@@ -6,7 +6,7 @@ import jax
 
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from .retraction import Retraction
+from .retraction import Retraction, require_shapes
 
 
 class DifferentiatedRetraction(Retraction):
@@ -30,6 +30,7 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
     ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that belongs
     to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
     """
+    require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a direction": w})
     if isinstance(retraction, DifferentiatedRetraction):
         return retraction.fibre_derivative(x, v, w)
     return jax.jvp(lambda u: retraction(x, u), (v,), (w,))[1]
@@ -40,6 +41,7 @@ def adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambi
 
     ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.
     """
+    require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a covector": xi})
     if isinstance(retraction, DifferentiatedRetraction):
         return retraction.fibre_adjoint(x, v, xi)
     _, pull = vec.pullback(lambda u: retraction(x, u), v)

@@ -77,7 +77,7 @@ class Retraction(eqx.Module):
         Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised, the
         entries are NaN there.
         """
-        _require_shapes(self.manifold, {"a base point": x, "a point": y})
+        require_shapes(self.manifold, {"a base point": x, "a point": y})
         v = self.preimage(x, y)
         if not vec.is_traced(x, y, v):
             gap = vec.size(vec.subtract(self(x, v), y))
@@ -96,13 +96,14 @@ def _at_one_point(method: Callable) -> Callable:
 
     @functools.wraps(method)
     def checked(self: Retraction, x: Ambient, v: Ambient) -> Ambient:
-        _require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
+        require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
         return method(self, x, v)
 
     return checked
 
 
-def _require_shapes(manifold: Manifold, given: dict[str, Ambient]) -> None:
+def require_shapes(manifold: Manifold, given: dict[str, Ambient]) -> None:
+    """Raise ``InvalidInputError`` unless what is given, by what it is called, has the shapes of an ambient vector."""
     for role, a in given.items():
         wrong = manifold.describe_shapes(a, role)
         if wrong:
