@@ -67,9 +67,13 @@ def plot(defects, runs, path):
 def main(arguments=None):
     """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by method."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="steps of RATTLE, a multiple of 500; a tenth projected")
+    parser.add_argument(
+        "--steps", type=int, default=100_000, help="steps of RATTLE, a multiple of 500, at least 5000; a tenth projected"
+    )
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args(arguments)
+    if options.steps < 5000 or options.steps % 500:
+        parser.error(f"--steps must be a multiple of 500, at least 5000, got {options.steps}")
     options.output.mkdir(parents=True, exist_ok=True)
 
     problem = SINGULAR["sphere"]().problem
