@@ -6,7 +6,7 @@ Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 
 solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2, whose kernel
 d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x = 0 and u = 0:
 there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no ranks, while the
-symbolic one has it for a third piece. All are cones: with p also c p is an extremal, and p = 0 is excluded. The piece with
+symbolic one finds it inside both pieces. All are cones: with p also c p is an extremal, and p = 0 is excluded. The piece with
 the lines is chosen, and one of them integrated on it.
 
 In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for every

@@ -73,8 +73,8 @@ def test_abnormal_extremals(tmp_path):
     (exact, numeric), line, errors, (straight, departures), heights = module.main(["--front", "8", "--output", str(tmp_path)])
     for found in exact:
         pieces = [(len(piece.coordinates), len(piece.kernel), piece.k_f, len(piece.controls)) for piece in found.strata]
-        # Dimension, kernel of the form, level, determined controls: at rest, the abnormal lines, and where these cross.
-        assert pieces == [(4, 0, 1, 2), (3, 1, 2, 1), (3, 1, 2, 2)]
+        # Dimension, kernel of the form, level, determined controls: at rest, and the abnormal lines.
+        assert pieces == [(4, 0, 1, 2), (3, 1, 2, 1)]
     for found in numeric:
         assert found.irregular, "the two pieces cross, and the record says so"
         assert [(6 - s.signature.codimension, s.signature.free_controls) for s in found.strata] == [(4, 0), (3, 1)]

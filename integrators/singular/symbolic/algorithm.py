@@ -1,7 +1,7 @@
 """The constraint algorithm on R^n with exact algebra, branching where an equation factors or a coefficient may vanish."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -45,13 +45,15 @@ class SymbolicStratum:
 
     ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``history``: the coordinates
     and controls that are determined, in the order in which they were found, with their values then and the levels;
-    ``nonzero``: expressions assumed not to vanish; ``degenerate``: one that does vanish, where the piece branched off for it.
+    ``nonzero``: expressions assumed not to vanish; ``conditions``: all that was made zero, as it came and
+    factored; ``degenerate``: a coefficient that vanishes, where the piece branched off for it.
     """
 
     phase: Phase
     equations: tuple[Equation, ...] = ()
     history: History = ()
     nonzero: tuple[Expression, ...] = ()
+    conditions: tuple[Expression, ...] = ()
     irregular: bool = False
     degenerate: Expression | None = None
 
@@ -138,6 +140,21 @@ class SymbolicStratum:
         """An expression on this piece, with the determined controls and coordinates inserted."""
         return normal_form(sympy.sympify(expression).xreplace(self.solution))
 
+    def inside(self, other: "SymbolicStratum") -> bool:
+        """Whether the points of this one, with their controls, are almost all regular points of the other one."""
+        if self.codimension < other.codimension or self.free_controls > other.free_controls:
+            return False
+        if any(self.reduce(e) != 0 for e in other.conditions):
+            return False
+        u, determined = sympy.Matrix(self.phase.u), len(other.controls)
+        states, conditions = sympy.Matrix([*self.phase.q, *self.phase.p]), sympy.Matrix(other.conditions or [0])
+        of_u, of_states = (conditions.jacobian(symbols).applyfunc(self.reduce) for symbols in (u, states))
+        return generic_rank(of_u) == determined and generic_rank(of_u.row_join(of_states)) == determined + other.codimension
+
+    def bounds(self, other: "SymbolicStratum") -> bool:
+        """Whether the equations of the other one, of larger dimension, hold here."""
+        return self.codimension > other.codimension and all(self.reduce(e) == 0 for e, _ in other.equations)
+
 
 @lru_cache(maxsize=1024)  # pieces share the beginnings of their histories
 def _inserted(history: History) -> dict[Expression, Expression]:
@@ -170,7 +187,8 @@ def strata(phase: Phase, last: float = math.inf) -> tuple[list[SymbolicStratum],
 
 def generic_ranks(phase: Phase) -> tuple[int, int] | None:
     """Ranks of ``D(dH/du)`` and ``d2H/du2`` almost everywhere where ``dH/du = 0``; None if no such point is known."""
-    pieces, _ = strata(phase, last=0)
+    # A part of dH/du = 0 is no smaller than T*Q: smaller pieces lie in others.
+    pieces = [piece for piece in strata(phase, last=0)[0] if piece.free_controls >= piece.codimension]
     slope = sympy.Matrix([phase.hamiltonian]).jacobian(sympy.Matrix(phase.u))
     state, control = (slope.jacobian(sympy.Matrix(symbols)) for symbols in ((*phase.q, *phase.p), phase.u))
     found = [[generic_rank(matrix.xreplace(piece.solution)) for matrix in (state.row_join(control), control)] for piece in pieces]
@@ -196,6 +214,7 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
         yield piece
         return
     (expression, level), rest = pending[0], pending[1:]
+    piece = replace(piece, conditions=(*piece.conditions, expression))
     numerator = sympy.numer(sympy.together(piece.reduce(expression)))
     if numerator == 0:
         yield from _explore(piece, rest, ended)
@@ -228,33 +247,38 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
     """The pieces on which one more irreducible equation holds: it determines a control, or else is an equation of ``P_f``."""
     expression, level = equation
     controls = [u for u in piece.phase.u if expression.has(u)]
-    candidates = controls or [s for s in (*reversed(piece.phase.p), *piece.phase.q) if expression.has(s)]
-    linear = _linear_symbol(expression, candidates)
-    if linear is None:
+    pivots = _pivots(expression, controls or [s for s in (*reversed(piece.phase.p), *piece.phase.q) if expression.has(s)], piece)
+    if not pivots:
         ended.unsolved.append(equation)
         return
-    symbol, coefficient = linear
-    value = normal_form(symbol - expression / coefficient)
-    generic = replace(piece, history=(*piece.history, (symbol, value, level)))
-    if controls:
-        special, further = [coefficient], []
-    else:
-        generic = replace(generic, equations=(*piece.equations, equation))
-        # Where the coefficient vanishes another coordinate serves, except at points where no derivative is left.
-        special, further = _gradient(expression, piece), [(piece.phase.rate(expression), level + 1)] * (level < ended.last)
-    if _never_zero(coefficient, piece):
-        yield from _explore(generic, [*rest, *further], ended)
+    _, coefficient = pivots[0]
+    never = _never_zero(coefficient, piece)
+    if controls and not never and len(pivots) < len(controls):
+        ended.unsolved.append((coefficient, level))  # there a control is determined that is not linear
+    further = [] if controls or level >= ended.last else [(piece.phase.rate(expression), level + 1)]
+    piece = replace(piece, conditions=(*piece.conditions, expression))
+    for i, (symbol, slope) in enumerate(pivots if controls and not never else pivots[:1]):
+        solved = replace(piece, history=(*piece.history, (symbol, normal_form(symbol - expression / slope), level)))
+        if not controls:
+            solved = replace(solved, equations=(*piece.equations, equation))
+        if not never:
+            solved = replace(solved, nonzero=(*piece.nonzero, slope))
+        for found in _explore(solved, [*rest, *further], ended):
+            if all(found.reduce(earlier) == 0 for _, earlier in pivots[:i]):  # otherwise the pivot before has it
+                yield found
+    if never:
         return
-    yield from _explore(replace(generic, nonzero=(*piece.nonzero, coefficient)), [*rest, *further], ended)
+    # Where one coefficient vanishes another symbol serves, except at points where no derivative is left.
+    special = _gradient(expression, controls or piece.coordinates)
     here = replace(piece, degenerate=coefficient if piece.degenerate is None else piece.degenerate)
     yield from _explore(here, [*((e, level) for e in special), (expression, level), *rest], ended)
 
 
-def _gradient(expression: Expression, piece: SymbolicStratum) -> list[Expression]:
-    return [e for s in piece.coordinates if (e := sympy.diff(expression, s)) != 0]
+def _gradient(expression: Expression, symbols: Iterable[Expression]) -> list[Expression]:
+    return [e for s in symbols if (e := sympy.diff(expression, s)) != 0]
 
 
-def _linear_symbol(expression: Expression, candidates: list[Expression]) -> tuple[Expression, Expression] | None:
-    """A symbol in which the expression is linear, and its coefficient: the simplest one, None where none is linear."""
+def _pivots(expression: Expression, candidates: list[Expression], piece: SymbolicStratum) -> list[tuple[Expression, Expression]]:
+    """The symbols in which the expression is linear, and their coefficients: those that never vanish first, then the simplest."""
     linear = [(s, sympy.factor(sympy.diff(expression, s))) for s in candidates if sympy.diff(expression, s, 2) == 0]
-    return min(linear, key=lambda pair: (pair[1].is_zero is not False, sympy.count_ops(pair[1])), default=None)
+    return sorted(linear, key=lambda pair: (not _never_zero(pair[1], piece), sympy.count_ops(pair[1])))

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import sympy
@@ -81,19 +80,21 @@ def _final(c: SymbolicClassification) -> Iterator[Line]:
         yield "strata", words.strata_words(len(c.strata))
     for i, piece in enumerate(c.strata):
         prefix = f"[{i}] " if c.stratified else ""
-        for name, text in _stratum(piece):
+        for name, text in _stratum(piece, [j for j, other in enumerate(c.strata) if piece.bounds(other)]):
             yield prefix + name, text
 
 
-def _stratum(piece: SymbolicStratum) -> Iterator[Line]:
+def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
     total, kernel = 2 * len(piece.phase.q), piece.kernel
     yield "P_f", words.final_words(len(piece.coordinates), total, [words.ordinal(level) for _, level in piece.equations])
+    for j in larger:
+        yield "inside", f"P_f of [{j}], where its ranks drop"
     for expression, level in piece.equations:
         yield "equation", f"{_short(expression)} = 0 (level {level})"
     if piece.irregular:
         yield "equation", "irregular: a power of it appears in the conditions"
-    for expression in piece.nonzero:
-        yield "assuming", f"{_short(piece.reduce(expression))} != 0"
+    for expression in dict.fromkeys(map(piece.reduce, piece.nonzero)):
+        yield "closed form", f"holds where {_short(expression)} != 0"
     yield "k_f", words.stop_words(piece.k_f, piece.k_f_base)
     yield "omega_f", words.form_words(piece.rank, len(kernel))
     symbols = (*piece.phase.q, *piece.phase.p)
@@ -140,8 +141,9 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
         raise InvalidInputError(
             f"no branch ends in closed form: {ended.unsolved[0][0]} = 0 is linear in no variable; classify without symbolic=True"
         )
+    pieces = _distinct(pieces)
     kept = [piece for piece in pieces if not (exclude and all(piece.reduce(a) == 0 for a in phase.p))]
-    ordered = sorted(_distinct(kept), key=lambda piece: piece.codimension)
+    ordered = sorted(kept, key=lambda piece: piece.codimension)
     return SymbolicClassification(
         problem=problem,
         strata=tuple(ordered),
@@ -149,8 +151,8 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
         ranks=generic_ranks(phase),
         excluded=len(pieces) - len(kept),
         zero_costate_excluded=bool(exclude),
-        contradictions=tuple(ended.contradictions),
-        unsolved=tuple(ended.unsolved),
+        contradictions=tuple(dict.fromkeys(ended.contradictions)),
+        unsolved=tuple(dict.fromkeys(ended.unsolved)),
     )
 
 
@@ -160,8 +162,10 @@ def _symbols(letter: str, space: Euclidean) -> np.ndarray:
 
 
 def _distinct(pieces: list[SymbolicStratum]) -> list[SymbolicStratum]:
-    """Pieces with different solutions, the first of each."""
-    seen: dict[Any, SymbolicStratum] = {}
-    for piece in pieces:
-        seen.setdefault(frozenset(piece.solution.items()), piece)
-    return list(seen.values())
+    """The pieces that are inside no other one, the first of those that are the same."""
+    pieces = list({frozenset(piece.solution.items()): piece for piece in reversed(pieces)}.values())[::-1]
+    return [
+        a
+        for i, a in enumerate(pieces)
+        if not any(a.inside(b) and (j < i or not b.inside(a)) for j, b in enumerate(pieces) if j != i)
+    ]

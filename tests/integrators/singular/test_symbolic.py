@@ -22,6 +22,10 @@ EUCLIDEAN = [
 ]
 
 
+def signatures(exact: SymbolicClassification) -> list[tuple[int, int, int]]:
+    return [tuple(piece.signature) for piece in exact.strata]
+
+
 @lru_cache
 def symbolic(name: str) -> SymbolicClassification:
     return classify(known(name).problem, symbolic=True)
@@ -64,8 +68,8 @@ def test_exact_and_numeric_answers_agree(name):
 @pytest.mark.parametrize("bend", [0.0, 0.5])
 def test_exact_and_numeric_pieces_agree(bend):
     exact, numeric = classify(martinet(bend), symbolic=True), classify(martinet(bend))
-    # The exact algorithm adds the piece where the other two cross.
-    assert [piece.signature for piece in exact.strata] == [(2, 0, 4), (3, 1, 2), (3, 0, 2)]
+    assert signatures(exact) == [(2, 0, 4), (3, 1, 2)]
+    assert "inside       P_f of [0], where its ranks drop" in str(exact)
     for stratum in numeric.strata:
         piece = next(piece for piece in exact.strata if piece.signature == stratum.signature)
         assert_same(exact, piece, numeric, stratum)
@@ -112,6 +116,54 @@ def test_strata_where_a_factor_vanishes():
     exact = classify(problem, symbolic=True, exclude_zero_costate=False)
     assert {(piece.codimension, len(piece.coordinates) - len(piece.kernel)) for piece in exact.strata} == {(2, 4), (3, 0)}
     assert all(exact.strata[1].reduce(p) == 0 for p in exact.phase.p)
+
+
+CIRCLES = OptimalControlProblem(
+    Euclidean(3), lambda q, u: jnp.stack([u[0], u[1], q[0] * u[0] + q[1] * u[1]]), lambda q, u: q[2] * u[2], 3
+)
+HEISENBERG = OptimalControlProblem(
+    Euclidean(3), lambda q, u: jnp.stack([u[0], u[1], q[0] * u[1] - q[1] * u[0]]), lambda q, u: q[2] ** 2 / 2, 2
+)
+RADIAL = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: (q @ u) ** 2 / 2, 2)
+
+
+@pytest.mark.parametrize(
+    ("problem", "pieces", "ranks", "relation"),
+    [
+        # Motion on circles, which crosses q1 = 0; at the centre u3 moves p3 and nothing else.
+        pytest.param(CIRCLES, [(3, 1, 2), (5, 1, 0)], (3, 0), "q1*u1 + q2*u2", id="circles"),
+        # Motion along q with p = 0, in every direction.
+        pytest.param(HEISENBERG, [(2, 0, 4), (4, 1, 0)], (2, 0), "q1*u2 - q2*u1", id="Heisenberg"),
+        # p is along q, and q.u is its length over that of q: no equation is left at the origin alone.
+        pytest.param(RADIAL, [(1, 1, 2), (4, 0, 0)], (2, 1), "p1*q2 - p2*q1", id="radial"),
+    ],
+)
+def test_no_piece_is_invented_where_one_coefficient_vanishes(problem, pieces, ranks, relation):
+    exact = classify(problem, symbolic=True)
+    assert signatures(exact) == pieces
+    assert exact.ranks == ranks
+    symbols = {s.name: s for s in (*exact.phase.q, *exact.phase.p, *exact.phase.u)}
+    for piece in exact.strata:
+        assert piece.reduce(sympy.sympify(relation, locals=symbols)) == 0
+
+
+def test_a_rank_drops_behind_a_pivot_that_vanishes_there():
+    # The determinant is -x, and rows and columns but the first have rank 2 where x = 0.
+    def cost(q, u):
+        x, y = q
+        return u @ jnp.stack([jnp.stack([x, y, y]), jnp.stack([y, 1, 0]), jnp.stack([y, 0, -1])]) @ u / 2
+
+    exact = classify(OptimalControlProblem(Euclidean(2), lambda q, u: 0 * q, cost, 3), symbolic=True)
+    assert signatures(exact) == [(0, 0, 4), (1, 1, 2)]
+
+
+def test_a_coefficient_that_vanishes_beside_a_control_that_is_not_linear():
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: u[0] - q[0] * u[0] * u[1] - u[0] ** 3 / 3, 2)
+    exact = classify(problem, symbolic=True)
+    # q1 = u1 = 0 where all coefficients vanish; u1 = +-sqrt(1 - p1) where q1 = 0 is not followed, and said.
+    assert signatures(exact) == [(0, 0, 4), (3, 1, 0)]
+    assert exact.unsolved == ((exact.phase.q[0], 0),)
+    assert exact.regular
 
 
 def test_branches_too_long_to_follow_are_said():
