@@ -14,6 +14,7 @@ from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFami
 from .groups import (
     SOQR,
     UQR,
+    FrobeniusExponential,
     GroupCayley,
     GroupExponential,
     GroupRetraction,
@@ -69,6 +70,7 @@ __all__ = [
     "Exponential",
     "FixedRankOrthographic",
     "FixedRankProjection",
+    "FrobeniusExponential",
     "GrassmannCayley",
     "GrassmannExponential",
     "GrassmannPolar",

@@ -118,7 +118,7 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambie
     here, there = jax.lax.stop_gradient((x, y))
     source = retraction.manifold.basis(here)
     begin = vec.components(source, vec.subtract(there, here) if start is None else start)
-    c, converged = find_root(_miss(retraction, x, y), begin)
+    c, converged = find_root(miss(retraction, x, y), begin)
     v = retraction.manifold.projection(x, vec.combine(source, c))
     reached = converged & same_point(_moved(retraction, x, v), y, default_tolerance())
     return nan_unless(reached, v)
@@ -127,11 +127,11 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambie
 def implicit_preimage(retraction: Retraction, x: Ambient, y: Ambient, v: Ambient) -> Ambient:
     """``v``, an inverse ``R(x, v) = y`` found by whatever means, with the derivatives of the implicit function theorem."""
     source = retraction.manifold.basis(jax.lax.stop_gradient(x))
-    c = known_root(_miss(retraction, x, y), vec.components(source, v))
+    c = known_root(miss(retraction, x, y), vec.components(source, v))
     return retraction.manifold.projection(x, vec.combine(source, c))
 
 
-def _miss(retraction: Retraction, x: Ambient, y: Ambient) -> Callable[[Array], Array]:
+def miss(retraction: Retraction, x: Ambient, y: Ambient) -> Callable[[Array], Array]:
     """By how much ``R(x, v)`` misses ``y``, in coordinates at ``y``, as a function of the coordinates of ``v`` at ``x``."""
     here, there = jax.lax.stop_gradient((x, y))
     source, target = retraction.manifold.basis(here), retraction.manifold.basis(there)

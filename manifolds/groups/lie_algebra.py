@@ -75,6 +75,12 @@ class LieAlgebra:
         return bool(np.max(np.abs(strain)) <= _ROUNDING * np.max(np.abs(self.basis)))
 
     @cached_property
+    def closed_under_adjoints(self) -> bool:
+        """Whether ``A^H`` is in the algebra with ``A``."""
+        (a,) = self._generic(1)
+        return self.contains(a.conj().T)
+
+    @cached_property
     def closed_under_cubes(self) -> bool:
         """Whether ``A^3`` is in the algebra with ``A``.
 

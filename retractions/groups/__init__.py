@@ -1,5 +1,6 @@
 """Retractions of matrix Lie groups."""
 
+from .frobenius import FrobeniusExponential
 from .group_map import GroupRetraction, SymmetricGroupRetraction, Translated
 from .matrix_group import GroupCayley, GroupExponential
 from .special_euclidean import SEDecoupled
@@ -9,6 +10,7 @@ from .unitary import UQR, UPolar
 __all__ = [
     "SOQR",
     "UQR",
+    "FrobeniusExponential",
     "GroupCayley",
     "GroupExponential",
     "GroupRetraction",

@@ -6,23 +6,33 @@ import pytest
 from hypothesis import given
 from retrax.integrators import GeodesicRetraction
 from retrax.interop import from_geomstats, to_geomstats
-from retrax.interop.metrics import exponential_map, is_symmetric
+from retrax.interop.metrics import exponential_map, is_symmetric, natural_metric
 from retrax.interop.peers import import_peer, seeded
 from retrax.manifolds import (
     SE,
     SL,
     SO,
     SU,
+    DomainError,
     EmbeddedMetric,
     Euclidean,
+    Grassmann,
     LeftInvariantMetric,
+    Oblique,
     Power,
     Product,
     ScaledMetric,
     Sphere,
     U,
 )
-from retrax.retractions import GroupExponential, PowerRetraction, ProductRetraction, SEDecoupled, SphereExponential
+from retrax.retractions import (
+    FrobeniusExponential,
+    GroupExponential,
+    PowerRetraction,
+    ProductRetraction,
+    SEDecoupled,
+    SphereExponential,
+)
 from scipy.linalg import expm
 
 from tests.support.numerics import SEEDS
@@ -134,6 +144,8 @@ MAPS = {
     "special unitary": (EmbeddedMetric(SU(3)), GroupExponential(SU(3))),
     "decoupled": (EmbeddedMetric(SE(3)), SEDecoupled(SE(3))),
     "split": (EmbeddedMetric(SE(3) * Sphere(2)), ProductRetraction(SEDecoupled(SE(3)), SphereExponential(Sphere(2)))),
+    "special linear": (natural_metric(SL(2)), FrobeniusExponential(SL(2))),
+    "round body": (LeftInvariantMetric(SO(3), [2.0, 2.0, 2.0]), GroupExponential(SO(3))),
     "power": (EmbeddedMetric(Power(SE(2), 3)), PowerRetraction(SEDecoupled(SE(2)), 3)),
 }
 
@@ -159,6 +171,47 @@ def test_geodesics_of_a_rigid_body_about_its_principal_axes_are_rotations():
     np.testing.assert_allclose(y, expm(0.8 * turn), atol=1e-11)
     np.testing.assert_allclose(space.metric.log(y, x), 0.8 * turn, atol=1e-11)
     assert space.metric.dist(x, y) == pytest.approx(0.8 * np.sqrt(3), abs=1e-11)
+
+
+HALF_TURN = np.diag([1.0, -1.0, -1.0])
+FARTHEST = {
+    "sphere": (Sphere(2), lambda x: -x, np.pi),
+    "rotations": (SO(3), lambda x: x @ HALF_TURN, np.sqrt(2) * np.pi),
+    "poses": (SE(3), lambda x: x @ np.diag([1.0, -1.0, -1.0, 1.0]), np.sqrt(2) * np.pi),
+    "unitary": (U(2), lambda x: -x, np.sqrt(2) * np.pi),
+    "special unitary": (SU(2), lambda x: -x, np.sqrt(2) * np.pi),
+    "subspaces": (Grassmann(4, 2), lambda x: np.eye(4) - x, np.pi),
+    "oblique": (Oblique(3, 2), lambda x: -x, np.sqrt(2) * np.pi),
+    "power": (Power(Sphere(2), 3), lambda x: -x, np.sqrt(3) * np.pi),
+    "product": (Sphere(2) * Sphere(1), lambda x: -x, np.sqrt(2) * np.pi),
+}
+
+
+@pytest.mark.parametrize("name", FARTHEST)
+def test_distances_are_known_on_the_cut_locus_and_are_lengths_of_logarithms_elsewhere(name):
+    manifold, farthest, expected = FARTHEST[name]
+    space = to_geomstats(manifold, metric=ScaledMetric(EmbeddedMetric(manifold), 4.0))
+    with seeded(1):
+        x, y = space.random_point(2)
+    assert space.metric.dist(x, farthest(x)) == pytest.approx(2 * expected, abs=1e-12)
+    assert space.metric.dist(x, y) == pytest.approx(float(space.metric.norm(space.metric.log(y, x), x)), abs=1e-12)
+    assert space.metric.dist(x, x) == pytest.approx(0, abs=1e-12)
+
+
+def test_a_logarithm_without_a_value_is_refused():
+    space = to_geomstats(Sphere(2))
+    x = np.array([[0.6, 0.0, 0.8], [0.0, 1.0, 0.0]])
+    for call in (space.metric.log, space.metric.lifting):
+        with pytest.raises(DomainError, match="no one shortest geodesic"):
+            call(np.stack([x[1], -x[1]]), x)
+
+
+def test_the_mean_of_matrices_of_determinant_one():
+    space, x = to_geomstats(SL(2)), np.array([[1.0, 0.5], [0.2, 1.1]])
+    v = space.to_tangent(np.array([[0.7, -0.6], [0.3, 0.2]]), x)
+    points = space.metric.exp(np.array([1.0, -1.0, 0.3])[:, None, None] * v, x)
+    mean = FrechetMean(space).set(epsilon=1e-20).fit(points).estimate_
+    np.testing.assert_allclose(mean, space.metric.exp(0.1 * v, x), atol=1e-12)
 
 
 def test_what_has_no_base_point_is_refused():

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
 from retrax.interop.peers import import_peer, seeded
-from retrax.manifolds import SO, CotangentBundle, Euclidean, Product, Sphere
+from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, Product, Sphere
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 
 from tests.support.cases import NESTED
@@ -126,6 +126,19 @@ def test_a_bundle_has_points_of_two_arrays():
     x = space.random_point()
     assert len(x) == 2
     check(space.retraction(x, space.zero_vector(x)), x)
+
+
+def test_a_logarithm_without_a_value_is_refused_and_the_distance_known():
+    space, x = to_pymanopt(Sphere(2)), np.array([0.6, 0.0, 0.8])
+    assert space.dist(x, -x) == pytest.approx(np.pi, abs=1e-15)
+    with pytest.raises(ValueError, match="no one shortest geodesic"):
+        space.log(x, -x)
+
+
+@pytest.mark.parametrize("given", [{"retraction": Cayley}, {"retraction": Sphere(2)}, {"metric": Cayley}], ids=str)
+def test_what_is_no_retraction_or_metric_is_refused_in_words(given):
+    with pytest.raises(InvalidInputError, match=r"expected a (retraction|metric) of SO\(3\), got .*; (a family|try)"):
+        to_pymanopt(SO(3), **given)
 
 
 def test_a_manifold_without_an_exponential_says_so():

@@ -12,8 +12,10 @@ from retrax.integrators.initial_value import lifted_step
 from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.peers import import_peer
 from retrax.interop.wrapped import WrappedManifold, wrap
+from retrax.interop.wrapped.differences import NODES as DIFFERENCE_NODES
+from retrax.interop.wrapped.differences import host_function
 from retrax.retractions import CotangentLift, Midpoint
-from retrax.testing import check_manifold, check_retraction
+from retrax.testing import check_cotangent_lift, check_manifold, check_retraction
 
 from tests.support.numerics import NODES, SEEDS, compiled, differences
 
@@ -134,6 +136,57 @@ def derivatives():
     return compiled(drawn), compiled(facts)
 
 
+def mobius(x, v):
+    """The exponential map of the ball of curvature -1, from its formula."""
+
+    def plus(a, b):
+        ab, aa, bb = a @ b, a @ a, b @ b
+        return ((1 + 2 * ab + bb) * a + (1 - aa) * b) / (1 + 2 * ab + aa * bb)
+
+    length = jnp.sqrt(v @ v)
+    return plus(x, jnp.tanh(length / (1 - x @ x)) * v / length)
+
+
+@pytest.mark.parametrize("radius", [0.97, *(pytest.param(r, marks=pytest.mark.slow) for r in (0.9, 0.99, 0.999))])
+def test_derivatives_are_right_where_a_space_changes_fast(radius):
+    retraction = from_pymanopt(theirs.PoincareBall(2)).retraction
+    x, v = radius * np.array([0.6, 0.8]), np.array([0.01, 0.005])
+    for order in (jax.jacfwd, lambda f, **options: jax.jacfwd(jax.jacfwd(f, **options), **options)):
+        wrapped, exact = (order(function, argnums=(0, 1))(x, v) for function in (retraction, mobius))
+        wrapped, exact = jax.tree.leaves(wrapped), jax.tree.leaves(exact)
+        size = max(np.max(np.abs(part)) for part in exact)
+        for part, other in zip(wrapped, exact, strict=True):
+            np.testing.assert_allclose(part, other, rtol=0, atol=1e-7 * size)
+
+
+def test_a_derivative_that_differences_do_not_give_is_nan():
+    def moved(x, step):
+        return x[:, None, None] + step * DIFFERENCE_NODES[:, None]
+
+    def jumps_at_zero(x):
+        return np.abs(x - 1e-3) + np.sign(x)
+
+    function = host_function(jumps_at_zero, moved, (1,))
+    slope = jax.vmap(jax.grad(lambda x: function(x)[0]))(np.array([[0.02], [2e-3], [0.0], [-1e-3]]))
+    np.testing.assert_allclose(slope, [[1.0], [1.0], [np.nan], [-1.0]], atol=1e-11)
+
+
+RANDOM = {
+    "pymanopt ball": lambda: from_pymanopt(theirs.PoincareBall(2)),
+    "geomstats ball": lambda: BALL,
+    "half-plane": lambda: from_geomstats(geomstats_space("poincare_half_space", "PoincareHalfSpace", 2)),
+    "pymanopt cone": lambda: from_pymanopt(theirs.Positive(2, 1)),
+    "rotation vectors": lambda: from_geomstats(geomstats_space("special_orthogonal", "SpecialOrthogonal", 3, "vector")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", RANDOM)
+def test_lifted_midpoint_maps_are_symplectic_at_random_points(name):
+    lift = CotangentLift(Midpoint(RANDOM[name]().retraction))
+    check_cotangent_lift(lift, only="lift_is_symplectic", seeds=range(2), tolerance=1e-7)
+
+
 def test_a_wrapped_space_keeps_the_promises_of_a_manifold():
     check_manifold(BALL.manifold, tolerance=1e-9)
 
@@ -159,6 +212,10 @@ REFUSED = {
     "complex": (lambda: from_pymanopt(theirs.ComplexCircle(3)), "points are complex"),
     "coordinates": (lambda: from_geomstats(geomstats_space("hypersphere", "Hypersphere", 2, intrinsic=True)), "in angles"),
     "no metric": (lambda: from_geomstats(geomstats_space("poincare_ball", "PoincareBall", 2, equip=False)), "no metric"),
+    "angles": (
+        lambda: from_geomstats(geomstats_space("special_orthogonal", "SpecialOrthogonal", 2, "vector")),
+        "its own functions fail .* try the same space by matrices",
+    ),
     "no manifold": (lambda: from_pymanopt("S2"), "takes a pymanopt manifold"),
     "no space": (lambda: from_geomstats("S2"), "takes a real manifold of geomstats"),
 }
@@ -189,6 +246,8 @@ GEOMSTATS_NAMES = {
     "hemisphere": ("open_hemisphere", "OpenHemisphere", 2),
     "positive reals": ("positive_reals", "PositiveReals"),
     "half-plane": ("poincare_half_space", "PoincareHalfSpace", 2),
+    "rotation vectors": ("special_orthogonal", "SpecialOrthogonal", 3, "vector"),
+    "pose vectors": ("special_euclidean", "SpecialEuclidean", 3, "vector"),
 }
 
 
@@ -199,6 +258,7 @@ def test_spaces_of_geomstats_are_wrapped_with_their_exponential_maps(name):
     x = manifold.random_point(jax.random.key(0))
     v = 0.1 * manifold.random_tangent(jax.random.key(1), x)
     assert isinstance(manifold, WrappedManifold)
+    assert manifold.contains(x)
     np.testing.assert_allclose(retraction(x, v), space.metric.exp(np.asarray(v), np.asarray(x)), atol=1e-13)
 
 

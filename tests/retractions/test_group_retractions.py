@@ -9,9 +9,32 @@ import pytest
 import scipy.linalg
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from retrax.manifolds import SE, SL, SO, SU, DomainError, Euclidean, InvalidInputError, MatrixLieGroup, U, UnknownRetractionError
+from retrax.manifolds import (
+    SE,
+    SL,
+    SO,
+    SU,
+    DomainError,
+    Euclidean,
+    InvalidInputError,
+    LeftInvariantMetric,
+    MatrixLieGroup,
+    U,
+    UnknownRetractionError,
+)
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import QR, SOQR, Cayley, Exponential, GroupCayley, Polar, SEDecoupled, SOPolar, Translated
+from retrax.retractions import (
+    QR,
+    SOQR,
+    Cayley,
+    Exponential,
+    FrobeniusExponential,
+    GroupCayley,
+    Polar,
+    SEDecoupled,
+    SOPolar,
+    Translated,
+)
 from retrax.retractions.groups.functions import rigid_motions, rotations, unitary
 
 from tests.support.cases import Heisenberg
@@ -271,3 +294,52 @@ def test_charts_and_pairs_are_the_retraction_itself(retraction):
         (retraction.both_ways(x, v), (backwards, forwards)),
     ):
         assert vec.size(vec.subtract(found, expected)) < 1e-14
+
+
+@lru_cache
+def _frobenius_geodesic():
+    """Time derivatives of the body velocity of a geodesic on SL(3), against the basis, and those of Euler and Poincare."""
+    group = SL(3)
+    retraction, metric = FrobeniusExponential(group), LeftInvariantMetric(group, group.lie_algebra.gram)
+    basis = jnp.asarray(group.algebra)
+
+    def facts(x, a, time):
+        def velocity(t):
+            y, dy = jax.jvp(lambda s: retraction(x, x @ (s * a)), (t,), (1.0,))
+            return group.inverse(y) @ dy
+
+        u, change = jax.jvp(velocity, (time,), (1.0,))
+
+        def product(b, c):
+            return metric.inner_product(group.identity, b, c)
+
+        return {
+            "start": velocity(0.0) - a,
+            "left": jax.vmap(lambda w: product(change, w))(basis),
+            "right": jax.vmap(lambda w: product(u, u @ w - w @ u))(basis),
+        }
+
+    return compiled(facts)
+
+
+@given(seed=SEEDS)
+def test_geodesics_of_the_frobenius_metric_solve_the_euler_poincare_equation(seed):
+    rng = np.random.default_rng(seed)
+    a = np.tensordot(rng.standard_normal(8), SL(3).algebra, 1)
+    x = scipy.linalg.expm(np.tensordot(rng.standard_normal(8), SL(3).algebra, 1) / 3)
+    facts = _frobenius_geodesic()(x, a / np.linalg.norm(a), rng.uniform(0, 2))
+    np.testing.assert_allclose(facts["start"], 0, atol=1e-13)
+    np.testing.assert_allclose(facts["left"], facts["right"], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["SO4", "SU3"])
+def test_the_frobenius_exponential_is_that_of_the_group_where_it_acts_by_unitary_matrices(name):
+    group = GROUPS[name]
+    a = group.hat(np.linspace(-0.5, 0.6, group.dimension))
+    here, there = FrobeniusExponential(group), Exponential(group)
+    np.testing.assert_allclose(here.group_map(a), there.group_map(a), atol=1e-14)
+
+
+def test_the_frobenius_exponential_is_refused_where_its_formula_leaves_the_group():
+    with pytest.raises(UnknownRetractionError, match="does not hold the adjoint"):
+        FrobeniusExponential(SE(2))

@@ -19,6 +19,7 @@ from retrax.manifolds import (
     FixedRank,
     Grassmann,
     Hyperbolic,
+    LeftInvariantMetric,
     LevelSet,
     LorentzMetric,
     Manifold,
@@ -43,6 +44,7 @@ from retrax.retractions import (
     DiscretizationMap,
     Exponential,
     FixedRankOrthographic,
+    FrobeniusExponential,
     Orthographic,
     Polar,
     Projection,
@@ -203,6 +205,7 @@ RETRACTIONS: dict[str, Retraction] = {
     "exponential-SE3": Exponential(SE(3)),
     "exponential-SL2": Exponential(SL(2)),
     "exponential-SL3": Exponential(SL(3)),
+    "frobenius-SL2": FrobeniusExponential(SL(2)),
     "exponential-heisenberg": Exponential(Heisenberg()),
     "exponential-oblique32": Exponential(Oblique(3, 2)),
     "cayley-U2": Cayley(U(2)),
@@ -251,6 +254,7 @@ METRICS: dict[str, Metric] = {
     "quadratic-SPD2": AffineInvariantMetric(SPD(2)),
     "cayley-St42": CanonicalMetric(Stiefel(4, 2)),
     "canonical-St42": CanonicalMetric(Stiefel(4, 2)),
+    "frobenius-SL2": LeftInvariantMetric(SL(2), SL(2).lie_algebra.gram),
 }
 # On these groups one-parameter subgroups are not geodesics: rigid motions are screws.
 _NOT_GEODESIC = ("SE2", "SE3", "SL2", "SL3", "heisenberg")

@@ -28,7 +28,7 @@ def to_pymanopt(
 
     Points, tangent vectors and arguments are pymanopt's: tangent vectors of SO(n) are skew factors, points of a product are
     lists, flat however the product is nested. Gradients and Hessians are those of ``metric``, by default the usual one:
-    affine-invariant on SPD, Lorentz on hyperbolic space, else that of the ambient space.
+    affine-invariant on SPD, Lorentz on hyperbolic space, left-invariant on SL, else that of the ambient space.
     ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
 
     Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
@@ -42,7 +42,7 @@ def from_pymanopt(space: Any) -> Counterpart:
     """A pymanopt manifold as ours: ``manifold, retraction, metric, conventions``.
 
     Manifolds that we have become ours, with the retraction that the given one was made with. Others keep pymanopt's functions,
-    which run on the host: derivatives are differences, accurate to about 1e-10, and slow. Raises ``InvalidInputError`` for
+    which run on the host: derivatives are differences, right to about 1e-8 or NaN, and slow. Raises ``InvalidInputError`` for
     any other that is not an embedded manifold of real arrays (a quotient, complex entries, points of several arrays).
     """
     return import_peer(".pymanopt").counterpart(space)
@@ -68,7 +68,7 @@ def from_geomstats(space: Any) -> Counterpart:
     """A geomstats space as ours: ``manifold, retraction, metric, conventions``.
 
     Spaces that we have become ours, with the default retraction. Others keep geomstats' tangent projection and exponential map,
-    which run on the host: derivatives are differences, accurate to about 1e-10, and slow. Raises ``InvalidInputError`` for
+    which run on the host: derivatives are differences, right to about 1e-8 or NaN, and slow. Raises ``InvalidInputError`` for
     one that is not an embedded manifold of real arrays.
     """
     return import_peer(".geomstats").counterpart(space)
@@ -85,6 +85,10 @@ def _geometry(
         raise InvalidInputError(f"expected a manifold of retrax, got {manifold!r}; try SO(3)")
     retraction = default_retraction(manifold) if retraction is None else retraction
     metric = natural_metric(manifold) if metric is None else metric
+    if not isinstance(retraction, Retraction):
+        raise InvalidInputError(f"expected a retraction of {manifold}, got {retraction!r}; a family takes it: Cayley(manifold)")
+    if not isinstance(metric, Metric):
+        raise InvalidInputError(f"expected a metric of {manifold}, got {metric!r}; try EmbeddedMetric(manifold)")
     for name, given in (("retraction", retraction), ("metric", metric)):
         if not same_manifold(given.manifold, manifold):
             raise InvalidInputError(f"the {name} acts on {given.manifold}, expected {manifold}")

@@ -5,13 +5,15 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
-from ..manifolds import Manifold, Metric, UnknownRetractionError
+from ..manifolds import DomainError, Manifold, Metric, UnknownRetractionError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import Retraction
 from .conventions import Conventions, Theirs
+from .distances import distance
 from .metrics import exponential_map, is_symmetric
 
 _RESTORATIONS = 8
@@ -25,11 +27,21 @@ class Geometry(eqx.Module):
     retraction: Retraction
     metric: Metric
     conventions: Conventions
+    known_exponential: Retraction | None
+
+    def __init__(self, manifold: Manifold, retraction: Retraction, metric: Metric, conventions: Conventions) -> None:
+        self.manifold, self.retraction, self.metric, self.conventions = manifold, retraction, metric, conventions
+        try:
+            self.known_exponential = exponential_map(metric)  # here, where the numbers in the metric are not traced
+        except UnknownRetractionError:
+            self.known_exponential = None
 
     @property
     def exponential(self) -> Retraction:
-        """The exponential map of the metric; raises ``UnknownRetractionError`` if there is none to compute."""
-        return exponential_map(self.metric)
+        """The exponential map of the metric; raises ``NotImplementedError``, which both libraries expect, if none is known."""
+        if self.known_exponential is None:
+            raise NotImplementedError(f"no exponential map is known on {self.manifold}; use the retraction, and its inverse")
+        return self.known_exponential
 
     @property
     def is_symmetric(self) -> bool:
@@ -101,9 +113,8 @@ class Geometry(eqx.Module):
         return self._between(self.exponential, x, y)
 
     def dist(self, x: Theirs, y: Theirs) -> Array:
-        """Geodesic distance: the length of the logarithm."""
-        v = self.log(x, y)
-        return jnp.sqrt(self.inner_product(x, v, v))
+        """Geodesic distance, also on the cut locus where it is known in closed form."""
+        return distance(self.metric, self.exponential, self.conventions.point(x), self.conventions.point(y))
 
     def middle(self, x: Theirs, y: Theirs) -> Theirs:
         """The point midway on the geodesic between two points."""
@@ -174,9 +185,13 @@ class Geometry(eqx.Module):
         return coordinates(self.metric.vector(q, covector))
 
 
-def require_exponential(geometry: Geometry, instead: str) -> None:
-    """Raise ``NotImplementedError``, which both libraries expect, unless the exponential map can be computed."""
-    try:
-        exponential_map(geometry.metric)
-    except UnknownRetractionError as reason:
-        raise NotImplementedError(f"no exponential map is known on {geometry.manifold}; use {instead}") from reason
+_UNDEFINED = {"log", "back", "dist", "middle", "transport"}  # methods without a value for some pairs of points
+
+
+def require_values(method: str, values: Theirs) -> None:
+    """Raise ``DomainError`` if a method that has no value for some pairs of points has none for these."""
+    if method in _UNDEFINED and any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(values)):
+        raise DomainError(
+            "between these points there is no one shortest geodesic, or none was found: expected points off each other's cut "
+            "locus (not antipodes, not half a turn apart) and within reach of Newton's method; take nearer points"
+        )

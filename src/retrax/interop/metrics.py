@@ -2,9 +2,12 @@
 
 from functools import singledispatch
 
+import numpy as np
+
 from ..integrators import KAHAN_LI_8, Composition, GeodesicRetraction, SymplecticIntegrator
 from ..manifolds import (
     SE,
+    SL,
     SO,
     SPD,
     SU,
@@ -14,6 +17,7 @@ from ..manifolds import (
     Euclidean,
     Grassmann,
     Hyperbolic,
+    LeftInvariantMetric,
     LorentzMetric,
     Manifold,
     Metric,
@@ -27,9 +31,11 @@ from ..manifolds import (
     Stiefel,
     U,
 )
+from ..manifolds.numerics.ambient import is_traced
 from ..retractions import (
     CotangentLift,
     Exponential,
+    FrobeniusExponential,
     Midpoint,
     PowerRetraction,
     ProductRetraction,
@@ -39,13 +45,22 @@ from ..retractions import (
     default_retraction,
 )
 
+_ROUNDING = 1e-12
 _SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)  # symmetric spaces in the metric of the ambient space
 
 
 @singledispatch
 def natural_metric(manifold: Manifold) -> Metric:
-    """The metric that the literature gives a manifold: affine-invariant on SPD, Lorentz on hyperbolic space, else embedded."""
+    """The metric that the literature gives a manifold: affine-invariant on SPD, Lorentz on hyperbolic space, else embedded.
+
+    On SL(n) it is left-invariant, the Frobenius inner product at the identity.
+    """
     return EmbeddedMetric(manifold)
+
+
+@natural_metric.register
+def _(manifold: SL) -> Metric:
+    return LeftInvariantMetric(manifold, manifold.lie_algebra.gram)
 
 
 @natural_metric.register
@@ -74,7 +89,7 @@ def exponential_map(metric: Metric) -> Retraction:
     On SE(n), U(n) and SU(n) the embedded metric is meant, whose geodesics are decoupled motions and one-parameter subgroups.
     Raises ``UnknownRetractionError`` where there is neither a closed form nor a retraction to make steps from.
     """
-    metric = _split(metric)
+    metric = split(metric)
     manifold = metric.manifold
     match metric:
         case ProductMetric():
@@ -89,13 +104,15 @@ def exponential_map(metric: Metric) -> Retraction:
             return Exponential(manifold)
         case EmbeddedMetric() if isinstance(manifold, _SYMMETRIC):
             return Exponential(manifold)
+        case LeftInvariantMetric(manifold=group) if FrobeniusExponential.applies(group) and _is_frobenius(metric):
+            return Exponential(group) if group.lie_algebra.acts_unitarily else FrobeniusExponential(group)
     step = SymplecticIntegrator(CotangentLift(Midpoint(default_retraction(manifold))))
     return GeodesicRetraction(metric, integrator=Composition(step, KAHAN_LI_8))
 
 
 def is_symmetric(metric: Metric) -> bool:
     """Whether a manifold with this metric is known to be a symmetric space, with an exponential map in closed form."""
-    metric = _split(metric)
+    metric = split(metric)
     if isinstance(metric, ProductMetric):
         return all(map(is_symmetric, metric.factors))
     if isinstance(metric, PowerMetric):
@@ -104,7 +121,16 @@ def is_symmetric(metric: Metric) -> bool:
     return embedded or isinstance(metric, AffineInvariantMetric | LorentzMetric)
 
 
-def _split(metric: Metric) -> Metric:
+def _is_frobenius(metric: LeftInvariantMetric) -> bool:
+    """Whether a left-invariant metric is a multiple of the Frobenius inner product at the identity."""
+    if is_traced(metric.inertia):
+        return False
+    inertia, gram = np.asarray(metric.inertia), metric.manifold.lie_algebra.gram
+    matrix = np.diag(inertia) if inertia.ndim == 1 else inertia
+    return np.allclose(matrix / matrix[0, 0], gram / gram[0, 0], rtol=0, atol=_ROUNDING)
+
+
+def split(metric: Metric) -> Metric:
     """A metric with the same geodesics: without its scale; the embedded one of a product or a power as the sum that it is."""
     while isinstance(metric, ScaledMetric):
         metric = metric.base

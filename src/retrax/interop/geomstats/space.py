@@ -10,7 +10,7 @@ import numpy as np
 from geomstats.geometry.manifold import Manifold as GeomstatsManifold
 from geomstats.geometry.riemannian_metric import RiemannianMetric
 
-from ..geometry import Geometry, require_exponential
+from ..geometry import Geometry, require_values
 
 ATOL = 1e-12  # the default of geomstats
 _VALUES = {"inner_product", "dist", "violation", "normal_part"}  # methods whose values are numbers
@@ -68,7 +68,9 @@ class RetraxSpace(GeomstatsManifold):
         core = "(" + ",".join(f"d{i}" for i in range(self.point_ndim)) + ")"
         out = "()" if method in _VALUES else core
         signature = ",".join([core] * len(arguments)) + "->" + out
-        return np.array(_kernel(method, signature)(self.geometry, *map(jnp.asarray, arguments)))
+        values = np.array(_kernel(method, signature)(self.geometry, *map(jnp.asarray, arguments)))
+        require_values(method, values)
+        return values
 
 
 @final
@@ -83,20 +85,24 @@ class RetraxMetric(RiemannianMetric):
 
     def exp(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
         """Exponential map."""
-        require_exponential(self._space.geometry, "retraction and lifting")
         return self._space.host("exp", base_point, tangent_vec)
 
     def log(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
         """Logarithm of ``point`` at ``base_point``."""
-        require_exponential(self._space.geometry, "retraction and lifting")
         return self._space.host("log", base_point, point)
+
+    def squared_dist(self, point_a: np.ndarray, point_b: np.ndarray) -> np.ndarray:
+        """Squared geodesic distance."""
+        if not self._space.geometry.is_symmetric:  # the length of the logarithm: nothing more to compile
+            return super().squared_dist(point_a, point_b)
+        return self._space.host("dist", point_a, point_b) ** 2
 
     def retraction(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
         """The retraction that the space came with."""
         return self._space.host("move", base_point, tangent_vec)
 
     def lifting(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
-        """Inverse of the retraction; NaN outside its image."""
+        """Inverse of the retraction."""
         return self._space.host("back", base_point, point)
 
     def parallel_transport(

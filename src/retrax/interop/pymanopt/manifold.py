@@ -10,7 +10,7 @@ from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 from pymanopt.tools import ndarraySequenceMixin
 
 from ..conventions import Theirs
-from ..geometry import Geometry, require_exponential
+from ..geometry import Geometry, require_values
 
 
 class TangentList(ndarraySequenceMixin, list):
@@ -81,19 +81,15 @@ class RetraxManifold(PymanoptManifold):
         return self._host("move", point, tangent_vector)
 
     def exp(self, point: Theirs, tangent_vector: Theirs) -> Theirs:
-        require_exponential(self.geometry, "retraction and transport")
         return self._host("exp", point, tangent_vector)
 
     def log(self, point_a: Theirs, point_b: Theirs) -> Theirs:
-        require_exponential(self.geometry, "retraction and transport")
         return self._tangent("log", point_a, point_b)
 
     def dist(self, point_a: Theirs, point_b: Theirs) -> Any:
-        require_exponential(self.geometry, "retraction and transport")
         return float(self._host("dist", point_a, point_b))
 
     def pair_mean(self, point_a: Theirs, point_b: Theirs) -> Theirs:
-        require_exponential(self.geometry, "retraction and transport")
         return self._host("middle", point_a, point_b)
 
     def transport(self, point_a: Theirs, point_b: Theirs, tangent_vector_a: Theirs) -> Theirs:
@@ -113,7 +109,9 @@ class RetraxManifold(PymanoptManifold):
 
     def _host(self, method: str, *arguments: Theirs) -> Theirs:
         """A method of the geometry, compiled, on NumPy arrays."""
-        return jax.tree.map(np.array, _kernel(method)(self.geometry, *map(_plain, arguments)))
+        values = jax.tree.map(np.array, _kernel(method)(self.geometry, *map(_plain, arguments)))
+        require_values(method, values)
+        return values
 
 
 @lru_cache

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from .differences import WEIGHTS, slopes
+from .differences import slopes
 from .manifold import HostSpace, WrappedManifold, WrappedRetraction, moved_points, projectors_of
 
 _POINTS = 2
@@ -13,7 +13,12 @@ _ROUNDING, _TOLERANCE = 1e-9, 1e-6
 def wrap(host: HostSpace, name: str) -> tuple[WrappedManifold, WrappedRetraction]:
     """A space as a manifold with a retraction. Raises ``InvalidInputError``, with the reason, if it is not one."""
     for seed in range(_POINTS):
-        wrong = _describe_point(host, seed) or _describe_geometry(host, seed)
+        try:
+            wrong = _describe_point(host, seed) or _describe_geometry(host, seed)
+        except Exception as reason:
+            raise InvalidInputError(
+                f"{name} cannot be used: its own functions fail at its random points: {reason}; try the same space by matrices"
+            ) from reason
         if wrong:
             raise InvalidInputError(f"{name} cannot be used: {wrong}")
     manifold = WrappedManifold(host)
@@ -35,7 +40,10 @@ def _describe_point(host: HostSpace, seed: int) -> str:
             f"its tangent vectors at a point span {rank} dimensions where it says {host.dimension}: its arrays are not those "
             "of an embedded manifold"
         )
-    return ""
+    distance = float(np.max(np.abs(host.restore(x[None]) - x)))
+    if not distance <= _ROUNDING:
+        return f"its own projection moves a random point of it by {distance:.1g}, expected 0"
+    return "" if np.all(host.contains(x[None])) else "it takes a random point of its own for none"
 
 
 def _describe_geometry(host: HostSpace, seed: int) -> str:
@@ -43,6 +51,8 @@ def _describe_geometry(host: HostSpace, seed: int) -> str:
     start, slope, twist = _defects(host, np.asarray(host.random_point(seed), float).reshape(1, -1))
     if not start <= _ROUNDING:
         return f"R(x, 0) misses x by {start:.1g}; it is not a retraction"
+    if not np.isfinite(slope + twist):
+        return "R(x, v) or the tangent projection has no derivatives at a random point: values on short curves jump"
     if not slope <= _TOLERANCE:
         return f"the derivative of R(x, v) at v = 0 is not the identity, by {slope:.1g}; it is not a retraction"
     if not twist <= _TOLERANCE:
@@ -58,7 +68,7 @@ def _defects(host: HostSpace, x: np.ndarray) -> tuple[float, float, float]:
     projectors, moved = projectors_of(host), moved_points(host)
     (p,), point = projectors(x), x.reshape(1, *host.shape)
     start = host.retract(point, np.zeros_like(point)) - point
-    slope = np.tensordot(moved(x)[0], WEIGHTS, ((1,), (0,))) - p
+    (slope,) = slopes(lambda z: z, moved, (len(p),))(x) - p
     (change,) = slopes(projectors, moved, p.shape)(x)
     normal = np.einsum("nm,mjk,ja,kb->nab", np.eye(len(p)) - p, change, p, p)
     twist = normal - np.swapaxes(normal, 1, 2)

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from ...manifolds import Manifold
 from ...manifolds.manifold import real
 from ...retractions import Retraction
-from .differences import NODES, Host, host_function
+from .differences import NODES, Host, Moved, host_function
 
 
 class HostSpace(ABC):
@@ -123,8 +123,9 @@ def projectors_of(host: HostSpace) -> Host:
         points = np.repeat(x.reshape(-1, *host.shape), size, axis=0)
         units = np.tile(np.eye(size), (len(x), 1)).reshape(-1, *host.shape)
         images = host.project(points, units).reshape(-1, size, size)
-        frames = np.linalg.svd(images)[2][:, : host.dimension]
-        return np.swapaxes(frames, 1, 2) @ frames
+        known = np.all(np.isfinite(images), (1, 2), keepdims=True)
+        frames = np.linalg.svd(np.where(known, images, 0.0))[2][:, : host.dimension]
+        return np.where(known, np.swapaxes(frames, 1, 2) @ frames, np.nan)
 
     return values
 
@@ -137,12 +138,12 @@ def _retractions(host: HostSpace) -> Host:
     return values
 
 
-def moved_points(host: HostSpace) -> Host:
+def moved_points(host: HostSpace) -> Moved:
     """Points on the curves ``s -> R(x, s P_x e_i)`` for the coordinate vectors ``e_i``."""
     size = prod(host.shape)
 
-    def moved(x: np.ndarray) -> np.ndarray:
-        directions = np.swapaxes(projectors_of(host)(x), 1, 2)[:, :, None] * NODES[:, None]
+    def moved(x: np.ndarray, step: float) -> np.ndarray:
+        directions = np.swapaxes(projectors_of(host)(x), 1, 2)[:, :, None] * (step * NODES)[:, None]
         starts = np.broadcast_to(x[:, None, None], directions.shape)
         there = host.retract(starts.reshape(-1, *host.shape), directions.reshape(-1, *host.shape))
         return there.reshape(len(x), size, len(NODES), size)
@@ -150,14 +151,14 @@ def moved_points(host: HostSpace) -> Host:
     return moved
 
 
-def _moved_tangents(host: HostSpace) -> Host:
+def _moved_tangents(host: HostSpace) -> Moved:
     """Tangent vectors on curves along each coordinate of the base point, then of the fibre."""
     size = prod(host.shape)
 
-    def moved(z: np.ndarray) -> np.ndarray:
+    def moved(z: np.ndarray, step: float) -> np.ndarray:
         x, v = z[:, :size], z[:, size:]
-        steps = NODES[:, None] * np.eye(size)[:, None]
-        base = moved_points(host)(x)
+        steps = step * NODES[:, None] * np.eye(size)[:, None]
+        base = moved_points(host)(x, step)
         same, other = (np.broadcast_to(part[:, None, None], base.shape) for part in (x, v))
         along_base, along_fibre = np.concatenate([base, other], -1), np.concatenate([same, other + steps], -1)
         return np.concatenate([along_base, along_fibre], 1)
