@@ -26,6 +26,7 @@ class Orthographic(Retraction):
     parent: Retraction
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         if not same_manifold(self.parent.manifold, self.manifold.parent):
             raise InvalidInputError(
                 f"Orthographic corrects a retraction of {self.manifold.parent}, got one of {self.parent.manifold}"

@@ -30,6 +30,7 @@ class FrobeniusExponential(GroupRetraction):
     manifold: MatrixLieGroup
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         if not self.applies(self.manifold):
             raise UnknownRetractionError(
                 f"the algebra of {self.manifold} does not hold the adjoint of each of its matrices, so these geodesics are not "

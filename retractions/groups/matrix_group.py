@@ -86,6 +86,7 @@ class GroupCayley(SymmetricGroupRetraction):
     manifold: MatrixLieGroup
 
     def __check_init__(self) -> None:
+        super().__check_init__()
         if not self.applies(self.manifold):
             raise UnknownRetractionError(
                 f"the Cayley transform leads from the algebra of {self.manifold} out of the group; try Exponential"

@@ -4,12 +4,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.manifolds import SO, SPD, EmbeddedMetric, Hyperbolic, InvalidInputError, Sphere, Stiefel
+from retrax.manifolds import SO, SPD, EmbeddedMetric, FixedRank, Hyperbolic, InvalidInputError, Sphere, Stiefel
 from retrax.retractions import (
     QR,
     Addition,
     Cayley,
     Exponential,
+    GroupCayley,
+    Orthographic,
     SecondOrder,
     Stabilized,
     StiefelCanonicalExponential,
@@ -55,6 +57,8 @@ def test_batches_by_vmap():
     [
         (lambda: StiefelPolar(SPD(3)), r"StiefelPolar takes a Stiefel, got SPD"),
         (lambda: Addition(Sphere(2)), r"Addition takes a Euclidean, got Sphere"),
+        (lambda: GroupCayley(Sphere(2)), r"GroupCayley takes a MatrixLieGroup, got Sphere"),
+        (lambda: Orthographic(FixedRank(3, 2, 1), 3), r"Orthographic takes a Submanifold, got FixedRank"),
         (lambda: Stabilized(SO(3)), r"Stabilized takes a Retraction, got SO"),
         (lambda: SecondOrder(QR(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
         (lambda: order(Cayley(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
