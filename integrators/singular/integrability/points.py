@@ -27,6 +27,7 @@ PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
 NEARBY = 0.1  # how far starts near a state are from it; costates relative to their size
 
 
@@ -275,6 +276,16 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
         residual = np.where(better, now, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
     return replace(points, at=at, residuals=residual, slow=points.slow | (slow >= SLOW_STEPS))
+
+
+def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
+    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
+    count, reach = len(points.residuals), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
+    lengths = BESIDE * np.concatenate([points.units.state, points.units.jet.reshape(-1)])
+    lengths[reach:] = 0.0  # derivatives of the control that do not enter
+    d = lengths * np.random.default_rng(0).standard_normal((count, lengths.size))
+    at = _host(_kernel()(points.array, points.at.z, points.centers, jnp.asarray(points.at.jet), jnp.asarray(d)))
+    return make_consistent(replace(points, at=at, slow=np.zeros(count, bool)), level, unit_costate)
 
 
 def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:

@@ -158,6 +158,41 @@ def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
     assert (0, ("primary",)) in [piece[1:] for piece in found[0]]
 
 
+@pytest.mark.slow
+def test_pieces_of_equal_ranks_that_cross_are_told_apart():
+    """``x' = u1``, ``y' = u2``, cost ``x y u3``: ``p = 0`` and ``x y = 0``; ``u2`` is free on ``x = 0``, ``u1`` on ``y = 0``."""
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u[:2], lambda q, u: q[0] * q[1] * u[2], 3)
+    seen = set()
+    for seed in (0, 1, 4):
+        c = classify(problem, seed=seed)
+        lines = [s for s in c.strata if s.codimension == 3]
+        assert c.stratified
+        assert len({s.feedback.pivots.free for s in lines}) == len(lines), str(c)
+        seen |= {s.feedback.pivots.free for s in lines}
+        for i, s in enumerate(lines):
+            (free,) = s.feedback.pivots.free
+            assert (s.k_f, s.k_f_base, s.free_controls, s.equations.names) == (1, 0, 1, ("primary",) * 3), str(c)
+            assert abs(s.q[free]) > 1e-3 > abs(s.q[1 - free]), "the point is on one of the pieces alone"
+            control = c.choose(i).control(jnp.eye(2)[free], jnp.zeros(2), jnp.array([0.7]))
+            np.testing.assert_allclose(control, 0.7 * np.eye(3)[free], atol=1e-12)
+        # What is left is the crossing itself, where u1 = u2 = 0 and u3 is free.
+        assert all(s.codimension == 4 and s.feedback.pivots.free == (2,) for s in c.strata if s not in lines)
+    assert seen == {(0,), (1,)}
+
+
+def test_flat_pieces_are_told_apart_by_their_tangent_spaces():
+    """``q' = 0``, cost ``x y u``: ``x = 0`` and ``y = 0`` have equal ranks and controls; a circle is one piece."""
+    found = {}
+    for name, function in (("lines", lambda q: q[0] * q[1]), ("circle", lambda q: q @ q - 1)):
+        problem = OptimalControlProblem(Euclidean(2), lambda q, u: 0 * q, lambda q, u, f=function: f(q) * u[0], 1)
+        found[name] = classify(problem)
+    assert [s.codimension for s in found["lines"].strata] == [1, 1]
+    for stratum in found["lines"].strata:
+        assert np.max(np.abs(stratum.states[0][:, np.argmin(np.abs(stratum.q))])) < 1e-9
+    assert "[1] point" in str(found["lines"])
+    assert not found["circle"].stratified
+
+
 def test_conditions_that_are_only_approached_are_not_called_contradictory():
     """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.log(q) + u, lambda q, u: q @ q / 2, 1)
