@@ -214,6 +214,21 @@ def test_without_a_gauge_the_control_has_least_norm():
     np.testing.assert_allclose(path.controls[:, 1], 0, atol=1e-14)
 
 
+@pytest.mark.parametrize(
+    ("gauge", "message"),
+    [
+        (1.0, r"gauge must be a function gauge\(t, q, p\) that returns the gauge control u\[1\], shape \(1,\), got 1.0; try"),
+        (lambda t: t, r"it fails with .* takes 1 positional argument but 3 were given; try"),
+        (lambda t, q, p: jnp.zeros(2), r"shape \(1,\); it returns 2 numbers"),
+        (lambda t, q, p: 1 / t, r"at t = 0, q = .* it returns \[inf\], expected finite numbers"),
+        (lambda t, q, p: "none", "it fails with"),
+    ],
+)
+def test_a_gauge_that_is_none_is_refused(gauge, message):
+    with pytest.raises(InvalidInputError, match=message):
+        chosen("academic", gauge=gauge)
+
+
 def test_what_does_not_apply_is_refused_with_what_does():
     beside = Theta(default_retraction(Euclidean(2)), 0.3)
     with pytest.raises(InvalidInputError, match=r"(?s)not stage: the deviation of the nodes .* grows"):
