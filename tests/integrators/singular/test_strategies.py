@@ -8,9 +8,10 @@ import pytest
 from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
 from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
+from retrax.integrators.singular.integrability.jets import hamiltonian_field
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
+from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
 
 from tests.integrators.singular.cases import classified, known
 from tests.support.numerics import slope
@@ -158,6 +159,34 @@ def test_a_lift_beside_the_midpoint_is_of_order_one_and_of_order_two_with_its_ad
 def test_rattle_is_of_order_two_through_another_retraction():
     method = chosen("sphere", "rattle", Midpoint(Exponential(classified("sphere").problem.manifold)))
     assert measured_order("sphere", (method,), 2) == pytest.approx(2, abs=0.05)
+
+
+def test_steps_of_the_paper_s_definition_do_not_compose_on_a_curved_final_manifold():
+    """``(z, z') = R_d^{T*}(h V)`` with ``V`` in ``S_f``: its ends leave ``P_f`` by ``O(h^2)``, and no step begins at ``z'``.
+
+    The nearest beginning of one is ``O(h^3)`` away.
+    """
+    c = classified("massless particle")
+    lift = CotangentLift(Midpoint(default_retraction(c.problem.manifold)))
+
+    @jax.jit
+    def ends(q, h):
+        """Both ends of the step with its stage over ``q``."""
+        z = q, (1 + q @ q) / 2 * jnp.stack([-q[1], q[0]])
+        velocity = hamiltonian_field(c.problem, z, c.control(*z))
+        return [jnp.concatenate(end) for end in lift(z, vec.scale(h, velocity))]
+
+    off, missed = [], []
+    for h in STEPS:
+        q = jnp.array(STARTS["massless particle"][0])
+        end, q = ends(q, h)[1], q + (ends(q, h)[1] - ends(q, h)[0])[:2]
+        off.append(np.max(np.abs(c.equations((end[:2], end[2:])))))
+        for _ in range(6):  # Gauss-Newton
+            gap, slopes = ends(q, h)[0] - end, jax.jacfwd(ends)(q, h)[0]
+            q = q - jnp.linalg.lstsq(slopes, gap)[0]
+        missed.append(np.linalg.norm(ends(q, h)[0] - end))
+    assert slope(STEPS, np.array(off), 1e-13) == pytest.approx(2, abs=0.2)
+    assert slope(STEPS, np.array(missed), 1e-13) == pytest.approx(3, abs=0.2)
 
 
 @pytest.mark.slow
