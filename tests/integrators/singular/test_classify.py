@@ -2,13 +2,16 @@
 
 from itertools import product
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
 from retrax.integrators.singular.integrability.points import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.manifolds.numerics.rank import numerical_rank
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
 
@@ -244,6 +247,41 @@ def test_the_morse_family_is_told_from_a_dummy_control():
     assert slopes.shape == (20, 1)
     np.testing.assert_allclose(slopes, 0, atol=1e-9)
     assert classified("regular").regular
+
+
+class Stirred(eqx.Module):
+    """A drift, and controls of which the second is in a unit."""
+
+    unit: Array
+
+    def __call__(self, q, u):
+        return jnp.stack([q[1] + u[0], self.unit * u[1]])
+
+
+class Cheap(eqx.Module):
+    """A cost of two controls, the second cheap, in a unit of it."""
+
+    price: Array
+    unit: Array
+
+    def __call__(self, q, u):
+        return (q @ q + u[0] ** 2 + self.price * (self.unit * u[1]) ** 2) / 2
+
+
+def test_a_cheap_control_is_no_free_one_in_any_unit():
+    """``x' = y + u1``, ``y' = u2``, cost ``(x^2 + y^2 + u1^2 + 1e-8 u2^2)/2``: regular, as it is for ``solve``."""
+    for price, unit in ((1e-8, 1.0), (1e-8, 1e4), (1e-8, 1e-2), (0.0, 1.0)):
+        unit = jnp.array(unit)
+        problem = OptimalControlProblem(Euclidean(2), Stirred(unit), Cheap(jnp.array(price), unit), 2)
+        c = classify(problem)
+        assert c.regular == problem.check(jnp.ones(2), jnp.zeros(2)) == (price > 0), str(c)
+        assert c.codimension == (0 if price else 2)
+
+
+def test_the_gap_is_that_of_what_was_seen():
+    assert numerical_rank(1e-8 * np.eye(2), unit=1.0).gap == pytest.approx(1e8)
+    assert numerical_rank(np.zeros((2, 2)), unit=1.0).gap == np.inf
+    assert numerical_rank(np.diag([1.0, 1e-9]), unit=1.0).gap == pytest.approx(1e9)
 
 
 def test_regularity_is_a_statement_about_points_with_vanishing_dh_du_alone():
