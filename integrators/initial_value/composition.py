@@ -47,6 +47,7 @@ class Composition(Integrator):
 
     Of a symmetric integrator of order 2 the weights ``TRIPLE_JUMP`` and ``SUZUKI`` make one of order 4, ``YOSHIDA_6`` and
     ``KAHAN_LI_6`` of order 6, ``KAHAN_LI_8`` of order 8. Whatever every substep preserves, the composition preserves.
+    The orders are those of steps that tend to the identity with ``h``: of a ``StageIntegrator`` compose two halves first.
     """
 
     integrator: Integrator

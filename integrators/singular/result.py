@@ -42,7 +42,7 @@ class IntegrabilityResult(Generic[P]):
 
     @property
     def stratified(self) -> bool:
-        """Whether ranks differ between the points found, so that ``P_f`` is not one manifold."""
+        """Whether the points found lie on several pieces, so that ``P_f`` is not one manifold."""
         return len(self.strata) > 1
 
     def choose(self, index: int) -> Self:

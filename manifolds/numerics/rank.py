@@ -8,7 +8,10 @@ RANK_TOLERANCE = 1e-7  # smallest singular value that counts, relative to the la
 
 
 class Rank(NamedTuple):
-    """A numerical rank, the singular values it was read from, and the gap: last one counted over first one not counted."""
+    """A numerical rank, the singular values it was read from, and the gap: last one counted over first one not counted.
+
+    Where none is counted, the gap is the unit over the first.
+    """
 
     rank: int
     singular_values: np.ndarray
@@ -21,8 +24,8 @@ def numerical_rank(matrix: np.ndarray, unit: float = 0.0) -> Rank:
         return Rank(0, np.zeros(0), np.inf)
     values = np.linalg.svd(matrix, compute_uv=False)
     rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], unit)))
-    dropped = values[rank] if 0 < rank < len(values) else 0.0
-    return Rank(rank, values, float(values[rank - 1] / dropped) if dropped else np.inf)
+    dropped = values[rank] if rank < len(values) else 0.0
+    return Rank(rank, values, float((values[rank - 1] if rank else unit) / dropped) if dropped else np.inf)
 
 
 def null_space(matrix: np.ndarray, unit: float = 0.0) -> np.ndarray:

@@ -13,8 +13,10 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..manifold import Manifold
-from ..numerics.ambient import Ambient, Frame
+from ..manifold import Manifold, default_tolerance
+from ..numerics import ambient as vec
+from ..numerics.ambient import Ambient, Frame, is_traced
+from ..numerics.errors import InvalidInputError, NotOnManifoldError
 from ..numerics.rank import numerical_rank
 from ..product import Product
 from .forms import coordinates, difference, pullback_form
@@ -25,11 +27,22 @@ ISOTROPY = 1e-9  # largest value of the form on unit tangent vectors, relative t
 
 @final
 class Immersion(eqx.Module):
-    """An immersed submanifold ``i: L -> M`` of a presymplectic manifold: a smooth function on a manifold ``source``."""
+    """An immersed submanifold ``i: L -> M`` of a presymplectic manifold: a smooth function on a manifold ``source``.
+
+    Raises ``InvalidInputError`` for parts of another kind.
+    """
 
     source: Manifold
     target: PresymplecticManifold
     function: Callable[[Any], Any]
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.source, Manifold):
+            raise InvalidInputError(
+                f"the source of an immersion is a manifold, got {self.source!r}; try Euclidean(1) for a curve"
+            )
+        _require_form(self.target)
+        _require_function(self.function)
 
     def __call__(self, y: Ambient) -> Ambient:
         """The point ``i(y)`` of ``M``."""
@@ -75,8 +88,24 @@ class LagrangianVerdict:
 
 
 def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
-    """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and ker)``."""
-    form, tangents = (np.asarray(part) for part in _linear_data(submanifold, y))
+    """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and ker)``.
+
+    Raises ``InvalidInputError`` for what is no ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``, or ``i`` does
+    not map it and its neighbours into ``M``.
+    """
+    if not isinstance(submanifold, Immersion):
+        raise InvalidInputError(f"is_lagrangian takes an Immersion, got {submanifold!r}; try L_H(problem) or graph(f, M, N)")
+    space = submanifold.target.manifold
+    if not (there := submanifold.source.contains(y)):
+        raise NotOnManifoldError(f"y is not a point of the submanifold's source: {there.reason}")
+    if not (there := space.contains(submanifold(y))):
+        raise NotOnManifoldError(f"the immersion does not map y to a point of its target: {there.reason}")
+    form, tangents, normal = (np.asarray(part) for part in _linear_data(submanifold, y))
+    if not normal <= default_tolerance():
+        raise NotOnManifoldError(
+            f"the immersion leaves {space} at the image of y: its tangent vectors have a normal part of {normal:.3g} (relative), "
+            "expected 0"
+        )
     return lagrangian_subspace(form, tangents)
 
 
@@ -90,7 +119,13 @@ def lagrangian_subspace(form: np.ndarray, vectors: np.ndarray) -> LagrangianVerd
 
 
 def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: PresymplecticManifold) -> Immersion:
-    """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic diffeomorphism."""
+    """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic diffeomorphism.
+
+    Raises ``InvalidInputError`` for parts of another kind.
+    """
+    _require_function(function)
+    for space in (first, second):
+        _require_form(space)
     space = PresymplecticManifold(Product(first.manifold, second.manifold), difference(first.form, second.form))
     return Immersion(first.manifold, space, lambda x: (x, function(x)))
 
@@ -98,7 +133,19 @@ def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: 
 def preimage(
     submanifold: Immersion, function: Callable[[Any], Any], inverse: Callable[[Any], Any], source: Manifold
 ) -> Immersion:
-    """``f^-1(L)`` in ``(M, f* omega_N)`` for a diffeomorphism ``f: M -> N``; Lagrangian if ``L`` is in ``(N, omega_N)``."""
+    """``f^-1(L)`` in ``(M, f* omega_N)`` for a diffeomorphism ``f: M -> N``; Lagrangian if ``L`` is in ``(N, omega_N)``.
+
+    Raises ``InvalidInputError`` for parts of another kind, or if ``f`` after ``inverse`` is not the identity at a random point of
+    ``L``.
+    """
+    if not isinstance(submanifold, Immersion):
+        raise InvalidInputError(f"preimage takes an Immersion, got {submanifold!r}")
+    _require_function(function)
+    _require_function(inverse)
+    x = submanifold(submanifold.source.random_point(jax.random.key(0)))
+    gap = vec.size(vec.subtract(function(inverse(x)), x)) / (1 + vec.size(x))
+    if not is_traced(gap) and not gap <= default_tolerance():
+        raise InvalidInputError(f"inverse is not the inverse of f: f(inverse(x)) - x has size {gap:.3g} (relative) at x = {x}")
     space = PresymplecticManifold(source, pullback_form(function, submanifold.target.form))
     return Immersion(submanifold.source, space, lambda y: inverse(submanifold(y)))
 
@@ -108,8 +155,21 @@ def _orthonormal_rows(vectors: np.ndarray) -> np.ndarray:
     return directions[: numerical_rank(vectors).rank]
 
 
+def _require_form(space: object) -> None:
+    if not isinstance(space, PresymplecticManifold):
+        raise InvalidInputError(f"expected a manifold with a two-form, got {space!r}; try PresymplecticManifold(manifold, form)")
+
+
+def _require_function(function: object) -> None:
+    if not callable(function):
+        raise InvalidInputError(f"expected a function of points, got {function!r}")
+
+
 @eqx.filter_jit
-def _linear_data(submanifold: Immersion, y: Ambient) -> tuple[Array, Array]:
-    """Matrix of the form at ``i(y)``, and coordinates of the tangent vectors of the submanifold, one row each."""
+def _linear_data(submanifold: Immersion, y: Ambient) -> tuple[Array, Array, Array]:
+    """Matrix of the form at ``i(y)``; coordinates of the submanifold's tangent vectors, one row each; their normal part."""
     x, space = submanifold(y), submanifold.target
-    return space.matrix(x), coordinates(space.manifold.basis(x), submanifold.tangents(y))
+    basis, tangents = space.manifold.basis(x), submanifold.tangents(y)
+    rows = coordinates(basis, tangents)
+    normal = vec.size(vec.subtract(tangents, vec.combine_each(basis, rows))) / (1 + vec.size(tangents))
+    return space.matrix(x), rows, normal

@@ -11,6 +11,8 @@ from retrax.manifolds import (
     CotangentBundle,
     Euclidean,
     Immersion,
+    InvalidInputError,
+    NotOnManifoldError,
     Phi,
     PresymplecticManifold,
     Product,
@@ -251,6 +253,39 @@ def test_closed_one_forms_and_their_preimages_are_lagrangian(submanifold, seed):
     verdict = is_lagrangian(submanifold, submanifold.source.random_point(jax.random.key(seed)))
     assert verdict, verdict.reason
     assert verdict.dimension == submanifold.source.dimension
+
+
+AREA = PresymplecticManifold(SPHERE, lambda x, a, b: x @ jnp.cross(a, b))
+MERIDIAN = Immersion(Euclidean(1), AREA, lambda t: jnp.stack([jnp.sin(t[0]), 0.0, jnp.cos(t[0])]))
+
+
+def test_what_is_not_on_the_manifolds_is_not_certified():
+    assert is_lagrangian(MERIDIAN, 0.3 * jnp.ones(1))
+    with pytest.raises(NotOnManifoldError, match="y is not a point of the submanifold's source"):
+        is_lagrangian(MERIDIAN, jnp.zeros(3))
+    line = Immersion(Euclidean(1), AREA, lambda t: jnp.stack([t[0], 0.0, 1.0]))
+    with pytest.raises(NotOnManifoldError, match="does not map y to a point of its target: not on"):
+        is_lagrangian(line, 0.3 * jnp.ones(1))
+    slanted = Immersion(Euclidean(1), AREA, lambda t: jnp.stack([t[0], 0.0, 1.0 + t[0]]))
+    with pytest.raises(NotOnManifoldError, match="its tangent vectors have a normal part"):
+        is_lagrangian(slanted, jnp.zeros(1))
+    with pytest.raises(InvalidInputError, match="inverse is not the inverse of f"):
+        preimage(CLOSED, lifted_twist, lambda z: z, PHASE)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: is_lagrangian(3, 0.0), "takes an Immersion, got 3"),
+        (lambda: graph(lifted_twist, PHASE, PHASE), "expected a manifold with a two-form"),
+        (lambda: graph(3, SYMPLECTIC, SYMPLECTIC), "expected a function of points, got 3"),
+        (lambda: preimage(3, lifted_twist, lifted_untwist, PHASE), "takes an Immersion, got 3"),
+        (lambda: Immersion(3, SYMPLECTIC, differential), "the source of an immersion is a manifold, got 3"),
+    ],
+)
+def test_parts_of_another_kind_are_refused(call, message):
+    with pytest.raises(InvalidInputError, match=message):
+        call()
 
 
 def test_a_smaller_isotropic_submanifold_is_not_lagrangian():

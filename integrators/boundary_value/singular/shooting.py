@@ -1,6 +1,6 @@
 """Multiple shooting on the final manifold ``P_f`` of a singular problem."""
 
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -21,8 +21,10 @@ Pair = tuple[Ambient, Ambient]
 class StepwiseGauge(eqx.Module):
     """Gauge controls that are constant on every step: ``values`` of shape ``(steps, gauge controls)``.
 
-    ``fraction``: where in a step the integrator asks for them.
+    ``fraction``: where in a step the integrator asks for them. ``meaning``: what the reason for an integrator says of them.
     """
+
+    meaning: ClassVar[str] = "gauge controls constant on every step, of least norm that meet the ends"
 
     values: Array
     step: Array

@@ -16,13 +16,14 @@ from .classification import Classification, MorseTest, Stratum
 from .final import final_equations
 from .jets import Pair
 from .levels import Level, PointRanks, Signature, point_ranks, summarise
-from .points import Points, make_consistent, random_starts, select, with_order
+from .points import Points, make_consistent, points_beside, random_starts, select, with_order
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
 
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
+FLAT, FLAT_POINTS = 1e-6, 3  # largest difference of the tangent spaces of a flat piece, in units, and points that show one
 
 
 @overload
@@ -127,7 +128,7 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         level = len(levels)
         if level > points.array.order:
             points = _lengthened(points, first, levels)
-        points = make_consistent(points, level, unit_costate)
+        points = _without_crossings(make_consistent(points, level, unit_costate), level, unit_costate)
         reliable = np.flatnonzero(points.reliable)
         ranks = [point_ranks(points, i, level) for i in reliable]
         levels.append(summarise(points, level, ranks))
@@ -136,6 +137,22 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         settled = level > 0 and all(_new_equations(points, i, r, level) == 0 for i, r in zip(reliable, ranks, strict=True))
         if not ranks or settled:
             return levels, morse, points
+
+
+def _without_crossings(points: Points, level: int, unit_costate: bool) -> Points:
+    """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some level."""
+    histories = {i: _signatures(points, i, level) for i in np.flatnonzero(points.reliable)}
+    if len(set(histories.values())) < 2:
+        return points
+    beside, crossing = points_beside(points, level, unit_costate), points.slow.copy()
+    for i in set(histories).intersection(np.flatnonzero(beside.consistent)):
+        crossing[i] |= beside.slow[i] or _signatures(beside, i, level) != histories[i]
+    return replace(points, slow=crossing)
+
+
+def _signatures(points: Points, index: int, level: int) -> tuple[Signature, ...]:
+    """Ranks at a point at all levels up to this one."""
+    return tuple(point_ranks(points, index, k).signature for k in range(level + 1))
 
 
 def _new_equations(points: Points, index: int, ranks: PointRanks, level: int) -> int:
@@ -177,13 +194,38 @@ def _morse(points: Points) -> MorseTest:
 
 
 def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
-    """Points clustered by their ranks at the last level, each cluster with the equations through its best conditioned point."""
+    """Points clustered by piece, each cluster with the equations through its best conditioned point.
+
+    Pieces differ in their ranks at the last level, in the controls that they determine, or in their tangent spaces.
+    """
     final = [point_ranks(points, i, last) for i in range(len(points.residuals))]
-    groups: dict[Signature, list[int]] = {}
+    groups: dict[tuple[Signature, tuple[bool, ...]], list[int]] = {}
     for i, ranks in enumerate(final):
-        groups.setdefault(ranks.signature, []).append(i)
-    made = [_stratum(points, members, final, last) for members in groups.values()]
+        groups.setdefault((ranks.signature, tuple(ranks.determined)), []).append(i)
+    pieces = [piece for group in groups.values() for piece in ([group] if points.slow[group].any() else _flat(group, final))]
+    made = [_stratum(points, members, final, last) for members in pieces]
     return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
+
+
+def _flat(group: list[int], final: list[PointRanks]) -> list[list[int]]:
+    """The flat pieces that points of equal ranks lie on, each of one tangent space, and what is left of the points.
+
+    An analytic piece that is flat around a point is flat: no other tangent space belongs to it, and equal ones at random
+    points are no chance.
+    """
+    clusters: list[list[int]] = []
+    for i in group:
+        projection = final[i].tangents @ final[i].tangents.T
+        for cluster in clusters:
+            first = final[cluster[0]].tangents
+            if np.max(np.abs(projection - first @ first.T), initial=0.0) <= FLAT:
+                cluster.append(i)
+                break
+        else:
+            clusters.append([i])
+    flat = [cluster for cluster in clusters if len(cluster) >= FLAT_POINTS]
+    rest = [i for cluster in clusters if len(cluster) < FLAT_POINTS for i in cluster]
+    return [*flat, rest] if rest else flat
 
 
 def _stratum(points: Points, members: list[int], final: list[PointRanks], last: int) -> Stratum:

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 from ....manifolds import (
     CotangentBundle,
     Immersion,
+    InvalidInputError,
     Manifold,
     PresymplecticManifold,
     Product,
@@ -26,7 +27,12 @@ from .jets import Pair, hamiltonian_field
 
 
 def critical_set(problem: OptimalControlProblem) -> Submanifold:
-    """``{(z, u) : dH/du = 0}`` in ``T*Q x U``: a submanifold of dimension ``2n`` where ``H`` is a Morse family."""
+    """``{(z, u) : dH/du = 0}`` in ``T*Q x U``: a submanifold of dimension ``2n`` where ``H`` is a Morse family.
+
+    Raises ``InvalidInputError`` for what is no problem; so do ``L_H`` and ``S_H``.
+    """
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"expected an OptimalControlProblem, got {problem!r}")
 
     def slope(y: tuple[Pair, Ambient]) -> Float[Array, " m"]:
         z, u = y
@@ -38,6 +44,7 @@ def critical_set(problem: OptimalControlProblem) -> Submanifold:
 
 def L_H(problem: OptimalControlProblem) -> Immersion:
     """``{(z, dH(z, u)) : dH/du = 0}`` in ``T*T*Q`` with its canonical form."""
+    critical = critical_set(problem)
     phase = CotangentBundle(problem.manifold)
     bundle = CotangentBundle(phase)
 
@@ -45,14 +52,15 @@ def L_H(problem: OptimalControlProblem) -> Immersion:
         z, u = y
         return z, phase.projection(z, jax.grad(lambda z: problem.hamiltonian(z[0], z[1], u))(z))
 
-    return Immersion(critical_set(problem), PresymplecticManifold(bundle, bundle.two_form), differential)
+    return Immersion(critical, PresymplecticManifold(bundle, bundle.two_form), differential)
 
 
 def S_H(problem: OptimalControlProblem) -> Immersion:
     """``{(z, X_H(z, u)) : dH/du = 0}`` in ``TT*Q`` with the tangent lift of the canonical form."""
+    critical = critical_set(problem)
     phase = CotangentBundle(problem.manifold)
     space = PresymplecticManifold(TangentBundle(phase), tangent_lift(phase.two_form))
-    return Immersion(critical_set(problem), space, lambda y: (y[0], hamiltonian_field(problem, *y)))
+    return Immersion(critical, space, lambda y: (y[0], hamiltonian_field(problem, *y)))
 
 
 def immersed_dynamics(

@@ -26,7 +26,7 @@ class PointRanks:
 
     ``kernel``: independent rows that span the kernel of the form on ``T P^k``, in the frame of ``T_z T*Q``. ``directions``:
     a basis of the directions in which the controls are free, one column each; ``determined``: which components of the
-    control do not change along them.
+    control do not change along them. ``tangents``: an orthonormal basis of ``T P^k`` in units, one column each.
     """
 
     signature: Signature
@@ -34,6 +34,7 @@ class PointRanks:
     kernel: np.ndarray
     directions: np.ndarray
     determined: np.ndarray
+    tangents: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,7 @@ def point_ranks(points: Points, index: int, level: int) -> PointRanks:
         kernel=kernel,
         directions=directions,
         determined=np.linalg.norm(directions, axis=1) <= DETERMINED,
+        tangents=tangents,
     )
 
 

@@ -27,6 +27,8 @@ PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
+PRICE = 100.0  # least cost of a control of size one, over the rounding of all cost
 NEARBY = 0.1  # how far starts near a state are from it; costates relative to their size
 
 
@@ -149,8 +151,8 @@ def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: 
 def _draw() -> Callable[..., Any]:
     """Points of ``T*Q``, centers of charts of U and coordinates in them, and sizes of the velocity and the cost there.
 
-    A Euclidean U has one chart, around zero, and controls that change the velocity by as much as there is of it without them:
-    their unit is no size.
+    A Euclidean U has one chart, around zero, and controls that cost as much as there is of it without them, or, where they cost
+    nothing of second order, change the velocity by as much as there is of it: their unit is no size.
     """
 
     def one(problem: OptimalControlProblem, key: Array) -> tuple[Pair, Ambient, Array]:
@@ -166,7 +168,7 @@ def _draw() -> Callable[..., Any]:
 
     def batch(problem: OptimalControlProblem, keys: Array) -> Any:
         z, centers, first = jax.lax.map(lambda key: one(problem, key), keys)
-        first = _balance(problem, z[0], centers, first) * first
+        first = _priced(problem, z[0], centers, _balance(problem, z[0], centers, first)) * first
         controls = jax.vmap(problem.steer)(centers, first)
         return z, centers, first, jax.lax.map(lambda at: sizes(problem, *at), (z[0], controls))
 
@@ -184,6 +186,19 @@ def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first
     drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
     least = default_tolerance() * jnp.maximum(drift, change)
     return jnp.where((drift > least) & (change > least), drift / jnp.where(change > 0, change, 1.0), 1.0)
+
+
+def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes: Array) -> Array:
+    """Controls of which each costs, in second order, as much as there is of cost at the centers; ``sizes`` where none is."""
+
+    def costs(at: tuple[Ambient, Ambient]) -> tuple[Array, Array]:
+        q, center = at
+        cost = jax.hessian(lambda c: problem.cost_rate(q, problem.steer(center, c)))
+        return jnp.abs(problem.cost_rate(q, center)), jnp.abs(jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))) / 2
+
+    cost, price = (jnp.mean(a, axis=0) for a in jax.lax.map(costs, (q, centers)))
+    paid = (price > PRICE * jnp.finfo(price.dtype).eps * cost) & (cost > 0)
+    return jnp.where(paid, jnp.sqrt(cost / jnp.where(paid, price, 1.0)), sizes)
 
 
 def _around(manifold: Manifold, z: Pair, keys: Array, costate: float) -> Pair:
@@ -222,8 +237,8 @@ def _units(at: Linearised) -> Units:
     """
     costate, rate = _sizes(np.asarray(at.cost_rate), np.linalg.norm(at.velocity[:, : at.velocity.shape[1] // 2], axis=1))
     across = np.repeat([1.0, costate], at.velocity.shape[1] // 2)
-    control = float(np.sqrt(np.mean(at.jet[:, 0] ** 2))) or 1.0
-    along = np.broadcast_to(control * (rate ** np.arange(at.jet.shape[1]))[:, None], at.jet.shape[1:])
+    control = np.sqrt(np.mean(at.jet[:, 0] ** 2, axis=0))
+    along = np.where(control > 0, control, 1.0) * (rate ** np.arange(at.jet.shape[1]))[:, None]
     by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
     largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
     rows = _typical(np.maximum(largest, np.abs(at.array)))
@@ -275,6 +290,16 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
         residual = np.where(better, now, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
     return replace(points, at=at, residuals=residual, slow=points.slow | (slow >= SLOW_STEPS))
+
+
+def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
+    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
+    count, reach = len(points.residuals), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
+    lengths = BESIDE * np.concatenate([points.units.state, points.units.jet.reshape(-1)])
+    lengths[reach:] = 0.0  # derivatives of the control that do not enter
+    d = lengths * np.random.default_rng(0).standard_normal((count, lengths.size))
+    at = _host(_kernel()(points.array, points.at.z, points.centers, jnp.asarray(points.at.jet), jnp.asarray(d)))
+    return make_consistent(replace(points, at=at, slow=np.zeros(count, bool)), level, unit_costate)
 
 
 def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:

@@ -88,6 +88,8 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     if not c.reliable:
         yield "NOT RELIABLE", words.UNRELIABLE
     yield "P_f", words.final_words(total - codimension, total, s.equations.names) + irregular + seen
+    if c.stratified:
+        yield "point", f"q = {_point(s.q)}, p = {_point(s.p)}"
     yield "k_f", words.stop_words(s.k_f, s.k_f_base)
     yield "omega_f", words.form_words(s.rank, kernel)
     for i in range(kernel):

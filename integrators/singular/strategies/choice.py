@@ -2,7 +2,11 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
+import numpy as np
+
 from ....manifolds import InvalidInputError
+from ....manifolds.numerics.ambient import is_traced
 from ....retractions import CotangentLift, DiscretizationMap
 from ..integrability import Classification
 from ..words import clauses
@@ -38,16 +42,17 @@ def singular_integrator(
 
     Where ``P_f`` has several pieces the integrator is for the first; ``classification.choose(i)`` takes another.
 
-    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, or if the strategy asked for does not apply.
+    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the strategy asked for does not apply, or
+    if the gauge, tried at ``t = 0`` and the point of the piece, does not return finite controls of this number.
     """
     if not isinstance(classification, Classification):
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
     if strategy is not None and strategy not in STRATEGIES:
         raise InvalidInputError(f"unknown strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}, or None")
-    if gauge is not None and not classification.gauge_controls:
-        raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
     classification.problem.check_discretization(discretization)
     classification.require_reliable()
+    if gauge is not None:
+        _check_gauge(classification, gauge)
     lift, refusals = CotangentLift(discretization), list[str]()
     for name in STRATEGIES if strategy is None else (strategy,):
         try:
@@ -63,11 +68,37 @@ def singular_integrator(
     raise InvalidInputError(f"{refusals[0]}; what applies is\n{other.reason}")
 
 
+def _check_gauge(classification: Classification, gauge: Gauge) -> None:
+    """Raise unless the gauge returns as many finite numbers as there are gauge controls, at the point of the piece."""
+    count, piece = classification.gauge_controls, classification.stratum
+    if not count:
+        raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
+    names = ", ".join(f"u[{a}]" for a in classification.gauge_components)
+    expected = (
+        f"gauge must be a function gauge(t, q, p) that returns the gauge control{'s' * (count > 1)} {names}, shape ({count},)"
+    )
+    example = f"try gauge=lambda t, q, p: jnp.zeros({count})"
+    if not callable(gauge):
+        raise InvalidInputError(f"{expected}, got {gauge!r}; {example}")
+    try:
+        values = jnp.ravel(gauge(jnp.zeros(()), piece.q, piece.p))
+    except (TypeError, ValueError, IndexError) as error:
+        raise InvalidInputError(f"{expected}; it fails with {error}; {example}") from error
+    if values.size != count:
+        raise InvalidInputError(f"{expected}; it returns {values.size} numbers, {values}; {example}")
+    if not is_traced(values) and not np.all(np.isfinite(values)):
+        raise InvalidInputError(
+            f"{expected}; at t = 0, q = {piece.q}, p = {piece.p} it returns {values}, expected finite numbers"
+        )
+
+
 def _gauge(classification: Classification, gauge: Gauge | None) -> list[str]:
     """Words on the gauge controls, if there are any."""
     if not classification.gauge_controls:
         return []
-    return ["gauge controls as given" if gauge else "gauge controls of least norm, for want of gauge(t, q, p)"]
+    if gauge is None:
+        return ["gauge controls of least norm, for want of gauge(t, q, p)"]
+    return [getattr(gauge, "meaning", "gauge controls as given")]
 
 
 def _piece(classification: Classification) -> list[str]:

@@ -21,6 +21,10 @@ class StageIntegrator(DynamicsIntegrator):
     The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a symplectic map
     near ``P_f`` in ``T*Q``. Stable where the primary constraints are second class among themselves, as ``p = theta(q)`` is;
     where their brackets vanish only if the leaves are straight. Unstable for any theta but 1/2.
+
+    As ``h`` goes to 0 a step tends to the reflection in ``P_f`` and not to the identity: a point beside ``P_f`` changes sides,
+    for its constraint holds half-way. Compositions of such steps stay of order 2; of pairs,
+    ``Composition(Composition(method, (1/2, 1/2)))``, they are of order 4.
     """
 
     presymplectic: ClassVar[bool] = False

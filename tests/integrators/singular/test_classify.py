@@ -2,13 +2,16 @@
 
 from itertools import product
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
 from retrax.integrators.singular.integrability.points import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.manifolds.numerics.rank import numerical_rank
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
 
@@ -158,6 +161,41 @@ def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
     assert (0, ("primary",)) in [piece[1:] for piece in found[0]]
 
 
+@pytest.mark.slow
+def test_pieces_of_equal_ranks_that_cross_are_told_apart():
+    """``x' = u1``, ``y' = u2``, cost ``x y u3``: ``p = 0`` and ``x y = 0``; ``u2`` is free on ``x = 0``, ``u1`` on ``y = 0``."""
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u[:2], lambda q, u: q[0] * q[1] * u[2], 3)
+    seen = set()
+    for seed in (0, 1, 4):
+        c = classify(problem, seed=seed)
+        lines = [s for s in c.strata if s.codimension == 3]
+        assert c.stratified
+        assert len({s.feedback.pivots.free for s in lines}) == len(lines), str(c)
+        seen |= {s.feedback.pivots.free for s in lines}
+        for i, s in enumerate(lines):
+            (free,) = s.feedback.pivots.free
+            assert (s.k_f, s.k_f_base, s.free_controls, s.equations.names) == (1, 0, 1, ("primary",) * 3), str(c)
+            assert abs(s.q[free]) > 1e-3 > abs(s.q[1 - free]), "the point is on one of the pieces alone"
+            control = c.choose(i).control(jnp.eye(2)[free], jnp.zeros(2), jnp.array([0.7]))
+            np.testing.assert_allclose(control, 0.7 * np.eye(3)[free], atol=1e-12)
+        # What is left is the crossing itself, where u1 = u2 = 0 and u3 is free.
+        assert all(s.codimension == 4 and s.feedback.pivots.free == (2,) for s in c.strata if s not in lines)
+    assert seen == {(0,), (1,)}
+
+
+def test_flat_pieces_are_told_apart_by_their_tangent_spaces():
+    """``q' = 0``, cost ``x y u``: ``x = 0`` and ``y = 0`` have equal ranks and controls; a circle is one piece."""
+    found = {}
+    for name, function in (("lines", lambda q: q[0] * q[1]), ("circle", lambda q: q @ q - 1)):
+        problem = OptimalControlProblem(Euclidean(2), lambda q, u: 0 * q, lambda q, u, f=function: f(q) * u[0], 1)
+        found[name] = classify(problem)
+    assert [s.codimension for s in found["lines"].strata] == [1, 1]
+    for stratum in found["lines"].strata:
+        assert np.max(np.abs(stratum.states[0][:, np.argmin(np.abs(stratum.q))])) < 1e-9
+    assert "[1] point" in str(found["lines"])
+    assert not found["circle"].stratified
+
+
 def test_conditions_that_are_only_approached_are_not_called_contradictory():
     """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.log(q) + u, lambda q, u: q @ q / 2, 1)
@@ -209,6 +247,41 @@ def test_the_morse_family_is_told_from_a_dummy_control():
     assert slopes.shape == (20, 1)
     np.testing.assert_allclose(slopes, 0, atol=1e-9)
     assert classified("regular").regular
+
+
+class Stirred(eqx.Module):
+    """A drift, and controls of which the second is in a unit."""
+
+    unit: Array
+
+    def __call__(self, q, u):
+        return jnp.stack([q[1] + u[0], self.unit * u[1]])
+
+
+class Cheap(eqx.Module):
+    """A cost of two controls, the second cheap, in a unit of it."""
+
+    price: Array
+    unit: Array
+
+    def __call__(self, q, u):
+        return (q @ q + u[0] ** 2 + self.price * (self.unit * u[1]) ** 2) / 2
+
+
+def test_a_cheap_control_is_no_free_one_in_any_unit():
+    """``x' = y + u1``, ``y' = u2``, cost ``(x^2 + y^2 + u1^2 + 1e-8 u2^2)/2``: regular, as it is for ``solve``."""
+    for price, unit in ((1e-8, 1.0), (1e-8, 1e4), (1e-8, 1e-2), (0.0, 1.0)):
+        unit = jnp.array(unit)
+        problem = OptimalControlProblem(Euclidean(2), Stirred(unit), Cheap(jnp.array(price), unit), 2)
+        c = classify(problem)
+        assert c.regular == problem.check(jnp.ones(2), jnp.zeros(2)) == (price > 0), str(c)
+        assert c.codimension == (0 if price else 2)
+
+
+def test_the_gap_is_that_of_what_was_seen():
+    assert numerical_rank(1e-8 * np.eye(2), unit=1.0).gap == pytest.approx(1e8)
+    assert numerical_rank(np.zeros((2, 2)), unit=1.0).gap == np.inf
+    assert numerical_rank(np.diag([1.0, 1e-9]), unit=1.0).gap == pytest.approx(1e9)
 
 
 def test_regularity_is_a_statement_about_points_with_vanishing_dh_du_alone():

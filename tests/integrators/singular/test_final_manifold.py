@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import L_H, S_H
-from retrax.manifolds import InvalidInputError, is_lagrangian
+from retrax.manifolds import InvalidInputError, NotOnManifoldError, is_lagrangian
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Projection
 
@@ -92,6 +92,16 @@ def test_the_necessary_conditions_are_lagrangian(name, made):
     assert verdict, verdict.reason
     assert verdict.dimension == 2 * n
     assert submanifold.target.manifold.contains(submanifold(y), 1e-11)
+
+
+@pytest.mark.parametrize("made", [L_H, S_H])
+def test_what_is_no_extremal_is_not_certified(made):
+    submanifold = made(known("academic").problem)
+    z, u = (jnp.ones(2), jnp.ones(2)), jnp.zeros(2)  # dH/du = (p_x - x - u1, -y) = (0, -1)
+    with pytest.raises(NotOnManifoldError, match=r"(?s)y is not a point .* max \|equation\| is 1, expected"):
+        is_lagrangian(submanifold, (z, u))
+    with pytest.raises(InvalidInputError, match="expected an OptimalControlProblem, got None"):
+        made(None)
 
 
 def test_the_necessary_conditions_of_a_dummy_control_are_not_lagrangian():

@@ -13,7 +13,8 @@ from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, NotO
 from retrax.retractions import Addition, CotangentLift, Midpoint, Projection
 
 from tests.integrators.problems import SPHERE
-from tests.integrators.singular.cases import scaled
+from tests.integrators.singular.cases import classified, scaled
+from tests.support.numerics import slope
 
 BUNDLE, LIFT = CotangentBundle(SPHERE), CotangentLift(Midpoint(Projection(SPHERE)))
 AXIS = jnp.array([0.0, 0.0, 1.0])
@@ -52,8 +53,19 @@ def test_a_long_run_stays_on_the_final_manifold_and_its_energy_does_not_drift():
     errors = np.max(np.abs(energies - energies[0])[1:].reshape(4, -1), axis=1)
     assert np.max(np.abs(jax.vmap(constraints)(path.q, path.p))) < 1e-13
     assert np.ptp(errors) < 0.02 * np.max(errors) < 2e-6
-    # On the arc the control is known: psi' = {psi, H_0} + u {psi, phi} = 0.
-    assert np.all(np.isfinite(path.controls))
+
+
+@pytest.mark.slow
+def test_the_control_of_a_step_is_that_of_the_arc_to_second_order():
+    """On the arc it is known: ``psi' = {psi, H_0} + u {psi, phi} = 0``."""
+    control = jax.jit(jax.vmap(classified("sphere").control))
+    steps, errors = np.array([0.1, 0.05, 0.025]), []
+    for h in steps:
+        path = integrate(PROBLEM, RATTLE, start(), h, 10)
+        at_nodes = control(path.q, path.p)
+        errors.append(np.max(np.abs(path.controls - (at_nodes[:-1] + at_nodes[1:]) / 2)))
+    assert errors[1] < 1e-4
+    assert slope(steps, np.array(errors), 1e-13) == pytest.approx(2, abs=0.2)
 
 
 def test_moving_along_a_leaf_keeps_the_level_and_composes():

@@ -151,6 +151,7 @@ def test_the_example_of_the_paper_in_closed_form(rate, target):
 def test_gauge_controls_have_the_least_norm_that_meets_the_ends():
     """``p_y' = -p_y + u2`` from 0 to -1, the slope of the terminal cost: ``u2 = -e^t / sinh 1``, or its discrete counterpart."""
     solution, h = solve_academic(0.0, (0.7 * ONE, None), (None, None)), 1 / 12
+    assert "of least norm that meet the ends" in " ".join(solution.singular.strategy.split())
     reach = h / (1 + h / 2) * ((1 - h / 2) / (1 + h / 2)) ** np.arange(11, -1, -1)
     assert norm(solution.controls[:, 1] + reach / (reach @ reach)) < 1e-9
     assert norm(solution.controls[:, 1] + np.exp(solution.stage_times) / np.sinh(1.0)) < 3e-3

@@ -8,11 +8,12 @@ import pytest
 from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
 from retrax.integrators.initial_value import StepResult
 from retrax.integrators.singular import singular_integrator
+from retrax.integrators.singular.integrability.jets import hamiltonian_field
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
+from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
 
-from tests.integrators.singular.cases import classified
+from tests.integrators.singular.cases import classified, known
 from tests.support.numerics import slope
 
 STEPS = np.array([0.2, 0.1, 0.05])
@@ -120,12 +121,28 @@ def measured_order(name, methods, expected):
     return np.log2(errors[0] / errors[1]) - np.log2((1 - 8.0**-expected) / (1 - 4.0**-expected))
 
 
+def pairs(method):
+    """Steps of two halves: near the identity for small steps where one half alone is near a reflection."""
+    return Composition(method, (0.5, 0.5))
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("order", [2, 4])
-@pytest.mark.parametrize("name", ["sphere", "curved arc", "academic"])
-def test_order(name, order):
-    method = Composition(chosen(name)) if order == 4 else chosen(name)
-    assert measured_order(name, (method,), order) == pytest.approx(order, abs=0.05)
+@pytest.mark.parametrize(
+    ("name", "strategy", "composed", "order"),
+    [
+        ("sphere", "rattle", Composition, 4),
+        ("curved arc", "rattle", Composition, 4),
+        ("academic", "direct", Composition, 4),
+        ("aly-chan", "reduced", Composition, 4),
+        ("massless particle", "stage", Composition, 2),
+        ("massless particle", "stage", lambda method: Composition(pairs(method)), 4),
+        ("massless particle", "project", Composition, 3),
+    ],
+)
+def test_order_of_steps_and_of_their_composition(name, strategy, composed, order):
+    method = chosen(name, strategy)
+    assert measured_order(name, (method,), 2) == pytest.approx(2, abs=0.1)
+    assert measured_order(name, (composed(method),), order) == pytest.approx(order, abs=0.1)
 
 
 @pytest.mark.slow
@@ -144,6 +161,34 @@ def test_rattle_is_of_order_two_through_another_retraction():
     assert measured_order("sphere", (method,), 2) == pytest.approx(2, abs=0.05)
 
 
+def test_steps_of_the_paper_s_definition_do_not_compose_on_a_curved_final_manifold():
+    """``(z, z') = R_d^{T*}(h V)`` with ``V`` in ``S_f``: its ends leave ``P_f`` by ``O(h^2)``, and no step begins at ``z'``.
+
+    The nearest beginning of one is ``O(h^3)`` away.
+    """
+    c = classified("massless particle")
+    lift = CotangentLift(Midpoint(default_retraction(c.problem.manifold)))
+
+    @jax.jit
+    def ends(q, h):
+        """Both ends of the step with its stage over ``q``."""
+        z = q, (1 + q @ q) / 2 * jnp.stack([-q[1], q[0]])
+        velocity = hamiltonian_field(c.problem, z, c.control(*z))
+        return [jnp.concatenate(end) for end in lift(z, vec.scale(h, velocity))]
+
+    off, missed = [], []
+    for h in STEPS:
+        q = jnp.array(STARTS["massless particle"][0])
+        end, q = ends(q, h)[1], q + (ends(q, h)[1] - ends(q, h)[0])[:2]
+        off.append(np.max(np.abs(c.equations((end[:2], end[2:])))))
+        for _ in range(6):  # Gauss-Newton
+            gap, slopes = ends(q, h)[0] - end, jax.jacfwd(ends)(q, h)[0]
+            q = q - jnp.linalg.lstsq(slopes, gap)[0]
+        missed.append(np.linalg.norm(ends(q, h)[0] - end))
+    assert slope(STEPS, np.array(off), 1e-13) == pytest.approx(2, abs=0.2)
+    assert slope(STEPS, np.array(missed), 1e-13) == pytest.approx(3, abs=0.2)
+
+
 @pytest.mark.slow
 def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
     method = chosen("massless particle")
@@ -154,6 +199,28 @@ def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
         path = integrate(classification.problem, method, z, 1 / n, n)
         gaps.append(float(jnp.max(jnp.abs(equations(path.q, path.p)))))
     assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2, abs=0.2)
+
+
+class Bent(eqx.Module):
+    """The cost of Aly and Chan's problem, of which ``bend`` makes ``P_f`` curved."""
+
+    bend: jax.Array
+
+    def __call__(self, q, u):
+        return (q[1] ** 2 - q[0] ** 2) / 2 + self.bend * (q[0] ** 3 * q[1] + q[1] ** 3)
+
+
+@pytest.mark.slow
+def test_steps_compose_to_rounding_or_not_at_all():
+    """A final manifold that is curved by 1e-7 is no affine one: nodes of many long steps would leave it by 2e-5."""
+    plane, midpoint = known("aly-chan").problem, Midpoint(default_retraction(Euclidean(2)))
+    for bend, strategy in ((0.0, "direct"), (1e-11, "rattle"), (1e-7, "rattle")):
+        problem = OptimalControlProblem(Euclidean(2), plane.dynamics, Bent(jnp.array(bend)), 1)
+        c = classify(problem)
+        method = singular_integrator(c, midpoint)
+        assert method.reason.startswith(strategy), (bend, method.reason)
+        path = integrate(problem, method, c.manifold.nearby((jnp.array([0.5, 0.3]), jnp.array([0.3, 0.0]))), 0.5, 1000)
+        assert np.max(np.abs(jax.vmap(lambda q, p, c=c: c.equations((q, p)))(path.q, path.p))) < 1e-12
 
 
 def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_given():
@@ -174,6 +241,21 @@ def test_without_a_gauge_the_control_has_least_norm():
     assert "gauge controls of least norm" in method.reason
     path = integrate(classified("academic").problem, method, start("academic"), 0.1, 3)
     np.testing.assert_allclose(path.controls[:, 1], 0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("gauge", "message"),
+    [
+        (1.0, r"gauge must be a function gauge\(t, q, p\) that returns the gauge control u\[1\], shape \(1,\), got 1.0; try"),
+        (lambda t: t, r"it fails with .* takes 1 positional argument but 3 were given; try"),
+        (lambda t, q, p: jnp.zeros(2), r"shape \(1,\); it returns 2 numbers"),
+        (lambda t, q, p: 1 / t, r"at t = 0, q = .* it returns \[inf\], expected finite numbers"),
+        (lambda t, q, p: "none", "it fails with"),
+    ],
+)
+def test_a_gauge_that_is_none_is_refused(gauge, message):
+    with pytest.raises(InvalidInputError, match=message):
+        chosen("academic", gauge=gauge)
 
 
 def test_what_does_not_apply_is_refused_with_what_does():
