@@ -8,10 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from ...manifolds import Manifold
-from ...manifolds.manifold import real
+from ...manifolds.manifold import default_tolerance, real
 from ...retractions import Retraction
 from .differences import NODES, Host, Moved, host_function
 
@@ -113,6 +113,11 @@ class WrappedRetraction(Retraction):
         values, moved = _retractions(host), _moved_tangents(host)
         point = jnp.concatenate([jnp.ravel(x), jnp.ravel(v)])
         return host_function(values, moved, host.shape)(point)
+
+    def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
+        """Where the inverse comes back, and the library takes the value for a point: far out it may be rounded to the edge."""
+        violations = jnp.stack(list(self.manifold.violations(self(x, v)).values()))
+        return super().domain(x, v) & (jnp.max(violations) <= default_tolerance())
 
 
 def projectors_of(host: HostSpace) -> Host:
