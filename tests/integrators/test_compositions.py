@@ -48,7 +48,7 @@ def exact_state() -> np.ndarray:
     return final_state(KAHAN_LI_8, 60)
 
 
-SLOW = ("triple jump", "Yoshida", "Kahan-Li 6")
+SLOW = ("triple jump", "Yoshida", "Kahan-Li 6", "Kahan-Li 8")
 
 
 @pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in WEIGHTS])

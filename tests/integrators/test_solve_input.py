@@ -299,11 +299,12 @@ def test_the_report_says_when_steps_are_too_coarse_for_the_hamiltonian(steps, co
     assert ("too coarse to be trusted, increase steps" in str(solution)) == coarse
 
 
+@pytest.mark.slow
 def test_the_report_says_which_momenta_the_problem_conserves():
     """A top with gravity along the third axis conserves the third component alone, a free body all three."""
     heavy = problem(cost=lambda q, u: u @ u / 2 + q[2, 0])
     tied = problem(cost=lambda q, u: u @ u / 2 + q[2, 0] + q[0, 1])
-    for given, count in ((KINEMATIC, "3"), (heavy, "1"), (tied, "none")):
+    for given, count in ((KINEMATIC, 3), (heavy, 1), (tied, 0)):
         solution = slew(given)
-        assert list(solution.checks.conserved.values()) == [0 if count == "none" else int(count)]
-        assert f"the problem conserves {count} of 3 components" in " ".join(str(solution).split())
+        assert list(solution.checks.conserved.values()) == [count]
+        assert f"the problem conserves {count or 'none'} of 3 components" in " ".join(str(solution).split())

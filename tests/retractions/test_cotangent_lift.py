@@ -28,6 +28,7 @@ LARGE = (
     "qr-SO4",
     "exponential-SO3",
     "cayley-SO2",
+    "cayley-SO4",
 )
 
 

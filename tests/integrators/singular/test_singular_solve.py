@@ -72,6 +72,7 @@ def test_aly_chan_is_a_sine_to_order_two():
     assert order([abs(s.cost) for s in solutions]) == pytest.approx(2.0, abs=0.03)
 
 
+@pytest.mark.slow
 def test_a_singular_solution_reports_what_was_checked(tmp_path):
     solution = aly_chan(8)
     arc = solution.singular
