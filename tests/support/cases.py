@@ -241,6 +241,7 @@ REACH = {
     "exponential-SL2": 1.0,
     "exponential-SL3": 1.0,
     "cayley-SL2": 1.0,
+    "frobenius-SL2": 1.0,
     "corrected-SO3": 0.5,
     "translated-SE2": 1.0,
 }
