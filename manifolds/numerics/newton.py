@@ -27,18 +27,23 @@ class _Iteration(NamedTuple):
     chords: Array  # steps taken with the present Jacobian
 
 
-def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
-    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given."""
+def newton(
+    residual: Callable[[Vector], Vector], start: Vector, rounding: Array, inverse: Array | None
+) -> tuple[Vector, Bool[Array, ""]]:
+    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given.
+
+    Steps up to ``rounding`` are the rounding of the residual.
+    """
     infinity, zero = jnp.asarray(jnp.inf, start.dtype), jnp.zeros((), int)
     state = _Iteration(start, infinity, infinity, jnp.array(False), zero)
     if inverse is not None:
-        tried = _chords(residual, lambda r: inverse @ r, state, exact=False)
+        tried = _chords(residual, lambda r: inverse @ r, state, rounding, exact=False)
         better = tried.converged | (tried.step < 1)
         state = tried._replace(c=jnp.where(better, tried.c, start))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
         factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], rounding, exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
@@ -49,10 +54,10 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
 
 
 def _chords(
-    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, exact: bool
+    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, rounding: Array, exact: bool
 ) -> _Iteration:
     """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
-    quadratic, rounding = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+    quadratic, smallest = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
 
     def chord(s: _Iteration) -> _Iteration:
         d = solve(residual(s.c))
@@ -60,7 +65,8 @@ def _chords(
         ratio = step / s.step
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
-        done = (remaining <= rounding) | ((step <= quadratic) & (ratio > STALLED) & (s.chords > 0))
+        stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)
+        done = (remaining <= smallest) | (step <= rounding) | stalled
         taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
         return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
 

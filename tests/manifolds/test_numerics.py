@@ -137,6 +137,18 @@ def test_find_root_knows_the_size_of_its_unknowns(scale):
     np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
 
 
+@pytest.mark.parametrize(("rounding", "found"), [(0.0, False), (1e-4, True)])
+def test_find_root_does_not_solve_for_the_rounding_of_the_residual_that_it_is_told(rounding, found):
+    def residual(c):
+        return c**2 - 2 + 1e-4 * jnp.sin(1e12 * c)  # noise, of which the derivative knows nothing
+
+    quiet = jax.custom_jvp(residual)
+    quiet.defjvp(lambda primals, tangents: (residual(*primals), 2 * primals[0] * tangents[0]))
+    c, converged = find_root(quiet, jnp.array([1.0]), rounding=rounding)
+    assert converged == found
+    np.testing.assert_allclose(c, np.sqrt(2), rtol=1e-4)
+
+
 @pytest.mark.parametrize(
     "residual",
     [lambda c: c**2 + 1, lambda c: jnp.exp(c), lambda c: c * jnp.nan],

@@ -100,7 +100,9 @@ class RattleIntegrator(SingularIntegrator):
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
         sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
-        root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes)
+        # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on.
+        rounding = jnp.finfo(sizes.dtype).eps / jnp.abs(h)
+        root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes, rounding=rounding)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
         last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
