@@ -43,8 +43,12 @@ def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, floa
     return value, seconds, time.perf_counter() - began
 
 
-def compiled(function: Callable, **options: Any) -> Callable:
-    """``equinox.filter_jit(function)``, with the functions among its arguments compared by their data."""
+def compiled(function: Callable, *, quickly: bool = False) -> Callable:
+    """``equinox.filter_jit(function)``, with the functions among its arguments compared by their data.
+
+    ``quickly``: with the options of ``compiler_options``, for kernels that take longer to compile than to run.
+    """
+    options: dict[str, Any] = {"compiler_options": compiler_options()} if quickly else {}
     jitted = eqx.filter_jit(function, **options)
 
     def call(*arguments: Any) -> Any:
@@ -66,9 +70,11 @@ def compiler_options() -> dict[str, str | bool]:
 
     The fusion emitters of jaxlib 0.10 spend most of a compilation on the many small loops of per-stage derivatives, and
     LLVM's higher levels find nothing more to do in them. A jaxlib without the options compiles with its defaults. Nothing
-    global is set.
+    global is set, and ``jax_disable_most_optimizations`` asks for less still.
     """
-    options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False, "xla_backend_optimization_level": "1"}
+    options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+    if not jax.config.read("jax_disable_most_optimizations"):
+        options["xla_backend_optimization_level"] = "1"
     if jax.default_backend() != "cpu":
         return {}
     try:

@@ -15,7 +15,7 @@ from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import DiscretizationMap
-from ...compilation import compiled, compiler_options
+from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
@@ -163,8 +163,7 @@ def _outcome() -> Callable[..., _Outcome]:
         residual = jnp.max(jnp.abs(jax.vmap(equations)(z)), initial=0.0)
         return _Outcome(z, states, controls, cost, residual, diagnose(stage, (states, controls), *z))
 
-    options: dict[str, Any] = {"compiler_options": compiler_options()}
-    return compiled(outcome, **options)
+    return compiled(outcome, quickly=True)
 
 
 def _record(

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds.numerics.ambient import Frame
-from ...compilation import compiled, compiler_options
+from ...compilation import compiled
 from ...results import Result
 from .conditions import AtEnds, EndConditions
 from .least_squares import shortest_step
@@ -100,9 +100,8 @@ def _verdict(state: _State, tolerance: float, slope: float, change: float, dampi
 @lru_cache
 def _kernels() -> tuple[Callable[..., Any], ...]:
     """What places points on ``P_f``, what runs the segments from them, and what knows the boundary conditions."""
-    options: dict[str, Any] = {"compiler_options": compiler_options()}
     methods = Shooting.place, Shooting.linearise, EndConditions.at
-    return tuple(compiled(lambda *arguments, f=f: f(*arguments), **options) for f in methods)
+    return tuple(compiled(lambda *arguments, f=f: f(*arguments), quickly=True) for f in methods)
 
 
 def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, frames: Frame, d: np.ndarray) -> _State:

@@ -16,7 +16,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
-from ...compilation import compiled, compiler_options
+from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from .jets import DerivativeArray, Pair, hamiltonian_field
 
@@ -73,11 +73,6 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
     )
 
 
-def _compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    options: dict[str, Any] = {"compiler_options": compiler_options()}
-    return compiled(function, **options)
-
-
 @lru_cache
 def _kernel() -> Callable[..., Linearised]:
     """Moves a batch of points by coordinates ``d`` of shape ``(batch, 2n + jet)`` and linearises the array there."""
@@ -93,7 +88,7 @@ def _kernel() -> Callable[..., Linearised]:
 
         return jax.lax.map(one, (z, centers, jets, d))
 
-    return _compiled(batch)
+    return compiled(batch, quickly=True)
 
 
 @dataclass(frozen=True)
@@ -172,7 +167,7 @@ def _draw() -> Callable[..., Any]:
         controls = jax.vmap(problem.steer)(centers, first)
         return z, centers, first, jax.lax.map(lambda at: sizes(problem, *at), (z[0], controls))
 
-    return _compiled(batch)
+    return compiled(batch, quickly=True)
 
 
 def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
