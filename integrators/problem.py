@@ -13,6 +13,7 @@ from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldErr
 from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, default_retraction
 from .compilation import call_compiled
 
@@ -122,18 +123,18 @@ class OptimalControlProblem(eqx.Module):
 
     def _require_finite(self, probed: "_Probed", q: Ambient) -> None:
         """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
-        for i, size in enumerate(probed.sizes):
-            u = jax.tree.map(lambda leaf, i=i: leaf[i], probed.controls)
-            if not np.all(np.isfinite((size, *probed.costs))):
-                raise InvalidInputError(
-                    f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
-                    f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
-                )
-            if not np.all(np.isfinite(probed.slopes)):
-                raise InvalidInputError(
-                    f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
-                    "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
-                )
+        first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
+        u, size = jax.tree.map(lambda leaf: leaf[first], probed.controls), probed.sizes[first]
+        if not np.all(np.isfinite((size, *probed.costs))):
+            raise InvalidInputError(
+                f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
+                f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
+            )
+        if not np.all(np.isfinite(probed.slopes)):
+            raise InvalidInputError(
+                f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
+                "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
+            )
 
     def _directions(self) -> tuple[np.ndarray, Ambient]:
         """Random coordinates of controls and random ambient covectors, the same at every call."""
@@ -146,7 +147,7 @@ class OptimalControlProblem(eqx.Module):
         shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
         reason, hint = str(error), "try another number of controls, or index what is there"
         if isinstance(error, jax.errors.JAXTypeError):
-            reason, hint = "JAX cannot trace them", "write them with jax.numpy in place of numpy, jnp.where in place of if"
+            reason, hint = "JAX cannot trace them", TRACEABLE
         elif not self._has_velocity(q, u) and self._has_velocity(u, q):
             hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
         return (

@@ -5,6 +5,8 @@ from typing import Any
 
 import jax
 
+TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
+
 
 class RetraxError(Exception):
     """Base of every error that this library raises."""
@@ -38,7 +40,4 @@ def shapes_of(function: Callable[..., Any], what: str, *arguments: Any) -> Any:
     try:
         return jax.eval_shape(function, *arguments)
     except jax.errors.JAXTypeError as reason:
-        raise InvalidInputError(
-            f"{what} cannot be traced by JAX ({type(reason).__name__}), expected a function written in jax.numpy; "
-            "try jnp.sin in place of np.sin, jnp.where in place of if"
-        ) from reason
+        raise InvalidInputError(f"{what} cannot be traced by JAX ({type(reason).__name__}); {TRACEABLE}") from reason

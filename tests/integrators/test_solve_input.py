@@ -141,7 +141,7 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
         ({"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)}, InvalidInputError, r"finite at .*u = \[0. 0. 0.\].*cost nan"),
         ({"dynamics": lambda q, u: q @ hat(u * jnp.sqrt(1e-4 - u @ u))}, InvalidInputError, r"at .*u = \[.\d\.\d.* velocity nan"),
         ({"cost": lambda q, u: jnp.sqrt(u @ u)}, InvalidInputError, r"no finite derivative .*try .*u @ u"),
-        ({"cost": lambda q, u: np.sin(u) @ u}, InvalidInputError, r"JAX cannot trace them; write them with jax.numpy"),
+        ({"cost": lambda q, u: np.sin(u) @ u}, InvalidInputError, r"JAX cannot trace them; try functions written in jax.numpy"),
     ],
 )
 def test_functions_that_return_the_wrong_thing_are_named(options, error, words):

@@ -111,7 +111,7 @@ class Numpy(LevelSet):
 
 
 def test_equations_written_with_numpy_are_refused_in_words():
-    words = r"cannot be traced by JAX \(Tracer.*\), expected a function written in jax.numpy; try jnp.sin"
+    words = r"cannot be traced by JAX \(Tracer.*\); try functions written in jax.numpy"
     with pytest.raises(InvalidInputError, match=f"the constraint of Numpy {words}"):
         Numpy(3)
     with pytest.raises(InvalidInputError, match=f"equations {words}"):
