@@ -14,6 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.ambient import is_jitting, is_traced
+
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 PLAIN = bool | int | float | complex | str | bytes | None
 DEEPEST, LONGEST = 30, 10_000  # how deep, and how many objects, are read: what is beyond compares by identity
@@ -54,6 +57,12 @@ def by_data(tree: Any) -> Any:
 def reads_traced(tree: Any) -> bool:
     """Whether a function in a pytree reads a value that JAX is tracing."""
     return any(isinstance(leaf, ByData) and leaf.reads_traced for leaf in jax.tree.leaves(by_data(tree)))
+
+
+def require_concrete(name: str, *arguments: Any) -> None:
+    """Raise if JAX is transforming the caller, the public function ``name``, which computes with values."""
+    if is_jitting() or is_traced(arguments) or reads_traced(arguments):
+        raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and compiles its own kernels")
 
 
 def same_by_data(a: Any, b: Any) -> bool:

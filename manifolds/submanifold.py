@@ -38,6 +38,10 @@ class Submanifold(Manifold):
     def dimension(self) -> int:
         return self.parent.dimension - jax.eval_shape(self.equations, self.parent.ambient).size
 
+    def __str__(self) -> str:
+        count = self.parent.dimension - self.dimension
+        return f"Submanifold({self.parent}, {count} equation{'s' * (count > 1)})"
+
     @property
     def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
         return self.parent.ambient
@@ -69,18 +73,22 @@ class Submanifold(Manifold):
     def nearby(self, x: Ambient) -> Ambient:
         """A point of the submanifold near ``x``, by Newton steps along the normals until they are rounding.
 
-        Where they do not converge the last iterate is returned: ``contains`` tells.
+        Where they do not converge the last iterate is returned: ``contains`` tells. Raises ``InvalidInputError`` if ``x``
+        has not the structure of a point.
         """
+        wrong = self.describe_mismatch(x, "a point beside it")
+        if wrong:
+            raise InvalidInputError(wrong)
 
-        def step(state: tuple[Ambient, Array, Array]) -> tuple[Ambient, Array, Array]:
-            y, _, count = state
+        def step(state: tuple[Ambient, Array], _: None) -> tuple[tuple[Ambient, Array], None]:
+            return jax.lax.cond(state[1], moved, lambda y: (y, jnp.array(False)), state[0]), None
+
+        def moved(y: Ambient) -> tuple[Ambient, Array]:
             z = self.restore(y)
-            return z, vec.size(vec.subtract(z, y)) / (1 + vec.size(z)), count + 1
+            return z, vec.size(vec.subtract(z, y)) > tolerance(vec.size(z), 0.95) * (1 + vec.size(z))
 
-        def moving(state: tuple[Ambient, Array, Array]) -> Array:
-            return (state[2] < GAUSS_NEWTON_STEPS) & (state[1] > tolerance(state[1], 0.95))
-
-        return jax.lax.while_loop(moving, step, (x, jnp.asarray(jnp.inf), jnp.zeros((), int)))[0]
+        # Of fixed length, to be differentiated in reverse as well.
+        return jax.lax.scan(step, (x, jnp.array(True)), length=GAUSS_NEWTON_STEPS)[0][0]
 
     def violations(self, x: Ambient) -> dict[str, Array]:
         values = jnp.max(jnp.abs(self.equations(x)), initial=0.0)

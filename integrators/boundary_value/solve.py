@@ -10,10 +10,10 @@ from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
-from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_traced
+from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
-from ..functions import by_data, reads_traced, same_by_data
+from ..functions import by_data, require_concrete, same_by_data
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
 from ..results import Result, warn_about_precision
@@ -60,8 +60,7 @@ def solve(
     conditions are not met; otherwise read ``success``.
     """
     problem = by_data(problem)
-    if is_traced(start, end, horizon, problem, guess) or reads_traced(problem):
-        raise InvalidInputError("solve runs outside jit, vmap and grad: it checks its input and compiles its own kernel")
+    require_concrete("solve", start, end, horizon, problem, guess)
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
     steps, limit, h = int(steps), _checked_tolerance(tolerance), np.asarray(horizon / steps, working_precision())

@@ -53,8 +53,9 @@ def integrate(
 
     ``system`` is a Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``, an ``OptimalControlProblem`` for a
     ``PresymplecticIntegrator``. ``p0`` is any ambient array: it stands for the covector that is its tangent projection.
-    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, where neither input nor output is checked:
-    a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
+    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, in the start, the step size and the arrays of
+    ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint manifold of a singular
+    problem is taken as it is, and a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
     ``ConvergenceError`` if a step cannot be solved.
@@ -67,7 +68,7 @@ def integrate(
     warn_about_precision()
     q0, p0 = _checked_start(integrator.manifold, start)
     system = by_data(system)
-    if not (is_traced(q0, p0) or is_jitting() or reads_traced(system)):
+    if not (is_traced(q0, p0, system, integrator) or is_jitting() or reads_traced((system, integrator))):
         integrator.check(system, q0, p0)
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)

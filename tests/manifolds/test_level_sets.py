@@ -118,6 +118,24 @@ def test_equations_written_with_numpy_are_refused_in_words():
         Submanifold(Sphere(2), lambda x: x[2:] if x[0] > 0 else x[1:2])
 
 
+def test_the_point_nearby_is_differentiated_in_both_modes():
+    curve, rng = MANIFOLDS["curve"], np.random.default_rng(0)
+    x, d = np.array([0.6, 0.0, 0.8]), rng.standard_normal(3)
+    slope = compiled(lambda x, d: jax.jvp(curve.nearby, (x,), (d,))[1])(x, d)
+    pulled = compiled(lambda x, w: jax.vjp(curve.nearby, x)[1](w)[0])(x, np.ones(3))
+    difference = (curve.nearby(x + 1e-5 * d) - curve.nearby(x - 1e-5 * d)) / 2e-5
+    np.testing.assert_allclose(slope, difference, atol=1e-8)
+    np.testing.assert_allclose(pulled @ d, np.sum(slope), atol=1e-13)
+
+
+def test_what_no_point_is_near_is_refused_in_words():
+    curve = MANIFOLDS["curve"]
+    with pytest.raises(InvalidInputError, match=r"a point beside it of Submanifold\(.*, 1 equation\) has entries that are NaN"):
+        curve.nearby(np.array([0.6, np.nan, 0.8]))
+    with pytest.raises(InvalidInputError, match=r"shape \(3,\) where \(2,\) came"):
+        curve.nearby(np.zeros(2))
+
+
 def test_random_points_differ():
     points = [draw_point(MANIFOLDS["ellipsoid"], seed)[0] for seed in range(4)]
     assert min(np.max(np.abs(flat(a - b))) for i, a in enumerate(points) for b in points[:i]) > 1e-3

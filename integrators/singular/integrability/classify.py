@@ -10,6 +10,7 @@ import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics.rank import numerical_rank
+from ...functions import require_concrete
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
 from .classification import Classification, MorseTest, Stratum
@@ -75,6 +76,7 @@ def classify(
     Raises ``InvalidInputError`` for what is no problem with controls, no number of starts, or outside the reach of exact
     algebra, and ``NotOnManifoldError`` if ``near`` is no state.
     """
+    require_concrete("classify", problem, near)
     _check(problem, starts, near)
     if symbolic:
         return _symbolic(problem, exclude_zero_costate, near)

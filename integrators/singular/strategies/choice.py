@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import InvalidInputError
-from ....manifolds.numerics.ambient import is_traced
 from ....retractions import CotangentLift, DiscretizationMap
+from ...functions import require_concrete
 from ..integrability import Classification
 from ..words import clauses
 from .direct import DirectIntegrator
@@ -49,6 +49,7 @@ def singular_integrator(
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
     if strategy is not None and strategy not in STRATEGIES:
         raise InvalidInputError(f"unknown strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}, or None")
+    require_concrete("singular_integrator", classification, discretization, gauge)
     classification.problem.check_discretization(discretization)
     classification.require_reliable()
     if gauge is not None:
@@ -86,7 +87,7 @@ def _check_gauge(classification: Classification, gauge: Gauge) -> None:
         raise InvalidInputError(f"{expected}; it fails with {error}; {example}") from error
     if values.size != count:
         raise InvalidInputError(f"{expected}; it returns {values.size} numbers, {values}; {example}")
-    if not is_traced(values) and not np.all(np.isfinite(values)):
+    if not np.all(np.isfinite(values)):
         raise InvalidInputError(
             f"{expected}; at t = 0, q = {piece.q}, p = {piece.p} it returns {values}, expected finite numbers"
         )

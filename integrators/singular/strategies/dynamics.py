@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Submanifold
-from ....manifolds.numerics.ambient import Ambient, is_traced
+from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...functions import same_by_data
@@ -64,7 +64,7 @@ class FinalDynamics(eqx.Module):
 
     def check(self, system: object, lift: CotangentLift, z: Pair) -> None:
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
-        if not is_traced(system) and not same_by_data(system, self.problem):
+        if not same_by_data(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
         self.problem.check_discretization(lift.discretization)
         verdict = self.manifold.contains(z)

@@ -13,7 +13,7 @@ from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, S
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
 
-from tests.integrators.singular.cases import classified, known
+from tests.integrators.singular.cases import classified, known, scaled
 from tests.support.numerics import slope
 
 STEPS = np.array([0.2, 0.1, 0.05])
@@ -319,6 +319,20 @@ def test_a_trajectory_depends_on_the_data_of_the_problem_that_is_stepped():
     for a in (jnp.array(0.5), jnp.array(0.2)):
         np.testing.assert_allclose(jax.grad(end)(a), jax.grad(closed)(a), rtol=1e-3)
     np.testing.assert_allclose(jax.vmap(end)(jnp.array([0.5, 0.2])), [closed(0.5), closed(0.2)], rtol=1e-3)
+
+
+def test_costates_of_rattle_are_proportional_to_the_cost():
+    problem, method = known("aly-chan").problem, classified("aly-chan")
+    method = singular_integrator(method, Midpoint(default_retraction(problem.manifold)), "rattle")
+    q, p = start("aly-chan")
+
+    def end(a):
+        return integrate(scaled(problem, (1.0, a, 1.0)), method, (q, a * p), 0.1, 4).p[-1, 0]
+
+    expected = end(1.0)
+    assert abs(expected) > 1e-2
+    np.testing.assert_allclose(jax.grad(end)(2.0), expected, rtol=1e-12)
+    np.testing.assert_allclose(jax.vmap(end)(jnp.array([2.0, 3.0])), [2 * expected, 3 * expected], rtol=1e-12)
 
 
 @pytest.mark.slow
