@@ -22,6 +22,9 @@ class VectorBundle(Manifold):
 
     base: Manifold
 
+    def __str__(self) -> str:
+        return f"{type(self).__name__}({self.base})"
+
     @property
     def dimension(self) -> int:
         return 2 * self.base.dimension

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SO, CotangentBundle, Sphere, TangentBundle
+from retrax.manifolds import SO, CotangentBundle, Euclidean, Sphere, TangentBundle
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import BundleRetraction, Polar, Projection
 
@@ -17,6 +17,10 @@ BASES = {"S2": Projection(MANIFOLDS["S2"]), "SO3": Polar(MANIFOLDS["SO3"])}
 STEP = 4e-3
 
 every_base = pytest.mark.parametrize("base", BASES)
+
+
+def test_bundles_are_named_by_their_bases():
+    assert str(CotangentBundle(SO(3) * Euclidean(3))) == "CotangentBundle(SO(3) x R^3)"
 
 
 @lru_cache
