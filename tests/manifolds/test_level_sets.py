@@ -130,9 +130,7 @@ def test_the_point_nearby_is_differentiated_in_both_modes():
 
 def test_what_no_point_is_near_is_refused_in_words():
     curve = MANIFOLDS["curve"]
-    with pytest.raises(
-        InvalidInputError, match=r"of Submanifold\(Sphere\(2\), 1 equation\) has entries that are NaN"
-    ):
+    with pytest.raises(InvalidInputError, match=r"of Submanifold\(Sphere\(2\), 1 equation\) has entries that are NaN"):
         curve.nearby(np.array([0.6, np.nan, 0.8]))
     with pytest.raises(InvalidInputError, match=r"shape \(3,\) where \(2,\) came"):
         curve.nearby(np.zeros(2))
