@@ -321,6 +321,7 @@ def test_a_trajectory_depends_on_the_data_of_the_problem_that_is_stepped():
     np.testing.assert_allclose(jax.vmap(end)(jnp.array([0.5, 0.2])), [closed(0.5), closed(0.2)], rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_costates_of_rattle_are_proportional_to_the_cost():
     problem, method = known("aly-chan").problem, classified("aly-chan")
     method = singular_integrator(method, Midpoint(default_retraction(problem.manifold)), "rattle")
