@@ -111,6 +111,8 @@ def plot(paths, errors, path):
     for name, error in errors.items():
         right.loglog(1 / COUNTS, error, "o-", label=name)
     right.loglog(1 / COUNTS, 0.1 / COUNTS**2, "k:", label="slope 2")
+    right.set_xticks(1 / COUNTS, [f"1/{n}" for n in COUNTS])
+    right.minorticks_off()
     right.set_xlabel("step")
     right.set_title("error of $(x, p_x)$ at the end")
     right.legend()
