@@ -7,6 +7,10 @@ and the other two free of cost, ``min int |w|^2``. Pontryagin's Hamiltonian does
 live on a symplectic ``P_f``, of dimension 10 and 8 in the 12 of ``T*Q``. RATTLE keeps ``P_f`` and its form to rounding, and the
 spatial angular costate, a momentum of the symmetry of both problems, as well.
 
+With the failed actuator, rotations near the middle axis stay near it, and the energy error oscillates. With the free one
+extremals are saddles, as those of a linear quadratic regulator: they come near rest about two axes and leave again. The start
+is of one that stays for a while, and its energy error comes and goes with the rates.
+
     python examples/singular_attitude.py [--output examples/output]
 """
 
@@ -30,9 +34,7 @@ import matplotlib.pyplot as plt
 
 INERTIA = jnp.array([1.0, 1.7, 2.3])
 Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w
-RATE, BODY_COSTATE, RATE_COSTATE = jnp.array([0.3, -0.2, 0.4]), jnp.array([0.6, -0.5, 0.8]), jnp.array([0.2, -0.3, 0.1])
-HORIZON = 1.5
-COUNTS = np.array([80, 160])
+COUNTS = np.array([400, 800])
 SIZES = np.array([0.2, 0.1, 0.05])
 
 
@@ -47,6 +49,11 @@ PROBLEMS = {
     "free actuator": SINGULAR["free actuator"]().problem,
     "failed actuator": OptimalControlProblem(Q, dynamics, lambda q, u: q[1] @ q[1], controls=2),
 }
+# Body rate, body angular costate and costate of the rate at the start, and the horizon; ``nearby`` moves them to ``P_f``.
+STARTS = {
+    "free actuator": ([1.0, -0.5, 1.5], [0.6, -0.4, 3.0], [-1.1015, 0.2385, 0.0], 8.0),
+    "failed actuator": ([0.5, 1.0, 0.3], [1.0, 2.0, 0.1], [0.0, 0.0, 0.5], 40.0),
+}
 
 
 @eqx.filter_jit
@@ -60,15 +67,17 @@ def along(problem, classification, path):
     return jax.vmap(at)(path.q, path.p)
 
 
-def examine(problem):
+def examine(problem, start):
     """Classification of a problem, what its discrete extremals from one start preserve, and the finest of them."""
+    *start, horizon = start
+    rate, body_costate, rate_costate = jnp.array(start)
     classification = classify(problem)
     method = singular_integrator(classification, Midpoint(Cayley(Q)), "rattle")
     print(f"{classification}\n{method.reason}")
     final = classification.manifold
     attitude = jnp.eye(3)
-    z = final.nearby(((attitude, RATE), (SO(3).covector(attitude, BODY_COSTATE), RATE_COSTATE)))
-    paths = [integrate(problem, method, z, HORIZON / n, int(n), save_every=int(n) // 40) for n in COUNTS]
+    z = final.nearby(((attitude, rate), (SO(3).covector(attitude, body_costate), rate_costate)))
+    paths = [integrate(problem, method, z, horizon / n, int(n), save_every=int(n) // 200) for n in COUNTS]
     energy, gaps, momentum = (np.asarray(a) for a in zip(*(along(problem, classification, path) for path in paths), strict=True))
     numbers = {
         "P_f": np.max(gaps),
@@ -81,7 +90,7 @@ def examine(problem):
 
 def plot(found, path):
     """Body rates, torques and the energy error of both problems, and the defects of the form."""
-    figure, axes = plt.subplots(2, 3, figsize=(13, 7), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(2, 3, figsize=(13, 7), sharex="row", layout="constrained")
     for row, (name, (_, numbers, run, error)) in zip(axes, found.items(), strict=True):
         row[0].plot(run.times, run.q[1], label=["1", "2", "3"])
         row[0].set_ylabel(f"{name}\nbody rate")
@@ -107,7 +116,7 @@ def main(arguments=None):
     found = {}
     for name, problem in PROBLEMS.items():
         print(f"{name}\n")
-        found[name] = examine(problem)
+        found[name] = examine(problem, STARTS[name])
         numbers = found[name][1]
         print(f"    equations of P_f along {COUNTS} steps: {numbers['P_f']:.1e}")
         print(f"    omega_f changes over one step of {SIZES} by {numbers['omega_f']}")
