@@ -121,14 +121,19 @@ def abnormal_line(found):
 
 
 def front(epsilon, count):
-    """Where the geodesics of length 1 end on the plane x = 0: points ``(y, z)``, interpolated in ``sqrt(p3)``."""
+    """Where the geodesics of length 1 and least ``|p3|``, by angle and sign, end on the plane x = 0: points ``(y, z)``.
+
+    Interpolated in ``sqrt(|p3|)``; NaN where none of them does.
+    """
     angles, rates = np.linspace(-3.1, 3.1, 64), np.linspace(0.5, 25.0, count)
     angle, rate, sign = (grid.reshape(-1) for grid in np.meshgrid(angles, rates, [-1.0, 1.0], indexing="ij"))
     ends = geodesics(epsilon, angle, sign * rate**2, 1.0, 100)[:, -1].reshape(len(angles), count, 2, 3)
     below, above = ends[:, :-1], ends[:, 1:]
-    crossing = below[..., 0] * above[..., 0] < 0
-    part = (below[..., 0] / (below[..., 0] - above[..., 0]))[..., None]
-    return ((1 - part) * below + part * above)[crossing][:, 1:]
+    crossing = below[..., :1] * above[..., :1] < 0
+    part = below[..., :1] / (below[..., :1] - above[..., :1])
+    first = np.argmax(crossing, axis=1, keepdims=True)
+    points = np.where(crossing, (1 - part) * below + part * above, np.nan)
+    return np.take_along_axis(points, first, axis=1)[..., 1:].reshape(-1, 2)
 
 
 def plot(paths, leaving, fronts, path):
@@ -149,10 +154,11 @@ def plot(paths, leaving, fronts, path):
         axis.set_ylabel("x")
         axis.legend(fontsize=8)
     for epsilon, points in fronts.items():
-        axes[2].plot(points[:, 0], points[:, 1], ".", markersize=3, markeredgewidth=0, label=rf"$\epsilon = {epsilon}$")
+        axes[2].plot(points[:, 0], points[:, 1], "o", markersize=3.5, label=rf"$\epsilon = {epsilon}$")
     axes[2].plot([1, -1], [0, 0], "k*", label="ends of the abnormal line")
-    axes[2].set(xlim=(-1.05, 1.05), ylim=(-0.045, 0.045), xlabel="y", ylabel="z", title="ends at x = 0 of geodesics of length 1")
-    axes[2].legend(fontsize=8, markerscale=2)
+    axes[2].set(xlim=(-1.05, 1.05), ylim=(-0.045, 0.045), xlabel="y", ylabel="z")
+    axes[2].set_title("geodesics of length 1 that end at x = 0, least $|p_3|$", fontsize="medium")
+    axes[2].legend(fontsize=8)
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
