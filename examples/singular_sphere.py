@@ -58,8 +58,8 @@ def plot(defects, runs, path):
         middles = [np.mean(part) for part in np.array_split(times, len(parts))]
         right.fill_between(middles, [np.min(part) for part in parts], [np.max(part) for part in parts], alpha=0.7, label=name)
     right.ticklabel_format(axis="y", scilimits=(0, 0))
-    right.set(xlabel="time", title=f"energy error, its range over every {BLOCK} nodes")
-    right.legend(loc="lower right")
+    right.set(xscale="log", xlabel="time", title=f"energy error, its range over every {BLOCK} nodes")
+    right.legend(loc="lower left")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
