@@ -45,16 +45,17 @@ class SymbolicStratum:
 
     ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``history``: the coordinates
     and controls that are determined, in the order in which they were found, with their values then and the levels;
-    ``nonzero``: expressions assumed not to vanish; ``conditions``: all that was made zero, as it came and
-    factored; ``degenerate``: a coefficient that vanishes, where the piece branched off for it.
+    ``nonzero``: expressions assumed not to vanish; ``conditions``: all that was made zero, as it came, with its level;
+    ``factors``: the factors of it that were chosen; ``degenerate``: a coefficient that vanishes, where the piece branched
+    off for it.
     """
 
     phase: Phase
     equations: tuple[Equation, ...] = ()
     history: History = ()
     nonzero: tuple[Expression, ...] = ()
-    conditions: tuple[Expression, ...] = ()
-    irregular: bool = False
+    conditions: tuple[Equation, ...] = ()
+    factors: tuple[Expression, ...] = ()
     degenerate: Expression | None = None
 
     @property
@@ -89,8 +90,18 @@ class SymbolicStratum:
 
     def up_to(self, level: int) -> "SymbolicStratum":
         """The stratum of ``P^level`` that holds this one: what was known at that level."""
-        equations = tuple(e for e in self.equations if e[1] <= level)
-        return SymbolicStratum(self.phase, equations, tuple(found for found in self.history if found[2] <= level))
+        equations, conditions = (tuple(e for e in known if e[1] <= level) for known in (self.equations, self.conditions))
+        history = tuple(found for found in self.history if found[2] <= level)
+        return SymbolicStratum(self.phase, equations, history, conditions=conditions)
+
+    @property
+    def irregular(self) -> bool:
+        """Whether the differentials of the conditions up to some level vanish or depend on each other on that ``P^k``.
+
+        So does that of ``x^2``, unless another condition of the level has a simple zero on the piece.
+        """
+        parts = map(self.up_to, sorted({level for _, level in self.conditions}))
+        return any(part._ranks([e for e, _ in part.conditions])[1] < part.codimension + len(part.controls) for part in parts)
 
     @property
     def k_f_base(self) -> int:
@@ -144,12 +155,19 @@ class SymbolicStratum:
         """Whether the points of this one, with their controls, are almost all regular points of the other one."""
         if self.codimension < other.codimension or self.free_controls > other.free_controls:
             return False
-        if any(self.reduce(e) != 0 for e in other.conditions):
+        conditions, determined = [*(e for e, _ in other.conditions), *other.factors], len(other.controls)
+        if any(self.reduce(e) != 0 for e in conditions):
             return False
-        u, determined = sympy.Matrix(self.phase.u), len(other.controls)
-        states, conditions = sympy.Matrix([*self.phase.q, *self.phase.p]), sympy.Matrix(other.conditions or [0])
-        of_u, of_states = (conditions.jacobian(symbols).applyfunc(self.reduce) for symbols in (u, states))
-        return generic_rank(of_u) == determined and generic_rank(of_u.row_join(of_states)) == determined + other.codimension
+        return self._ranks(conditions) == (determined, determined + other.codimension)
+
+    def _ranks(self, conditions: list[Expression]) -> tuple[int, int]:
+        """Ranks at a point of this piece of the derivatives of conditions: by the controls, and by all."""
+        states, controls = (*self.phase.q, *self.phase.p), self.phase.u
+        free = _fractions([s for s in (*states, *controls) if s not in self.solution])
+        point = free | {s: e.xreplace(free) for s, e in self.solution.items()}
+        column = sympy.Matrix(conditions or [0])
+        of_u, of_states = (column.jacobian(sympy.Matrix(symbols)).xreplace(point) for symbols in (controls, states))
+        return generic_rank(of_u), generic_rank(of_u.row_join(of_states))
 
     def bounds(self, other: "SymbolicStratum") -> bool:
         """Whether the equations of the other one, of larger dimension, hold here."""
@@ -197,9 +215,13 @@ def generic_ranks(phase: Phase) -> tuple[int, int] | None:
 
 def generic_rank(matrix: sympy.Matrix) -> int:
     """Rank of a matrix of functions at a point with small fractions as coordinates: no larger than the rank almost everywhere."""
-    symbols = sorted(matrix.free_symbols, key=str)
-    point = {s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(symbols)}
-    return matrix.xreplace(point).rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
+    values = matrix.xreplace(_fractions(sorted(matrix.free_symbols, key=str)))
+    return values.rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
+
+
+def _fractions(symbols: Iterable[Expression]) -> dict[Expression, Expression]:
+    """A point with small fractions as coordinates."""
+    return {s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(symbols)}
 
 
 def normal_form(expression: Expression) -> Expression:
@@ -214,7 +236,7 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
         yield piece
         return
     (expression, level), rest = pending[0], pending[1:]
-    piece = replace(piece, conditions=(*piece.conditions, expression))
+    piece = replace(piece, conditions=(*piece.conditions, (expression, level)))
     numerator = sympy.numer(sympy.together(piece.reduce(expression)))
     if numerator == 0:
         yield from _explore(piece, rest, ended)
@@ -222,12 +244,11 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
     if piece.degenerate is not None and len(sympy.Add.make_args(sympy.expand(numerator))) > LONG:
         ended.unsolved.append((piece.degenerate, level))
         return
-    factors = [(f, m) for f, m in sympy.factor_list(numerator)[1] if not _never_zero(f, piece)]
+    factors = [f for f, _ in sympy.factor_list(numerator)[1] if not _never_zero(f, piece)]
     if not factors:
         ended.contradictions.append((sympy.factor(numerator), level))
-    for factor, multiplicity in factors:
-        chosen = replace(piece, irregular=piece.irregular or multiplicity > 1)
-        yield from _with(chosen, (factor, level), rest, ended)
+    for factor in factors:
+        yield from _with(piece, (factor, level), rest, ended)
 
 
 def _never_zero(factor: Expression, piece: SymbolicStratum) -> bool:
@@ -256,7 +277,7 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
     if controls and not never and len(pivots) < len(controls):
         ended.unsolved.append((coefficient, level))  # there a control is determined that is not linear
     further = [] if controls or level >= ended.last else [(piece.phase.rate(expression), level + 1)]
-    piece = replace(piece, conditions=(*piece.conditions, expression))
+    piece = replace(piece, factors=(*piece.factors, expression))
     for i, (symbol, slope) in enumerate(pivots if controls and not never else pivots[:1]):
         solved = replace(piece, history=(*piece.history, (symbol, normal_form(symbol - expression / slope), level)))
         if not controls:

@@ -92,7 +92,7 @@ def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
     for expression, level in piece.equations:
         yield "equation", f"{_short(expression)} = 0 (level {level})"
     if piece.irregular:
-        yield "equation", "irregular: a power of it appears in the conditions"
+        yield "equation", "irregular: the differentials of the conditions vanish or depend on each other here"
     for expression in dict.fromkeys(map(piece.reduce, piece.nonzero)):
         yield "closed form", f"holds where {_short(expression)} != 0"
     yield "k_f", words.stop_words(piece.k_f, piece.k_f_base)

@@ -60,6 +60,7 @@ def test_exact_and_numeric_answers_agree(name):
         assert getattr(exact, fact) == getattr(numeric, fact), fact
     assert exact.family == numeric.morse.family
     assert len(exact.strata) == len(numeric.strata) == 1
+    assert exact.stratum.irregular == numeric.irregular == (not known(name).regular_equations)
     # An irregular point is found to half its digits.
     assert_same(exact, exact.stratum, numeric, numeric.stratum, 1e-8 if known(name).regular_equations else 1e-4)
     assert_same_levels(exact, numeric)
@@ -108,7 +109,15 @@ def test_the_paper_s_example_in_closed_form():
     report = str(symbolic("academic"))
     for line in ("q2 = 0 (level 0)", "d/dp2", "u1 = p1 - q1 (level 0)", "u2 is free (gauge)"):
         assert line in report
-    assert "irregular: a power of it" in str(symbolic("irregular"))
+    assert "irregular: the differentials of the conditions vanish" in str(symbolic("irregular"))
+
+
+def test_a_power_in_one_condition_is_regular_where_another_has_a_simple_zero():
+    """``q' = u``, cost ``x^2 y^2/2``: ``x y^2 = 0`` and ``x^2 y = 0`` are regular on both lines off the origin."""
+    exact = classify(OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: (q[0] * q[1]) ** 2 / 2, 2), symbolic=True)
+    assert signatures(exact) == [(3, 1, 0), (3, 1, 0)]
+    assert not any(piece.irregular for piece in exact.strata)
+    assert "irregular" not in str(exact)
 
 
 def test_strata_where_a_factor_vanishes():
