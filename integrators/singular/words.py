@@ -88,6 +88,14 @@ def approached_words(residual: float) -> str:
     )
 
 
+def sparse_words(left_out: int, count: int) -> str:
+    """That pieces may be missing."""
+    return (
+        f"{left_out} of {count} points, where equations are irregular: pieces of P_f may be missing; try more starts, or "
+        "near=(q, p) where one is expected"
+    )
+
+
 EXCLUDED = "p = 0 is excluded"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"

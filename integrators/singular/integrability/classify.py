@@ -73,8 +73,8 @@ def classify(
     gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
     no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
 
-    Raises ``InvalidInputError`` for what is no problem with controls, no number of starts, or outside the reach of exact
-    algebra, and ``NotOnManifoldError`` if ``near`` is no state.
+    Raises ``InvalidInputError`` for what is no problem with controls, functions that are finite at no start, no number of
+    starts, or what is outside the reach of exact algebra, and ``NotOnManifoldError`` if ``near`` is no state.
     """
     require_concrete("classify", problem, near)
     _check(problem, starts, near)
@@ -134,11 +134,23 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         reliable = np.flatnonzero(points.reliable)
         ranks = [point_ranks(points, i, level) for i in reliable]
         levels.append(summarise(points, level, ranks))
+        _require_finite(points, levels[-1])
         if level == 0 and ranks:
             morse = _morse(select(points, points.consistent))
         settled = level > 0 and all(_new_equations(points, i, r, level) == 0 for i, r in zip(reliable, ranks, strict=True))
         if not ranks or settled:
             return levels, morse, points
+
+
+def _require_finite(points: Points, level: Level) -> None:
+    """Raise if the functions of the problem, or derivatives that a level needs, are finite at none of the points."""
+    if not np.isfinite(level.residual):
+        q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (points.at.z[0], points.at.control))
+        raise InvalidInputError(
+            f"the problem's functions or their derivatives are not finite at any of {level.tried} points of level {level.index}, "
+            f"as at q = {q}, u = {u}: running cost {points.at.cost_rate[0]:.3g}; check their domain, or give near=(q, p), a "
+            "state where they are finite"
+        )
 
 
 def _without_crossings(points: Points, level: int, unit_costate: bool) -> Points:

@@ -25,6 +25,7 @@ ITERATIONS = 100
 SMALLEST_DAMPING = 1e-3
 PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
+DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
 NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
@@ -267,24 +268,43 @@ def _reciprocal(sizes: np.ndarray) -> np.ndarray:
 
 
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
-    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped steps of least norm."""
-    count = len(points.residuals)
-    at, damping = points.at, np.ones(count)
-    slow = np.zeros(count, int)
+    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped steps of least norm.
+
+    Those that come to irregular ones, as where pieces cross, are tried once more with ``DESCENTS`` steps of descent before.
+    """
+    direct = _moved(points, level, unit_costate, np.ones(len(points.slow), bool), 0)
+    stuck = direct.slow & direct.consistent & ~points.slow
+    if not stuck.any():
+        return direct
+    again = _moved(points, level, unit_costate, stuck, DESCENTS)
+    better = stuck & again.consistent & ~again.slow
+    pairs = ((found.at, found.residuals, found.slow) for found in (again, direct))
+    at, residuals, slow = jax.tree.map(lambda a, b: _where(better, a, b), *pairs)
+    return replace(direct, at=at, residuals=residuals, slow=slow)
+
+
+def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, descents: int) -> Points:
+    at, damping = points.at, np.where(which, 1.0, 0.0)
+    slow = np.zeros(len(which), int)
     residual = _residuals(points, at, level, unit_costate)
-    for _ in range(ITERATIONS):
+    for i in range(ITERATIONS):
         active = (residual > CONVERGED * 1e-3) & (damping > SMALLEST_DAMPING)
         if not active.any():
             break
-        d = np.where(active, damping, 0.0)[:, None] * _directions(replace(points, at=at), level, unit_costate)
+        d = np.where(active, damping, 0.0)[:, None] * _directions(replace(points, at=at), level, unit_costate, i < descents)
         tried = _host(_kernel()(points.array, at.z, points.centers, jnp.asarray(at.jet), jnp.asarray(d)))
         now = _residuals(points, tried, level, unit_costate)
         better = active & (now < (1 - 1e-4 * damping) * residual)
-        at = jax.tree.map(lambda a, b, better=better: np.where(better.reshape(-1, *[1] * (a.ndim - 1)), a, b), tried, at)
+        at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
         slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, now, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
     return replace(points, at=at, residuals=residual, slow=points.slow | (slow >= SLOW_STEPS))
+
+
+def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The points of ``a`` that are ``which``, the others of ``b``."""
+    return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
 def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
@@ -298,15 +318,20 @@ def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
 
 
 def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:
-    """Norm of the equations in units; infinite where one is not finite."""
+    """Norm of the equations in units; infinite where one, or a function of the problem, is not finite."""
     entries = np.abs(at.array / points.units.rows)[:, : level + 1].reshape(len(at.array), -1)
     if unit_costate:
         entries = np.concatenate([entries, np.abs(at.costate[:, :1])], axis=1)
-    return np.nan_to_num(np.linalg.norm(entries, axis=1), nan=np.inf)
+    finite = np.isfinite(at.cost_rate) & np.all(np.isfinite(at.velocity), axis=1)
+    return np.where(finite, np.nan_to_num(np.linalg.norm(entries, axis=1), nan=np.inf), np.inf)
 
 
-def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
-    """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; shape ``(batch, 2n + jet)``."""
+def _directions(points: Points, level: int, unit_costate: bool, descent: bool) -> np.ndarray:
+    """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; shape ``(batch, 2n + jet)``.
+
+    With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the state: these
+    go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
+    """
     at, units = points.at, points.units
     by_state, by_jet = points.matrices(level)
     batch, rows, count = by_state.shape
@@ -319,22 +344,24 @@ def _directions(points: Points, level: int, unit_costate: bool) -> np.ndarray:
     finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1))
     matrix = np.where(finite[:, None, None], matrix, 0.0)
     values = np.where(finite[:, None], values, 0.0)
-    step = -_regularised(matrix, values)
+    ease = np.where(descent & (np.arange(matrix.shape[2]) >= count), EASE, 1.0)
+    step = -ease * _regularised(matrix * ease, values, descent)
     scale = np.concatenate([units.state, units.jet[: level + 1].reshape(-1)])
     full = np.zeros((batch, count + at.jet[0].size))
     full[:, : len(scale)] = step * scale
     return full
 
 
-def _regularised(matrix: np.ndarray, values: np.ndarray) -> np.ndarray:
+def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.ndarray:
     """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
 
     Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them
     [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and Newton
-    are drawn to where pieces cross.
+    are drawn to where pieces cross. With ``descent`` ``d`` is at least the square of the largest singular value.
     """
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     shift = np.minimum(np.sum(values**2, axis=1), LARGEST_SHIFT)[:, None]
+    shift = np.maximum(shift, sizes[:, :1] ** 2) if descent else shift
     counted = sizes > PSEUDO_INVERSE_CUTOFF * sizes[:, :1]
     filtered = np.where(counted, sizes / np.where(counted, sizes**2 + shift, 1.0), 0.0)
     return np.einsum("bri,br,bkr,bk->bi", right, filtered, left, values)

@@ -72,6 +72,8 @@ def _empty(c: Classification) -> Iterator[Line]:
 
 
 def _final(c: Classification) -> Iterator[Line]:
+    if c.sparse:
+        yield "LEFT OUT", words.sparse_words(max(level.slow for level in c.levels), c.levels[-1].consistent)
     if c.stratified:
         yield "strata", words.strata_words(len(c.strata))
     for i, stratum in enumerate(c.strata):

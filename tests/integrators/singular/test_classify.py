@@ -196,6 +196,36 @@ def test_flat_pieces_are_told_apart_by_their_tangent_spaces():
     assert not found["circle"].stratified
 
 
+class Crossing(eqx.Module):
+    """``x^2 y^2 (1 + share (y - 1)) / 2``."""
+
+    share: Array
+
+    def __call__(self, q, u):
+        return (q[0] * q[1]) ** 2 * (1 + self.share * (q[1] - 1)) / 2
+
+
+def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
+    """``q' = u``, cost ``x^2 y^2/2``: ``x = 0`` and ``y = 0``, of equal ranks; and ``x^2 y^3/2``, irregular on ``y = 0``."""
+    problem, half = (OptimalControlProblem(Euclidean(2), lambda q, u: u, Crossing(jnp.array(a)), 2) for a in (0.0, 1.0))
+    for seed in range(3):
+        c = classify(problem, seed=seed)
+        assert [s.signature for s in c.strata] == [(3, 1, 0)] * 2
+        assert {s.feedback.pivots.free for s in c.strata} == {(0,), (1,)}
+        assert not c.sparse
+    c = classify(half)
+    assert c.sparse
+    assert c.gauge_components == (1,)
+    assert f"{c.levels[-1].slow} of 20 points, where equations are irregular: pieces of P_f may be missing" in str(c)
+
+
+def test_functions_that_are_finite_nowhere_are_refused():
+    """``log(-1 - x^2)`` has finite derivatives."""
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: jnp.log(-1 - q[0] ** 2), 1)
+    with pytest.raises(InvalidInputError, match=r"not finite at any of 20 points of level 0, as at q = .* running cost nan"):
+        classify(problem)
+
+
 def test_conditions_that_are_only_approached_are_not_called_contradictory():
     """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.log(q) + u, lambda q, u: q @ q / 2, 1)
