@@ -96,6 +96,7 @@ def sparse_words(left_out: int, count: int) -> str:
     )
 
 
+CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
 EXCLUDED = "p = 0 is excluded"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"

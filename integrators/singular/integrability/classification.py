@@ -45,15 +45,16 @@ class MorseTest:
 class Stratum:
     """A piece of ``P_f`` of constant ranks, seen at ``count`` of the points.
 
-    ``signature``: codimension, free controls, rank of the form. ``k_f`` and ``k_f_base``: the levels at which ``S`` and
-    ``P`` stop changing there. ``determined_at``: for each component of the control the level that determines it, None if it
-    is free. ``q``, ``p``, ``u``: a point of it and a control there. ``kernel``: basis of the kernel of
-    ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``. ``states``: all its points, leaves ``(count,
-    *leaf)`` of pairs ``(q, p)``.
+    ``signature``: codimension, free controls, rank of the form. ``flat``: its tangent spaces are the same at all its points.
+    ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for each component of
+    the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it and a control there.
+    ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``. ``states``: all
+    its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
     """
 
     signature: Signature
     count: int
+    flat: bool
     k_f: int
     k_f_base: int
     determined_at: tuple[int | None, ...]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
-FLAT, FLAT_POINTS = 1e-6, 3  # largest difference of the tangent spaces of a flat piece, in units, and points that show one
+SAME, FEWEST = 1e-6, 3  # largest difference of directions that are the same, in units, and points that show a piece
 
 
 @overload
@@ -216,30 +216,36 @@ def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
     groups: dict[tuple[Signature, tuple[bool, ...]], list[int]] = {}
     for i, ranks in enumerate(final):
         groups.setdefault((ranks.signature, tuple(ranks.determined)), []).append(i)
-    pieces = [piece for group in groups.values() for piece in ([group] if points.slow[group].any() else _flat(group, final))]
-    made = [_stratum(points, members, final, last) for members in pieces]
+    told = ([group] if points.slow[group].any() else _told_apart(group, final) for group in groups.values())
+    made = [_stratum(points, members, final, last) for pieces in told for members in pieces]
     return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
 
 
-def _flat(group: list[int], final: list[PointRanks]) -> list[list[int]]:
-    """The flat pieces that points of equal ranks lie on, each of one tangent space, and what is left of the points.
+def _told_apart(group: list[int], final: list[PointRanks]) -> list[list[int]]:
+    """The pieces that points of equal ranks lie on, as far as their tangent spaces tell them apart.
 
-    An analytic piece that is flat around a point is flat: no other tangent space belongs to it, and equal ones at random
-    points are no chance.
+    The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it is not,
+    points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer dimensions than it
+    could bend in.
     """
-    clusters: list[list[int]] = []
-    for i in group:
-        projection = final[i].tangents @ final[i].tangents.T
+    tangents = [final[i].tangents for i in group]
+    joint = np.array([[len(a) if a is b else _joint_rank(a, b) for b in tangents] for a in tangents])
+    least, clusters = np.min(joint, axis=1), list[list[int]]()
+    for i in range(len(group)):
         for cluster in clusters:
-            first = final[cluster[0]].tangents
-            if np.max(np.abs(projection - first @ first.T), initial=0.0) <= FLAT:
+            if joint[i, cluster[0]] == least[i] == least[cluster[0]] < np.max(joint):
                 cluster.append(i)
                 break
         else:
             clusters.append([i])
-    flat = [cluster for cluster in clusters if len(cluster) >= FLAT_POINTS]
-    rest = [i for cluster in clusters if len(cluster) < FLAT_POINTS for i in cluster]
-    return [*flat, rest] if rest else flat
+    told = [[group[i] for i in cluster] for cluster in clusters if len(cluster) >= FEWEST]
+    rest = [i for i in group if not any(i in cluster for cluster in told)]
+    return [*told, rest] if rest else told
+
+
+def _joint_rank(a: np.ndarray, b: np.ndarray) -> int:
+    """Rank of two tangent spaces together."""
+    return int(np.linalg.matrix_rank(np.concatenate([a, b], axis=1), tol=SAME))
 
 
 def _stratum(points: Points, members: list[int], final: list[PointRanks], last: int) -> Stratum:
@@ -255,6 +261,7 @@ def _stratum(points: Points, members: list[int], final: list[PointRanks], last: 
     return Stratum(
         signature=signature,
         count=len(members),
+        flat=all(_joint_rank(ranks.tangents, final[i].tangents) == ranks.tangents.shape[1] for i in members),
         k_f=k_f,
         k_f_base=base,
         determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(point.at.jet.shape[-1])),

@@ -90,6 +90,8 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     if not c.reliable:
         yield "NOT RELIABLE", words.UNRELIABLE
     yield "P_f", words.final_words(total - codimension, total, s.equations.names) + irregular + seen
+    if c.irregular and c.reliable and not s.flat:
+        yield "pieces", words.CURVED
     if c.stratified:
         yield "point", f"q = {_point(s.q)}, p = {_point(s.p)}"
     yield "k_f", words.stop_words(s.k_f, s.k_f_base)

@@ -205,6 +205,22 @@ class Crossing(eqx.Module):
         return (q[0] * q[1]) ** 2 * (1 + self.share * (q[1] - 1)) / 2
 
 
+def test_curved_pieces_are_told_apart_by_directions_that_they_have_in_common():
+    """``q' = 0``, cost ``(w - z^2) u1 + x y u2``: two parabolic cylinders, in ``x = 0`` and in ``y = 0``."""
+    problem = OptimalControlProblem(
+        Euclidean(4), lambda q, u: 0 * q, lambda q, u: (q[3] - q[2] ** 2) * u[0] + q[0] * q[1] * u[1], 2
+    )
+    for seed in range(3):
+        c = classify(problem, seed=seed)
+        assert [s.codimension for s in c.strata] == [2, 2]
+        across = [int(np.argmin(np.abs(s.q[:2]))) for s in c.strata]
+        assert set(across) == {0, 1}
+        for piece, i in zip(c.strata, across, strict=True):
+            assert np.max(np.abs(piece.states[0][:, i])) < 1e-9
+            assert not piece.flat
+    assert ("curved pieces of equal ranks" in str(c)) == c.irregular
+
+
 def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
     """``q' = u``, cost ``x^2 y^2/2``: ``x = 0`` and ``y = 0``, of equal ranks; and ``x^2 y^3/2``, irregular on ``y = 0``."""
     problem, half = (OptimalControlProblem(Euclidean(2), lambda q, u: u, Crossing(jnp.array(a)), 2) for a in (0.0, 1.0))
