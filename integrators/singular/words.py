@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from textwrap import wrap
 
+from ...manifolds import Euclidean, Manifold
 from ..problem import OptimalControlProblem
 
 Line = tuple[str, str]
@@ -73,6 +74,20 @@ def form_words(rank: int, kernel: int) -> str:
 def class_words(codimension: int, kernel: int) -> str:
     """How many equations of each class."""
     return f"{kernel} first class, {codimension - kernel} second class"
+
+
+def component_words(controls: Manifold, component: int) -> str:
+    """The name of a component of the control: an entry of ``u`` where that is a vector, a coordinate of U elsewhere."""
+    return f"u[{component}]" if _is_vector(controls) else f"coordinate {component}"
+
+
+def chart_words(controls: Manifold, center: str) -> str:
+    """In which chart the coordinates of U are taken, where ``u`` is no vector."""
+    return "" if _is_vector(controls) else f"; coordinates in the retraction chart of U around u = {center}"
+
+
+def _is_vector(controls: Manifold) -> bool:
+    return isinstance(controls, Euclidean) and len(controls.shape) == 1
 
 
 def unmet_words(level: int) -> str:

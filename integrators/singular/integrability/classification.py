@@ -121,7 +121,10 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @property
     def gauge_components(self) -> tuple[int, ...]:
-        """Components of the control that can be given freely; the others follow from them and the state."""
+        """Components of the control that can be given freely; the others follow from them and the state.
+
+        They are entries of ``u`` in R^m; on another U coordinates in its chart around ``stratum.feedback.center``.
+        """
         return self.stratum.feedback.pivots.free
 
     @property

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
+from ....manifolds import Manifold
 from .. import words
 from ..words import Line, many
 from .classification import Classification, Stratum
@@ -99,16 +100,17 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     for i in range(kernel):
         yield "kernel", f"({_vector(s.kernel[0], i)}; {_vector(s.kernel[1], i)}) at q = {_point(s.q)}, p = {_point(s.p)}"
     yield "constraints", words.class_words(codimension, kernel)
-    yield "controls", _controls(s)
+    yield "controls", _controls(c.problem.controls, s) + words.chart_words(c.problem.controls, _point(s.feedback.center))
 
 
-def _controls(s: Stratum) -> str:
-    free = s.signature.free_controls
-    known = ", ".join(f"u[{a}] by level {level}" for a, level in enumerate(s.determined_at) if level is not None)
+def _controls(controls: Manifold, s: Stratum) -> str:
+    free, names = s.free_controls, [words.component_words(controls, a) for a in range(len(s.determined_at))]
+    levels = zip(names, s.determined_at, strict=True)
+    known = ", ".join(f"{name} by level {level}" for name, level in levels if level is not None)
     determined = f"{len(s.determined_at) - free} determined" + (f" ({known})" if known else "")
     if not free:
         return f"{determined}, none free"
-    components = ", ".join(f"u[{a}]" for a in s.feedback.pivots.free)
+    components = ", ".join(names[a] for a in s.feedback.pivots.free)
     return f"{determined}, {free} free (gauge; parametrised by {components})"
 
 

@@ -9,7 +9,7 @@ from ....manifolds import InvalidInputError
 from ....retractions import CotangentLift, DiscretizationMap
 from ...functions import require_concrete
 from ..integrability import Classification
-from ..words import clauses
+from ..words import chart_words, clauses, component_words
 from .direct import DirectIntegrator
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
@@ -74,9 +74,11 @@ def _check_gauge(classification: Classification, gauge: Gauge) -> None:
     count, piece = classification.gauge_controls, classification.stratum
     if not count:
         raise InvalidInputError("a gauge was given, but the problem has no gauge controls; leave it out")
-    names = ", ".join(f"u[{a}]" for a in classification.gauge_components)
+    controls = classification.problem.controls
+    names = ", ".join(component_words(controls, a) for a in classification.gauge_components)
     expected = (
         f"gauge must be a function gauge(t, q, p) that returns the gauge control{'s' * (count > 1)} {names}, shape ({count},)"
+        + chart_words(controls, str(piece.feedback.center))
     )
     example = f"try gauge=lambda t, q, p: jnp.zeros({count})"
     if not callable(gauge):

@@ -10,10 +10,10 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
 from retrax.integrators.singular.integrability.points import random_starts
-from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics.rank import numerical_rank
 from retrax.problems import SINGULAR
-from retrax.retractions import Addition, Midpoint
+from retrax.retractions import Addition, Midpoint, default_retraction
 
 from tests.integrators.singular.cases import classified, known, martinet, scaled
 
@@ -353,6 +353,34 @@ def test_the_paper_s_example_is_reported_as_published():
     ):
         assert line in str(c)
     assert "1 determined (u[0] by level 0), 1 free (gauge; parametrised by u[1])" in str(c)
+
+
+def test_components_of_a_control_that_is_no_vector_are_not_called_its_entries():
+    """``q' = u[0, 0]`` without cost, ``u`` of shape ``(1, 2)``."""
+    c = classify(OptimalControlProblem(Euclidean(1), lambda q, u: u[0, :1], lambda q, u: 0 * q[0], Euclidean((1, 2))))
+    names = "coordinate 0, coordinate 1"
+    assert c.gauge_components == (0, 1)
+    assert f"parametrised by {names}); coordinates in the retraction chart of U around u = [[" in " ".join(str(c).split())
+    with pytest.raises(
+        InvalidInputError, match=rf"the gauge controls {names}, shape \(2,\); coordinates in the retraction chart"
+    ):
+        singular_integrator(c, Midpoint(Addition(Euclidean(1))), gauge=0.0)
+
+
+@pytest.mark.slow
+def test_components_of_a_control_on_a_sphere_are_coordinates_of_it():
+    """``x1' = x2``, ``x2' = u1``, ``u`` in ``S^2``: ``u1 = -x1`` on the arc, and one coordinate in a chart of ``S^2`` is free."""
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: (q[1] ** 2 - q[0] ** 2) / 2, Sphere(2)
+    )
+    c = classify(problem)
+    c = c.choose([s.free_controls for s in c.strata].index(1))
+    (free,), center = c.gauge_components, c.stratum.feedback.center
+    given = c.stratum.feedback.jet[0, free] + 0.02
+    u = c.control(c.stratum.q, c.stratum.p, given)
+    np.testing.assert_allclose(u[0], -c.stratum.q[0], atol=1e-9)
+    chart = default_retraction(problem.controls).inverse(center, u)
+    np.testing.assert_allclose(problem.controls.basis(center)[free] @ chart, given, atol=1e-9)
 
 
 @pytest.mark.parametrize(
