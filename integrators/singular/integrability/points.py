@@ -28,6 +28,7 @@ LARGEST_SHIFT = 1e-2
 DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
 NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
 PRICE = 100.0  # least cost of a control of size one, over the rounding of all cost
 NEARBY = 0.1  # how far starts near a state are from it; costates relative to their size
@@ -100,10 +101,18 @@ class Units:
     state: np.ndarray
     jet: np.ndarray
 
+    @property
+    def both(self) -> np.ndarray:
+        """Of state and jet, raveled."""
+        return np.concatenate([self.state, self.jet.reshape(-1)])
+
 
 @dataclass(frozen=True)
 class Points:
-    """A batch of points of the jet space, with the array linearised there, and how the search for them ended."""
+    """A batch of points of the jet space, with the array linearised there, and how the search for them ended.
+
+    ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed long, as where ``e^u`` is to vanish.
+    """
 
     array: DerivativeArray
     centers: Ambient
@@ -111,11 +120,12 @@ class Points:
     units: Units
     residuals: np.ndarray
     slow: np.ndarray
+    away: np.ndarray
 
     @property
     def consistent(self) -> np.ndarray:
         """Which points satisfy the equations they were moved to."""
-        return self.residuals <= CONVERGED
+        return (self.residuals <= CONVERGED) & ~self.away
 
     @property
     def reliable(self) -> np.ndarray:
@@ -218,7 +228,7 @@ def _evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarr
     still = np.zeros((count, CotangentBundle(array.problem.manifold).dimension + jets[0].size))
     at = _host(_kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(still)))
     never = np.full(count, np.inf)
-    return Points(array, centers, at, _units(at), never, np.zeros(count, bool))
+    return Points(array, centers, at, _units(at), never, *np.zeros((2, count), bool))
 
 
 def _host(at: Linearised) -> Linearised:
@@ -299,7 +309,9 @@ def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, de
         slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, now, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
-    return replace(points, at=at, residuals=residual, slow=points.slow | (slow >= SLOW_STEPS))
+    ended, slow = replace(points, at=at, residuals=residual), slow >= SLOW_STEPS
+    steps = np.linalg.norm(_directions(ended, level, unit_costate, False) / points.units.both, axis=1)
+    return replace(ended, slow=points.slow | slow, away=points.away | (slow & (steps > LONG)))
 
 
 def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -310,7 +322,7 @@ def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
     """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
     count, reach = len(points.residuals), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
-    lengths = BESIDE * np.concatenate([points.units.state, points.units.jet.reshape(-1)])
+    lengths = BESIDE * points.units.both
     lengths[reach:] = 0.0  # derivatives of the control that do not enter
     d = lengths * np.random.default_rng(0).standard_normal((count, lengths.size))
     at = _host(_kernel()(points.array, points.at.z, points.centers, jnp.asarray(points.at.jet), jnp.asarray(d)))
@@ -370,5 +382,5 @@ def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.nd
 def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
     part = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
-    evidence = points.residuals[which], points.slow[which]
+    evidence = points.residuals[which], points.slow[which], points.away[which]
     return Points(points.array, part[0], part[1], points.units, *evidence)
