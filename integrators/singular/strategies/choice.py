@@ -54,19 +54,32 @@ def singular_integrator(
     classification.require_reliable()
     if gauge is not None:
         _check_gauge(classification, gauge)
-    lift, refusals = CotangentLift(discretization), list[str]()
-    for name in STRATEGIES if strategy is None else (strategy,):
+    lift, names = CotangentLift(discretization), [*STRATEGIES] if strategy is None else [strategy]
+    found, refusals = _first(names, classification, lift, gauge)
+    if found is not None:
+        return found
+    if strategy is not None:
+        found, others = _first([name for name in STRATEGIES if name != strategy], classification, lift, gauge)
+        if found is not None:
+            raise InvalidInputError(f"{clauses(refusals)};\nwhat applies is\n{found.reason}")
+        refusals += others
+    raise InvalidInputError(f"no strategy applies:\n{clauses(refusals)}")
+
+
+def _first(
+    names: list[str], classification: Classification, lift: CotangentLift, gauge: Gauge | None
+) -> tuple[SingularIntegrator | None, list[str]]:
+    """The first of these strategies that applies, if one does, and why those before it do not."""
+    refusals = list[str]()
+    for name in names:
         try:
             found = STRATEGIES[name].suited(classification, lift, gauge)
         except NotApplicableError as error:
             refusals.append(f"not {name}: {error}")
             continue
         remarks = [*_gauge(classification, gauge), *_piece(classification), *refusals]
-        return replace(found, reason=clauses([f"{name}: {found.reason}", *remarks]))
-    if strategy is None:
-        raise InvalidInputError(f"no strategy applies:\n{clauses(refusals)}")
-    other = singular_integrator(classification, discretization, gauge=gauge)
-    raise InvalidInputError(f"{refusals[0]}; what applies is\n{other.reason}")
+        return replace(found, reason=clauses([f"{name}: {found.reason}", *remarks])), refusals
+    return None, refusals
 
 
 def _check_gauge(classification: Classification, gauge: Gauge) -> None:

@@ -260,8 +260,9 @@ def test_a_gauge_that_is_none_is_refused(gauge, message):
 
 def test_what_does_not_apply_is_refused_with_what_does():
     beside = Theta(default_retraction(Euclidean(2)), 0.3)
-    with pytest.raises(InvalidInputError, match=r"(?s)not stage: the deviation of the nodes .* grows"):
+    with pytest.raises(InvalidInputError, match=r"(?s)not stage: the deviation of the nodes .* grows") as refusal:
         chosen("massless particle", "stage", beside)
+    assert str(refusal.value).count("not stage: ") == 1
     with pytest.raises(InvalidInputError, match=r"(?s)not rattle: .*what applies is\ndirect"):
         chosen("academic", "rattle")
     with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):
