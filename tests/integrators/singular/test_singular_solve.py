@@ -303,3 +303,15 @@ def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
     assert "condition fails" in second_order(upside_down, z, u)
     particle = SINGULAR["massless particle"]().problem
     assert "Goh's condition fails" in second_order(particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2)))
+
+
+@pytest.mark.slow
+def test_an_extremal_that_is_a_point_rests():
+    """``x' = u`` with cost ``x^2``: ``P_f = {x = p = 0}``."""
+    problem, options = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1), {"horizon": 1.0, "steps": 4}
+    solution = solve(problem, Midpoint(Exponential(LINE)), start=ZERO, end=None, **options)
+    assert solution.success
+    assert norm((solution.states, solution.costates, solution.controls)) < 1e-15
+    assert (solution.singular.dimension, solution.singular.independent) == (0, 0)
+    with pytest.raises(InvalidInputError, match="secondary equation = 1"):
+        solve(problem, Midpoint(Exponential(LINE)), start=ONE, end=None, **options)
