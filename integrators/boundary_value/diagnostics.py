@@ -15,13 +15,15 @@ from ..problem import OptimalControlProblem
 from ..stages import ControlStage
 from ..stages.stage import positive
 
+ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
+
 
 class Diagnostics(NamedTuple):
     """Derived quantities: along stages (N), along nodes (N + 1), and one number."""
 
     stage_costates: Ambient
     hamiltonians: Array
-    hamiltonian_size: Array  # largest of the two parts <p, X> and F over the stages
+    hamiltonian_size: Array  # largest of the two parts <p, X> and F over the stages, no less than what is rounding in them
     momenta: dict[str, Array]
     body: dict[str, Array]
     spatial: dict[str, Array]
@@ -48,9 +50,28 @@ def diagnose(stage: ControlStage, unknowns: Any, nodes: Ambient, costates: Ambie
     sample = np.array([0, len(hamiltonians) // 2, len(hamiltonians) - 1])
     looked_at = jax.tree.map(lambda leaf: leaf[sample], (unknowns, stage_costates))
     brackets = jax.tree.map(lambda b: jnp.max(b, axis=0), jax.vmap(lambda y, p: _brackets(stage.problem, y, p))(*looked_at))
+    rounding = jax.vmap(lambda y, p: _rounding(stage, y, p))(*looked_at)
     frames = jax.vmap(lambda q, p: _group_frames(stage.manifold, q, p))(nodes, costates)
     violations = jax.tree.map(jnp.max, jax.vmap(stage.manifold.violations)(nodes))
-    return Diagnostics(stage_costates, hamiltonians, jnp.max(sizes), *frames, violations, brackets, jnp.max(normal))
+    size = jnp.maximum(jnp.max(sizes), jnp.max(rounding))
+    return Diagnostics(stage_costates, hamiltonians, size, *frames, violations, brackets, jnp.max(normal))
+
+
+def _rounding(stage: ControlStage, y: Any, p: Ambient) -> Array:
+    """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of.
+
+    The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger: where
+    ``F = (q + u)^2 / 2`` is zero, the second ones are not.
+    """
+    frame, sizes = stage.frame(y), stage.sizes(y)
+
+    def rate(d: Array) -> Array:
+        return stage.problem.cost_rate(*stage.move(y, frame, sizes * d))
+
+    rest = jnp.zeros_like(sizes)
+    terms = vec.pairing(*jax.tree.map(jnp.abs, (p, stage.problem.velocity(*y))))
+    terms += sum(jnp.sum(jnp.abs(values)) for values in (rate(rest), jax.grad(rate)(rest), jax.hessian(rate)(rest)))
+    return ROUNDING * jnp.finfo(sizes.dtype).eps * terms
 
 
 def _brackets(problem: OptimalControlProblem, y: Any, p: Ambient) -> dict[str, Array]:

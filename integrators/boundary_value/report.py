@@ -49,17 +49,19 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         "Hamiltonian",
         f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e} ({share:.1e} of its parts)",
     )
-    if checks.too_coarse:
+    if solution.success and checks.too_coarse:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
+    # On P_f a secondary constraint {J, H} = 0 keeps a momentum that no symmetry of the problem conserves.
+    keeps = "the problem conserves" if solution.singular is None else "constant along this extremal:"
     for name, momentum in solution.momenta.items():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         conserved, count = checks.conserved[name], momentum.shape[1]
         if not conserved:
-            yield title, f"{name}: the problem conserves none of {count} components"
+            yield title, f"{name}: {keeps} none of {count} components"
             continue
         first = np.array2string(momentum[0], precision=8) if count <= LONGEST_MOMENTUM else "at the start"
         size, spread = np.max(np.abs(momentum)), checks.momentum_spreads[name]
-        kept = f"spread over the nodes {spread:.1e}; the problem conserves {conserved} of {count} components"
+        kept = f"spread over the nodes {spread:.1e}; {keeps} {conserved} of {count} components"
         yield title, f"{name}: {first}, size {size:.3g}, {kept}"
 
 

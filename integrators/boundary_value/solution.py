@@ -31,11 +31,12 @@ class Checks:
     ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, relative to
     1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``violations``: of each equation
     of the manifold, the largest at the nodes (for a rotation, the orthogonality error). ``hamiltonian``: value at the first
-    stage, spread over the stages, and size, the largest of its parts ``<p, X>`` and ``F``. ``momentum_spreads``: for each
-    factor on which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
-    components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is positive definite on the null
-    space of the constraints. Of a singular extremal ``stationarity`` is the largest violation of the equations of ``P_f`` at the
-    nodes, relative, and ``strict_minimum`` is not claimed: read ``singular.second_order``.
+    stage, spread over the stages, and size, the largest of its parts ``<p, X>`` and ``F``, no less than their rounding.
+    ``momentum_spreads``: for each factor on which a group acts, largest spread of a component of its momentum over the nodes;
+    ``conserved``: how many of its components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is
+    positive definite on the null space of the constraints. Of a singular extremal ``stationarity`` is the largest violation of
+    the equations of ``P_f`` at the nodes, relative; ``conserved`` counts what is constant along it, for which ``P_f`` may be
+    the reason; and ``strict_minimum`` is not claimed: read ``singular.second_order``.
     """
 
     gap: float

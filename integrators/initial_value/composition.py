@@ -89,3 +89,6 @@ class Composition(Integrator):
 
     def control(self, unknowns: tuple[Any, Any]) -> Any:
         return unknowns[1]
+
+    def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
+        return self.integrator.hint(system, first, last)

@@ -50,6 +50,10 @@ class Integrator(eqx.Module):
     def control(self, unknowns: Any) -> Any:
         """The control in the unknowns of a step; None where there is none."""
 
+    def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
+        """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without an end."""
+        return ""
+
 
 class LiftedIntegrator(Integrator):
     """A method built on the cotangent lift of a discretization map."""

@@ -73,7 +73,12 @@ def integrate(
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
-        raise ConvergenceError(f"step {int(trajectory.failed_step)}: {Result[trajectory.result]}")
+        failed, ends = (
+            int(trajectory.failed_step),
+            [jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1)],
+        )
+        hint = integrator.hint(system, *ends)
+        raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {Result[trajectory.result]}{hint}")
     return trajectory
 
 

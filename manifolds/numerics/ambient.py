@@ -3,6 +3,7 @@
 A *frame* is a pytree of the same structure whose leaves carry one extra leading axis: its k-th slice is the k-th vector.
 """
 
+import math
 from collections.abc import Callable
 
 import jax
@@ -124,7 +125,7 @@ def coordinate_sizes(frame: Frame, a: Ambient) -> Coordinates:
 
 def flatten_frame(frame: Frame) -> Float[Array, "k N"]:
     """Matrix whose rows are the vectors of a frame, real and imaginary parts side by side."""
-    leaves = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(frame)]
+    leaves = [leaf.reshape(leaf.shape[0], math.prod(leaf.shape[1:])) for leaf in jax.tree.leaves(frame)]
     parts = [part for leaf in leaves for part in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))]
     return jnp.concatenate(parts, axis=1)
 

@@ -92,7 +92,7 @@ def test_dynamics_that_leave_the_tangent_space_are_refused():
 
 
 def test_an_energy_that_is_no_number_is_an_error_in_words():
-    with pytest.raises(ConvergenceError, match="step 0: The equations of a step could not be solved"):
+    with pytest.raises(ConvergenceError, match="step 0, from t = 0: The equations of a step could not be solved"):
         run(lambda q, p: p @ p / 2 + jnp.sqrt(-q[0]))
 
 

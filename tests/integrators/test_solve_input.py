@@ -299,6 +299,16 @@ def test_the_report_says_when_steps_are_too_coarse_for_the_hamiltonian(steps, co
     assert ("too coarse to be trusted, increase steps" in str(solution)) == coarse
 
 
+def test_a_hamiltonian_that_is_zero_gives_no_alarm():
+    """``F = (x + u)^2 / 2`` vanishes along ``x' = -x``, which the midpoint rule solves in powers: all of it is rounding."""
+    line, steps, h = Euclidean(1), 8, 1 / 8
+    decay = OptimalControlProblem(line, lambda q, u: u, lambda q, u: q @ q / 2 + q @ u + u @ u / 2, 1)
+    solution = solve(decay, Midpoint(Addition(line)), np.ones(1), np.full(1, ((2 - h) / (2 + h)) ** steps), 1.0, steps)
+    assert norm(solution.costates) < 1e-13
+    assert not solution.checks.too_coarse
+    assert solution.checks.hamiltonian_size < 1e-12
+
+
 @pytest.mark.slow
 def test_the_report_says_which_momenta_the_problem_conserves():
     """A top with gravity along the third axis conserves the third component alone, a free body all three."""

@@ -78,7 +78,7 @@ def test_derivatives_by_start_and_step_size_agree_with_differences():
 
 
 def test_a_step_that_cannot_be_solved_is_an_error_in_words():
-    with pytest.raises(ConvergenceError, match=r"step 0: .*could not be solved.*smaller step size"):
+    with pytest.raises(ConvergenceError, match=r"step 0, from t = 0: .*could not be solved.*smaller step size"):
         swing(h=1e4)
 
 

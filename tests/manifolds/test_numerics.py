@@ -212,3 +212,9 @@ def test_components_are_coordinates_in_an_orthonormal_frame_and_combine_their_in
     np.testing.assert_allclose(vec.pairing(a, a), c @ c, rtol=1e-13)
     sizes = vec.coordinate_sizes(frame, a)
     assert np.all(np.abs(np.asarray(c)) <= np.asarray(sizes))
+
+
+def test_a_frame_may_have_no_vectors():
+    frame = jnp.zeros((0, 2)), jnp.zeros((0, 3, 3))
+    assert vec.flatten_frame(frame).shape == (0, 11)
+    assert [leaf.shape for leaf in vec.orthonormalise(frame)] == [(0, 2), (0, 3, 3)]

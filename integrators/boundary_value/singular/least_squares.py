@@ -50,7 +50,7 @@ def shortest_step(matrix: np.ndarray, residual: np.ndarray, excess: np.ndarray, 
     With ``damping``, in units of the largest singular value, it is Levenberg's step instead.
     """
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    kept = s > NEGLIGIBLE * s[0]
+    kept = s > NEGLIGIBLE * np.max(s, initial=0.0)
     u, s, vt = u[:, kept], s[kept], vt[kept]
     shortest = -vt.T @ (s / (s**2 + (damping * s[0]) ** 2) * (u.T @ residual)) if s.size else np.zeros(matrix.shape[1])
     free = np.zeros_like(shortest) if damping else vt.T @ (vt @ excess) - excess

@@ -124,12 +124,13 @@ def _matrix(state: _State) -> np.ndarray:
         matching[j, :, j + 1, :dimension] = -np.eye(dimension)
     boundary = np.zeros((2, len(ends.start), segments, size))
     boundary[0, :, 0, :dimension], boundary[1, :, -1] = ends.by_first, ends.by_last
-    return np.concatenate([MATCHING * matching.reshape(-1, segments * size), boundary.reshape(-1, segments * size)])
+    count, columns = len(ends.start) + len(ends.end), segments * size
+    return np.concatenate([MATCHING * matching.reshape(at.gaps.size, columns), boundary.reshape(count, columns)])
 
 
 def _slope(matrix: np.ndarray, rows: np.ndarray) -> float:
     """Largest derivative of ``|rows|^2 / 2`` relative to its parts: zero at a stationary point."""
-    parts = np.max(np.abs(matrix).T @ np.abs(rows))
+    parts = np.max(np.abs(matrix).T @ np.abs(rows), initial=0.0)
     return float(np.max(np.abs(matrix.T @ rows)) / parts) if parts else 0.0
 
 

@@ -22,7 +22,7 @@ from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ..integrability import Classification
 from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls
-from .leaves import ambient_field, bracket_size, leaf_flow
+from .leaves import Point, ambient_field, bracket_size, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
@@ -108,7 +108,16 @@ class RattleIntegrator(SingularIntegrator):
         last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
-        return restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
+        # A move along a leaf too long for the accuracy of its flow, as by a control without bound, leaves Q.
+        stayed = [violation <= default_tolerance() for violation in self.manifold.violations(q2).values()]
+        return restored(self.manifold, StepResult(q2, p2, memory, jnp.all(jnp.array([landed, arrived, *stayed]))))
+
+    def hint(self, system: OptimalControlProblem, first: Point, last: Point) -> str:
+        split = ControlAffineSplitting(system, self.singular)
+        least = [np.linalg.svd(_facts(split, *z).across.values, compute_uv=False)[-1] for z in (first, last)]
+        return (
+            f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, {least[1]:.3g} at last."
+        )
 
     def control(self, unknowns: _Memory) -> Array:
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)

@@ -8,6 +8,7 @@ import equinox as eqx
 from jaxtyping import Array
 
 from ....manifolds import InvalidInputError
+from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
 from ..integrability import Classification
@@ -27,6 +28,12 @@ class SingularIntegrator(LiftedIntegrator):
 
     reason: eqx.AbstractVar[str]
     presymplectic: ClassVar[bool]
+
+    def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
+        return (
+            " Or the extremal leaves the regular part of P_f: the bracket {phi, psi}, which determines the singular controls, "
+            "tends to zero there, and they grow without bound; then the arc ends near this time, whatever the step size."
+        )
 
     @classmethod
     @abstractmethod

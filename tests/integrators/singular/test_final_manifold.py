@@ -71,7 +71,9 @@ def test_determined_controls_are_functions_of_state_and_costate(name, derivative
         np.testing.assert_array_equal(u[1:], np.full(c.gauge_controls, 0.3))
 
 
-@pytest.mark.parametrize("name", ["academic", pytest.param("massless particle", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["academic", *(pytest.param(name, marks=pytest.mark.slow) for name in ("massless particle", "chain of 2"))]
+)
 def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
     c = classified(name)
     submanifold = c.dynamics
@@ -79,7 +81,7 @@ def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
         y = submanifold.source.random_point(jax.random.key(seed))
         verdict = is_lagrangian(submanifold, y)
         assert verdict, verdict.reason
-        assert verdict.shared == {"academic": 2, "massless particle": 0}[name]
+        assert verdict.shared == {"academic": 2, "massless particle": 0, "chain of 2": 0}[name]
 
 
 @pytest.mark.parametrize("name", ["academic", "sphere"])

@@ -7,14 +7,22 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import OptimalControlProblem, integrate
+from retrax.integrators import Composition, OptimalControlProblem, integrate
 from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator, leaf_flow
-from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, NotOnManifoldError, Submanifold
-from retrax.retractions import Addition, CotangentLift, Midpoint, Projection
+from retrax.manifolds import (
+    ConvergenceError,
+    CotangentBundle,
+    Euclidean,
+    InvalidInputError,
+    NotOnManifoldError,
+    Submanifold,
+    hat,
+)
+from retrax.retractions import Addition, Cayley, CotangentLift, Midpoint, Projection
 
-from tests.integrators.problems import SPHERE
+from tests.integrators.problems import SO3, SPHERE
 from tests.integrators.singular.cases import classified, scaled
-from tests.support.numerics import slope
+from tests.support.numerics import norm, slope
 
 BUNDLE, LIFT = CotangentBundle(SPHERE), CotangentLift(Midpoint(Projection(SPHERE)))
 AXIS = jnp.array([0.0, 0.0, 1.0])
@@ -92,6 +100,42 @@ def test_bad_input_is_refused_with_the_reason():
     higher = RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,))
     with pytest.raises(InvalidInputError, match="higher order"):
         integrate(chain, higher, (jnp.zeros(2), jnp.zeros(2)), 0.1, 1)
+
+
+@pytest.mark.parametrize("h", [0.1, pytest.param(0.025, marks=pytest.mark.slow)])
+def test_where_an_arc_ends_the_error_says_so(h):
+    """``x' = y``, ``y' = u``, cost ``y^3 / 6 - x / 2``: ``{phi, psi} = y`` and ``u = -1/(2 y)``, so ``y^2 = 1 - t``."""
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1)
+    method = Composition(RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,)), (1.0,))
+    arc = integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60, throw=False)
+    failed = int(arc.failed_step)
+    assert abs(failed * h - 1) < 2 * h
+    words = (
+        rf"step {failed}, from t = {failed * h:.6g}: .*leaves the regular part of P_f.*value is 1 at first, 0\.[0-3].* at last"
+    )
+    with pytest.raises(ConvergenceError, match=words):
+        integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60)
+
+
+@pytest.mark.slow
+def test_moves_along_leaves_that_are_too_long_for_their_flow_are_no_steps():
+    """At ``t = 1.22`` the bracket vanishes, and beyond it Newton's method finds a control of -91, whose flow leaves SO(3)."""
+    problem = OptimalControlProblem(
+        SO3,
+        lambda q, u: q @ hat(jnp.stack([u[0], u[1], q[2, 0] / 2])),
+        lambda q, u: u[0] ** 2 / 2 + q[2, 2] + 0.3 * q[0, 0] + 0.4 * q[2, 1] ** 2,
+        2,
+    )
+    split = ControlAffineSplitting(problem, (1,))
+    final = Submanifold(CotangentBundle(SO3), lambda z: jnp.concatenate([split.primary(*z), split.secondary(*z)]))
+    guess = (
+        [[0.94, -0.17, -0.28], [0.26, 0.91, 0.33], [0.2, -0.38, 0.9]],
+        [[0.01, -0.06, 0.07], [-0.07, 0.17, -0.41], [0.03, 0.42, 0.17]],
+    )
+    z = final.nearby(tuple(jnp.array(part) for part in guess))
+    arc = integrate(problem, RattleIntegrator(CotangentLift(Midpoint(Cayley(SO3))), (1,)), z, 0.05, 40, throw=False)
+    assert int(arc.failed_step) == 24
+    assert norm(jnp.swapaxes(arc.q, 1, 2) @ arc.q - jnp.eye(3)) < 1e-14
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e3])

@@ -99,8 +99,19 @@ def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
     assert not solution.success
     assert solution.result == Result[Result.no_extremal]
     assert max(solution.singular.conditions.values()) > 0.1
+    assert "too coarse" not in str(solution)  # the Hamiltonian of what is no extremal means nothing
     with pytest.raises(ConvergenceError, match=r"(?s)contradict each other.*start, factor 1: state missed by"):
         solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, **options)
+
+
+def test_a_momentum_that_no_symmetry_conserves_is_not_ascribed_to_the_problem():
+    """``p2`` is zero on ``P_f``; ``H`` depends on both states."""
+    solution = solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), 1.0, 8, classification=classified(ALY_CHAN))
+    assert list(solution.checks.conserved.values()) == [0, 1]
+    report = " ".join(str(solution).split())
+    assert "constant along this extremal: none of 1 components" in report
+    assert "constant along this extremal: 1 of 1 components" in report
+    assert "the problem conserves" not in report
 
 
 class Growth(eqx.Module):
@@ -303,3 +314,15 @@ def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
     assert "condition fails" in second_order(upside_down, z, u)
     particle = SINGULAR["massless particle"]().problem
     assert "Goh's condition fails" in second_order(particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2)))
+
+
+@pytest.mark.slow
+def test_an_extremal_that_is_a_point_rests():
+    """``x' = u`` with cost ``x^2``: ``P_f = {x = p = 0}``."""
+    problem, options = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1), {"horizon": 1.0, "steps": 4}
+    solution = solve(problem, Midpoint(Exponential(LINE)), start=ZERO, end=None, **options)
+    assert solution.success
+    assert norm((solution.states, solution.costates, solution.controls)) < 1e-15
+    assert (solution.singular.dimension, solution.singular.independent) == (0, 0)
+    with pytest.raises(InvalidInputError, match="secondary equation = 1"):
+        solve(problem, Midpoint(Exponential(LINE)), start=ONE, end=None, **options)
