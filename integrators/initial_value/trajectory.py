@@ -73,12 +73,10 @@ def integrate(
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
-        failed, ends = (
-            int(trajectory.failed_step),
-            [jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1)],
-        )
-        hint = integrator.hint(system, *ends)
-        raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {Result[trajectory.result]}{hint}")
+        failed = int(trajectory.failed_step)
+        first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
+        reason = f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
+        raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {reason}")
     return trajectory
 
 

@@ -108,9 +108,10 @@ class RattleIntegrator(SingularIntegrator):
         last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
+        new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
         # A move along a leaf too long for the accuracy of its flow, as by a control without bound, leaves Q.
-        stayed = [violation <= default_tolerance() for violation in self.manifold.violations(q2).values()]
-        return restored(self.manifold, StepResult(q2, p2, memory, jnp.all(jnp.array([landed, arrived, *stayed]))))
+        stayed = vec.size(vec.subtract(new.q, q2)) <= default_tolerance() * (1 + vec.size(new.q))
+        return new._replace(converged=new.converged & stayed)
 
     def hint(self, system: OptimalControlProblem, first: Point, last: Point) -> str:
         split = ControlAffineSplitting(system, self.singular)
