@@ -139,9 +139,9 @@ def fraction(a: Any) -> Any:
     if len(str(decimal.numerator).strip("-0")) <= np.finfo(a.dtype).precision:
         return sympy.Rational(decimal)
     size, unit = abs(a), Fraction(10) ** int(f"{abs(a):e}".split("e")[1])
-    neighbours = (np.nextafter(size, a.dtype.type(0)), size, np.nextafter(size, a.dtype.type(np.inf)))
-    below, exact, above = (Fraction(float(b)) / unit for b in neighbours)
-    return sympy.Rational(int(np.sign(a)) * unit * _simplest((below + exact) / 2, (exact + above) / 2))
+    below, exact = (Fraction(float(b)) / unit for b in (np.nextafter(size, a.dtype.type(0)), size))
+    half = (exact - below) / 2  # the gap above is no smaller
+    return sympy.Rational(int(np.sign(a)) * unit * _simplest(exact - half, exact + half))
 
 
 def _simplest(low: Fraction, high: Fraction) -> Fraction:
