@@ -19,6 +19,7 @@ MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
 FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-4, 1e2, 10.0
 STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
+PATIENCE, PROGRESS = 20, 0.01  # iterations in which the conditions have to come nearer by this fraction
 SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
 
 
@@ -49,7 +50,8 @@ class _State(NamedTuple):
     @property
     def size(self) -> float:
         """Norm of the conditions; infinite where they are not known."""
-        size = np.linalg.norm(self.rows)
+        with np.errstate(over="ignore"):  # of conditions far beyond the last ones: they are not taken
+            size = np.linalg.norm(self.rows)
         return float(size) if self.at.solved and np.isfinite(size) else np.inf
 
     def meets(self, tolerance: float) -> bool:
@@ -69,14 +71,16 @@ def meet_conditions(
     still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
     weights = _weights(shooting, guess)
     state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
-    damping, rank, count, result = 0.0, 0, 0, Result.too_many_iterations
+    damping, rank, count, result, sizes = 0.0, 0, 0, Result.too_many_iterations, []
     for count in range(max_iterations + 1):
         if not np.isfinite(state.size):
             return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
         matrix, excess = _matrix(state), _excess(shooting, state.iterate)
         d, rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
         slope = _slope(matrix, state.rows)
-        result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, damping)
+        sizes.append(state.size)
+        exhausted = damping > LARGEST_DAMPING or (count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE])
+        result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, exhausted)
         if result != Result.too_many_iterations or count == max_iterations:
             break
         tried = _evaluate(shooting, conditions, state.iterate, state.frames, weights * d.reshape(weights.shape))
@@ -87,14 +91,14 @@ def meet_conditions(
     return Found(state.iterate, state.at, state.ends, count, rank - state.at.gaps.size, result)
 
 
-def _verdict(state: _State, tolerance: float, slope: float, change: float, damping: float) -> Result:
+def _verdict(state: _State, tolerance: float, slope: float, change: float, exhausted: bool) -> Result:
     """Whether the iteration ends here, and how; ``too_many_iterations`` while it has to go on."""
     if state.meets(tolerance):
         settled = change <= SETTLED * (1 + np.max(np.abs(np.asarray(state.iterate.gauge)), initial=0.0))
         return Result.successful if settled else Result.too_many_iterations
-    if slope <= (NEARLY_STATIONARY if damping > LARGEST_DAMPING else STATIONARY):
+    if slope <= (NEARLY_STATIONARY if exhausted else STATIONARY):
         return Result.no_extremal
-    return Result.no_improvement if damping > LARGEST_DAMPING else Result.too_many_iterations
+    return Result.no_improvement if exhausted else Result.too_many_iterations
 
 
 @lru_cache

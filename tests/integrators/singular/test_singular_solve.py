@@ -223,6 +223,9 @@ def test_the_ends_of_an_integrated_trajectory_on_the_sphere_lead_back_to_it():
     assert norm(solution.costates - path.p) < 1e-10
     assert norm(solution.controls - path.controls) < 1e-9
     assert solution.singular.independent == 2  # of four: the two on the state at either end repeat each other on P_f
+    beside = solve(PROBLEM, LIFT.discretization, path.q[0], np.array([1.0, 0, 0]), 0.6, steps, throw=False, **options)
+    assert beside.result == Result[Result.no_improvement]  # another end contradicts the start, and the iteration sees it
+    assert beside.statistics.iterations < 60
 
 
 @pytest.mark.slow
