@@ -59,9 +59,14 @@ def reads_traced(tree: Any) -> bool:
     return any(isinstance(leaf, ByData) and leaf.reads_traced for leaf in jax.tree.leaves(by_data(tree)))
 
 
+def is_transformed(*arguments: Any) -> bool:
+    """Whether JAX is transforming the caller or values in the arguments, on which nothing can be checked."""
+    return is_jitting() or is_traced(arguments) or reads_traced(arguments)
+
+
 def require_concrete(name: str, *arguments: Any) -> None:
     """Raise if JAX is transforming the caller, the public function ``name``, which computes with values."""
-    if is_jitting() or is_traced(arguments) or reads_traced(arguments):
+    if is_transformed(arguments):
         raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and compiles its own kernels")
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
 from ..compilation import compiled
-from ..functions import by_data, reads_traced
+from ..functions import by_data, is_transformed
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
 
@@ -68,7 +68,7 @@ def integrate(
     warn_about_precision()
     q0, p0 = _checked_start(integrator.manifold, start)
     system = by_data(system)
-    if not (is_traced(q0, p0, system, integrator) or is_jitting() or reads_traced((system, integrator))):
+    if not is_transformed(q0, p0, system, integrator):
         integrator.check(system, q0, p0)
     count, every = int(steps) // int(save_every), int(save_every)
     trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
