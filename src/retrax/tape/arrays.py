@@ -1,0 +1,122 @@
+"""Arrays whose entries are scalars of a CasADi graph.
+
+In a trace an array is a NumPy array where its entries are known, ``Scalars`` where they depend on the input, and a ``Complex``
+pair of these two where it is complex and depends on the input.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Union
+
+import casadi as ca
+import numpy as np
+
+
+class NotTraceableError(TypeError):
+    """A function cannot be traced to scalars; ``primitive`` names the operation of JAX that decided."""
+
+    def __init__(self, primitive: str, reason: str) -> None:
+        super().__init__(
+            f"the function cannot be traced to scalars: it calls {primitive}, {reason}; compute it with XLA instead, or write it "
+            "with the operations that docs/tape.md lists"
+        )
+        self.primitive = primitive
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scalars:
+    """A real array: a dense column of scalars in C order, and its shape. Truth values are 0 and 1, whole numbers are floats."""
+
+    values: ca.SX
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        """Number of entries."""
+        return math.prod(self.shape)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Complex:
+    """A complex array as its real and imaginary parts, of one shape."""
+
+    real: "Real"
+    imag: "Real"
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the array."""
+        return self.real.shape
+
+
+Real = Union[np.ndarray, Scalars]  # noqa: UP007  # a name for annotations
+Entries = Union[np.ndarray, Scalars, Complex]  # noqa: UP007
+
+
+def is_known(*arrays: Any) -> bool:
+    """Whether no entry of the arrays depends on the input."""
+    return all(isinstance(a, np.ndarray) for a in arrays)
+
+
+def column(a: Real) -> ca.SX:
+    """Entries of a real array as a dense column in C order."""
+    if isinstance(a, Scalars):
+        return a.values
+    return ca.SX(ca.DM(np.asarray(a, float).reshape(-1, 1)))
+
+
+def parts(a: Entries) -> tuple[Real, Real]:
+    """Real and imaginary part of an array."""
+    if isinstance(a, Complex):
+        return a.real, a.imag
+    if isinstance(a, np.ndarray):
+        return np.real(a), np.imag(a)
+    return a, np.zeros(a.shape)
+
+
+def is_complex(a: Entries) -> bool:
+    """Whether an array is complex."""
+    return isinstance(a, Complex) or (isinstance(a, np.ndarray) and np.iscomplexobj(a))
+
+
+def scalars(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
+    """A real array from a column; dense, with zeros stored where CasADi leaves them out."""
+    return Scalars(values if values.is_dense() else ca.densify(values), tuple(shape))
+
+
+def taken(a: Entries, places: np.ndarray) -> Entries:
+    """The array of the shape of ``places`` whose entries are those of ``a`` at these places of its C order."""
+    if isinstance(a, Complex):
+        return Complex(_real(taken(a.real, places)), _real(taken(a.imag, places)))
+    if isinstance(a, np.ndarray):
+        return np.reshape(a, -1)[places]
+    values = a.values[places.reshape(-1).tolist()]  # a row if there is one scalar to take from
+    return Scalars(ca.reshape(values, places.size, 1), places.shape)
+
+
+def moved(a: Entries, move: Callable[[np.ndarray], np.ndarray]) -> Entries:
+    """The array with its entries in the places to which a function of NumPy arrays moves them."""
+    if isinstance(a, np.ndarray):
+        return np.asarray(move(a))
+    return taken(a, np.asarray(move(np.arange(math.prod(a.shape)).reshape(a.shape))))
+
+
+def joined(arrays: list[Entries], shape: tuple[int, ...], order: np.ndarray | None = None) -> Entries:
+    """The entries of arrays one after the other as one array; ``order``, of this shape, takes places of them."""
+    if is_known(*arrays):
+        flat: Entries = np.concatenate([np.reshape(a, -1) for a in arrays])
+    elif any(is_complex(a) for a in arrays):
+        pairs = [parts(a) for a in arrays]
+        flat = Complex(*(_real(joined(list(part), (-1,))) for part in zip(*pairs, strict=True)))
+    else:
+        values = ca.vertcat(*(column(_real(a)) for a in arrays))
+        flat = Scalars(values, (values.shape[0],))
+    places = np.arange(math.prod(flat.shape)).reshape(shape) if order is None else order
+    return taken(flat, places)
+
+
+def _real(a: Entries) -> Real:
+    if isinstance(a, Complex):
+        raise TypeError("expected a real array, got a complex one")
+    return a

@@ -1,0 +1,251 @@
+"""Rules of products, reductions and small factorisations, written out entry by entry."""
+
+import math
+from collections.abc import Callable
+from functools import reduce
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, column, is_complex, moved, parts, scalars
+from .elementwise import larger, select, smaller
+
+LARGEST_FACTOR = 16  # rows of a matrix that is factorised entry by entry: beyond LAPACK is the better choice
+
+
+def _operand(a: Real, batch: tuple[int, ...], contracted: tuple[int, ...], first: bool) -> tuple[Real, tuple[int, ...]]:
+    """The array with axes in the order batch, free, contracted, as matrices; and the sizes of its free axes."""
+    free = [axis for axis in range(len(a.shape)) if axis not in batch and axis not in contracted]
+    order = [*batch, *free, *contracted] if first else [*batch, *contracted, *free]
+    sizes = tuple(a.shape[axis] for axis in free)
+    inner = math.prod(a.shape[axis] for axis in contracted)
+    outer = math.prod(a.shape[axis] for axis in batch)
+    shape = (outer, math.prod(sizes), inner) if first else (outer, inner, math.prod(sizes))
+    return moved(a, lambda b: np.transpose(b, order).reshape(shape)), sizes  # type: ignore[return-value]
+
+
+def _matrix(a: Real, k: int) -> ca.SX:
+    """The k-th matrix of a batch."""
+    return ca.reshape(column(moved(a, lambda b: b[k].T)), a.shape[1], a.shape[2])  # type: ignore[arg-type]
+
+
+def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
+    if is_complex(x) or is_complex(y):
+        (a, b), (c, d) = parts(x), parts(y)
+        ac, bd, ad, bc = (_dot_general(params, *pair) for pair in ((a, c), (b, d), (a, d), (b, c)))
+        return Complex(scalars(column(ac) - column(bd), ac.shape), scalars(column(ad) + column(bc), ac.shape))  # type: ignore[arg-type]
+    (left, right), (batch_left, batch_right) = params["dimension_numbers"]
+    a, rows = _operand(x, batch_left, left, True)  # type: ignore[arg-type]
+    b, columns = _operand(y, batch_right, right, False)  # type: ignore[arg-type]
+    products = [ca.densify(ca.mtimes(_matrix(a, k), _matrix(b, k))) for k in range(a.shape[0])]
+    outer = tuple(x.shape[axis] for axis in batch_left)
+    return scalars(ca.vertcat(*(ca.vec(p.T) for p in products)), (*outer, *rows, *columns))
+
+
+def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Real, axes: tuple[int, ...], start: float) -> Scalars:
+    kept = [axis for axis in range(len(x.shape)) if axis not in axes]
+    shape = tuple(x.shape[axis] for axis in kept)
+    count = math.prod(x.shape[axis] for axis in axes)
+    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, -1))
+    rows = [column(moved(flat, lambda a, k=k: a[k])) for k in range(count)]  # type: ignore[arg-type]
+    return scalars(reduce(function, rows) if rows else ca.SX.ones(math.prod(shape)) * start, shape)
+
+
+def _reduction(function: Callable[[ca.SX, ca.SX], ca.SX], start: float) -> Callable[..., Entries]:
+    def rule(params: dict[str, Any], x: Entries) -> Entries:
+        axes = tuple(params["axes"])
+        if is_complex(x):
+            if start:
+                raise NotTraceableError("a reduction", "here of complex numbers")
+            return Complex(*(_reduced(function, part, axes, start) for part in parts(x)))
+        return _reduced(function, x, axes, start)  # type: ignore[arg-type]
+
+    return rule
+
+
+def _cumulative(function: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
+    def rule(params: dict[str, Any], x: Entries) -> Entries:
+        axis, count = params["axis"], x.shape[params["axis"]]
+        order = range(count)[::-1] if params["reverse"] else range(count)
+        rows: dict[int, ca.SX] = {}
+        last = None
+        for k in order:
+            row = column(moved(x, lambda a, k=k: np.take(a, k, axis)))  # type: ignore[arg-type]
+            last = row if last is None else function(last, row)
+            rows[k] = last
+        shape = (count, *np.delete(x.shape, axis))
+        stacked = scalars(ca.vertcat(*(rows[k] for k in range(count))), shape)
+        return moved(stacked, lambda a: np.moveaxis(a, 0, axis))
+
+    return rule
+
+
+def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
+    """Place of the first entry that none beats."""
+
+    def rule(params: dict[str, Any], x: Entries) -> Entries:
+        (axis,) = params["axes"]
+        rows = [column(moved(x, lambda a, k=k: np.take(a, k, axis))) for k in range(x.shape[axis])]  # type: ignore[arg-type]
+        best, place = rows[0], ca.SX.zeros(rows[0].shape[0])
+        for k, row in enumerate(rows[1:], 1):
+            place, best = select(beats(row, best), k, place), select(beats(row, best), row, best)
+        return scalars(place, tuple(np.delete(x.shape, axis)))
+
+    return rule
+
+
+def matrices(a: Real) -> list[ca.SX]:
+    """The matrices of a batch, one after the other."""
+    flat: Any = moved(a, lambda b: b.reshape(-1, *a.shape[-2:]))
+    return [_matrix(flat, k) for k in range(flat.shape[0])]
+
+
+def batch(found: list[ca.SX], outer: tuple[int, ...]) -> Scalars:
+    """The array of these matrices, with the axes ``outer`` before theirs."""
+    shape = (*outer, *found[0].shape) if found else (*outer, 0, 0)
+    return scalars(ca.vertcat(*(ca.vec(ca.densify(m).T) for m in found)), shape)
+
+
+def _require(name: str, rows: int, *arrays: Entries) -> None:
+    if rows > LARGEST_FACTOR:
+        raise NotTraceableError(name, f"here of a matrix of {rows} rows, where at most {LARGEST_FACTOR} are written out")
+    if any(is_complex(a) for a in arrays):
+        raise NotTraceableError(name, "here of complex numbers")
+
+
+def _cholesky(params: dict[str, Any], x: Any) -> Entries:
+    _require("cholesky", x.shape[-1], x)
+
+    def factor(s: ca.SX) -> ca.SX:
+        f = ca.SX.zeros(*s.shape)
+        for j in range(s.shape[0]):
+            f[j, j] = ca.sqrt(s[j, j] - ca.sumsqr(f[j, :j]))
+            for i in range(j + 1, s.shape[0]):
+                f[i, j] = (s[i, j] - ca.dot(f[i, :j], f[j, :j])) / f[j, j]
+        return f
+
+    return batch([factor(s) for s in matrices(x)], x.shape[:-2])
+
+
+def _triangular_solve(params: dict[str, Any], x: Any, y: Any) -> Entries:
+    _require("triangular_solve", x.shape[-1], x, y)
+    left, unit = params["left_side"], params["unit_diagonal"]
+    transposed = params["transpose_a"] == left  # X A = B is A' X' = B'
+    lower = params["lower"] != transposed
+    found = []
+    for a, b in zip(matrices(x), matrices(y), strict=True):
+        value = substituted(a.T if transposed else a, b if left else b.T, lower, unit)
+        found.append(value if left else value.T)
+    return batch(found, y.shape[:-2])
+
+
+def substituted(matrix: ca.SX, right: ca.SX, lower: bool, unit: bool) -> ca.SX:
+    """Solution of a triangular system with several right sides."""
+    n = matrix.shape[0]
+    found = ca.SX(right)
+    for i in range(n) if lower else reversed(range(n)):
+        known = slice(0, i) if lower else slice(i + 1, n)
+        row = right[i, :] - ca.mtimes(matrix[i, known], found[known, :])
+        found[i, :] = row if unit else row / matrix[i, i]
+    return found
+
+
+def factored(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """``L`` and ``U`` in one matrix, interchanges and permutation, with partial pivoting as LAPACK does it."""
+    a, n = ca.densify(matrix), matrix.shape[0]
+    width = min(matrix.shape)
+    order, pivots = ca.SX(ca.DM(range(n))), ca.SX.zeros(width)
+    for k in range(width):
+        best, place = ca.fabs(a[k, k]), ca.SX(k)
+        for i in range(k + 1, n):
+            bigger = ca.fabs(a[i, k]) > best
+            place, best = select(bigger, i, place), select(bigger, ca.fabs(a[i, k]), best)
+        pivots[k] = place
+        for i in range(k + 1, n):
+            for rows in (a, order):
+                top, low = rows[k, :], rows[i, :]
+                rows[k, :], rows[i, :] = select(place == i, low, top), select(place == i, top, low)
+        for i in range(k + 1, n):
+            a[i, k] = a[i, k] / a[k, k]
+            a[i, k + 1 :] = a[i, k + 1 :] - a[i, k] * a[k, k + 1 :]
+    return a, pivots, order
+
+
+def _lu(params: dict[str, Any], x: Any) -> list[Entries]:
+    _require("lu", x.shape[-2], x)
+    factors, pivots, orders = zip(*map(factored, matrices(x)), strict=True)
+    outer = x.shape[:-2]
+    columns = (scalars(ca.vertcat(*part), (*outer, part[0].shape[0])) for part in (pivots, orders))
+    return [batch(list(factors), outer), *columns]
+
+
+def inverse(matrix: ca.SX) -> ca.SX:
+    """Inverse of a matrix, each block that no entry couples with the others on its own."""
+    found = ca.SX(*matrix.shape)
+    for block in _blocks(matrix):
+        _require("custom_linear_solve", len(block))
+        factors, _, order = factored(matrix[block, block])
+        n = len(block)
+        units = ca.vertcat(*(ca.horzcat(*(order[i] == j for j in range(n))) for i in range(n)))
+        lower = substituted(factors, units, lower=True, unit=True)
+        found[block, block] = substituted(factors, lower, lower=False, unit=False)
+    return found
+
+
+def _blocks(matrix: ca.SX) -> list[list[int]]:
+    """Indices that nonzero entries of a square matrix connect, in groups."""
+    group = list(range(matrix.shape[0]))
+    for i, j in zip(*matrix.sparsity().get_triplet(), strict=True):
+        if group[i] != group[j]:
+            old, new = group[i], group[j]
+            group = [new if g == old else g for g in group]
+    return [[k for k, g in enumerate(group) if g == name] for name in dict.fromkeys(group)]
+
+
+def _qr(params: dict[str, Any], x: Any) -> list[Entries]:
+    """Householder's reflections with the signs of LAPACK."""
+    if params.get("pivoting"):
+        raise NotTraceableError("qr", "here with pivoting")
+    m, n = x.shape[-2:]
+    _require("qr", m, x)
+    width = m if params["full_matrices"] else min(m, n)
+    found = [_reflected(a) for a in matrices(x)]
+    outer = x.shape[:-2]
+    return [batch([q[:, :width] for q, _ in found], outer), batch([r[:width, :] for _, r in found], outer)]
+
+
+def _reflected(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
+    m, n = matrix.shape
+    r, q = ca.densify(matrix), ca.densify(ca.SX.eye(m))
+    for k in range(min(m - 1, n)):
+        rest = ca.sumsqr(r[k + 1 :, k])
+        none = rest == 0  # LAPACK leaves a column alone that is zero already
+        size = ca.sqrt(select(none, 1.0, r[k, k] ** 2 + rest))
+        head = select(none, r[k, k], select(r[k, k] < 0, size, -size))
+        direction = ca.vertcat(1, r[k + 1 :, k] / select(none, 1.0, r[k, k] - head))
+        factor = select(none, 0.0, (head - r[k, k]) / select(none, 1.0, head))
+        r[k:, :] -= factor * ca.mtimes(direction, ca.mtimes(direction.T, r[k:, :]))
+        q[:, k:] -= factor * ca.mtimes(ca.mtimes(q[:, k:], direction), direction.T)
+    return q, ca.triu(r)
+
+
+LINEAR: dict[str, Callable[..., Entries | list[Entries]]] = {
+    "argmax": _extreme(lambda a, b: a > b),
+    "argmin": _extreme(lambda a, b: a < b),
+    "cholesky": _cholesky,
+    "cummax": _cumulative(larger),
+    "cummin": _cumulative(smaller),
+    "cumprod": _cumulative(lambda a, b: a * b),
+    "cumsum": _cumulative(lambda a, b: a + b),
+    "dot_general": _dot_general,
+    "lu": _lu,
+    "qr": _qr,
+    "reduce_and": _reduction(ca.logic_and, 1.0),
+    "reduce_max": _reduction(larger, -np.inf),
+    "reduce_min": _reduction(smaller, np.inf),
+    "reduce_or": _reduction(ca.logic_or, 0.0),
+    "reduce_prod": _reduction(lambda a, b: a * b, 1.0),
+    "reduce_sum": _reduction(lambda a, b: a + b, 0.0),
+    "triangular_solve": _triangular_solve,
+}

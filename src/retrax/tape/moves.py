@@ -1,0 +1,255 @@
+"""Rules of JAX's primitives that only move entries of arrays."""
+
+import itertools
+import math
+from collections.abc import Callable
+from functools import partial, reduce
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_known, joined, moved, parts, scalars, taken
+from .elementwise import elementwise, select
+
+OUTSIDE = -1  # the place of an entry that lies outside of the array
+
+
+def _broadcast(params: dict[str, Any], x: Entries) -> Entries:
+    shape, dimensions = params["shape"], params["broadcast_dimensions"]
+
+    def move(a: np.ndarray) -> np.ndarray:
+        full = [1] * len(shape)
+        for axis, size in zip(dimensions, a.shape, strict=True):
+            full[axis] = size
+        return np.broadcast_to(a.reshape(full), shape)
+
+    return moved(x, move)
+
+
+def _slice(params: dict[str, Any], x: Entries) -> Entries:
+    strides = params["strides"] or (1,) * len(params["start_indices"])
+    part = tuple(map(slice, params["start_indices"], params["limit_indices"], strides))
+    return moved(x, lambda a: a[part])
+
+
+def _split(params: dict[str, Any], x: Entries) -> list[Entries]:
+    ends = np.cumsum(params["sizes"])[:-1]
+    count = len(params["sizes"])
+    return [moved(x, lambda a, k=k: np.split(a, ends, params["axis"])[k]) for k in range(count)]
+
+
+def _unstack(params: dict[str, Any], x: Entries) -> list[Entries]:
+    count = x.shape[params["axis"]]
+    return [moved(x, lambda a, k=k: np.take(a, k, params["axis"])) for k in range(count)]
+
+
+def concatenated(arrays: list[Entries], axis: int) -> Entries:
+    """The arrays one after the other along an axis."""
+    starts = np.cumsum([0, *(math.prod(a.shape) for a in arrays)])
+    places = [s + np.arange(math.prod(a.shape)).reshape(a.shape) for s, a in zip(starts, arrays, strict=False)]
+    order = np.concatenate(places, axis)
+    return joined(arrays, order.shape, order)
+
+
+def stacked(arrays: list[Entries]) -> Entries:
+    """The arrays along a new first axis."""
+    return joined(arrays, (len(arrays), *arrays[0].shape))
+
+
+def _pad(params: dict[str, Any], x: Entries, value: Entries) -> Entries:
+    places = np.arange(math.prod(x.shape)).reshape(x.shape)
+    for axis, (low, high, inside) in enumerate(params["padding_config"]):
+        size = places.shape[axis]
+        wide = np.full((*places.shape[:axis], size + max(size - 1, 0) * inside, *places.shape[axis + 1 :]), OUTSIDE)
+        wide[(slice(None),) * axis + (slice(None, None, inside + 1),)] = places
+        around = [(0, 0)] * places.ndim
+        around[axis] = (max(low, 0), max(high, 0))
+        wide = np.pad(wide, around, constant_values=OUTSIDE)
+        cut = slice(max(-low, 0), wide.shape[axis] - max(-high, 0))
+        places = wide[(slice(None),) * axis + (cut,)]
+    return _filled(x, places, value)
+
+
+def _filled(x: Entries, places: np.ndarray, value: Entries) -> Entries:
+    """Entries at places, ``value`` where a place is outside."""
+    count = math.prod(x.shape)
+    return joined([x, value], places.shape, np.where(places == OUTSIDE, count, places))
+
+
+def _clamped(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) -> list[int | ca.SX]:
+    """Starts of a window, moved into the array."""
+    found: list[int | ca.SX] = []
+    for start, full, size in zip(starts, shape, sizes, strict=True):
+        last = full - size
+        known = not isinstance(start, Scalars)
+        found.append(int(np.clip(int(start), 0, last)) if known else ca.fmin(ca.fmax(start.values, 0), last))
+    return found
+
+
+def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> Entries:
+    """The part of an array of these sizes that starts at an index; one that depends on the input selects among all."""
+    unknown = [k for k, start in enumerate(starts) if not isinstance(start, int)]
+    choices = itertools.product(*(range(x.shape[k] - sizes[k] + 1) for k in unknown))
+    found: list[tuple[ca.SX | None, Entries]] = []
+    for choice in choices:
+        at = list(starts)
+        for k, index in zip(unknown, choice, strict=True):
+            at[k] = index
+        part = tuple(slice(s, s + size) for s, size in zip(at, sizes, strict=True))
+        conditions = [starts[k] == index for k, index in zip(unknown, choice, strict=True)]
+        condition = reduce(ca.logic_and, conditions) if conditions else None
+        found.append((condition, moved(x, lambda a, part=part: a[part])))
+    return _chosen(found)
+
+
+def _chosen(found: list[tuple[ca.SX | None, Entries]]) -> Entries:
+    if len(found) == 1:
+        return found[0][1]
+    if any(isinstance(value, Complex) for _, value in found):
+        halves = ([(c, parts(value)[k]) for c, value in found] for k in (0, 1))
+        return Complex(*(_chosen(half) for half in halves))  # type: ignore[arg-type]
+    shape, value = found[0][1].shape, column(found[-1][1])  # type: ignore[arg-type]
+    for condition, part in reversed(found[:-1]):
+        value = select(condition, column(part), value)  # type: ignore[arg-type]
+    return scalars(value, shape)
+
+
+def _dynamic_slice(params: dict[str, Any], x: Entries, *starts: Entries) -> Entries:
+    sizes = params["slice_sizes"]
+    return _window(x, _clamped(list(starts), x.shape, sizes), sizes)
+
+
+def _dynamic_update_slice(params: dict[str, Any], x: Entries, update: Entries, *starts: Entries) -> Entries:
+    at = _clamped(list(starts), x.shape, update.shape)
+    if not all(isinstance(start, int) for start in at):
+        raise NotTraceableError("dynamic_update_slice", "whose index depends on the input")
+    part = tuple(slice(s, s + size) for s, size in zip(at, update.shape, strict=True))  # type: ignore[operator]
+    count = math.prod(x.shape)
+    order = np.arange(count).reshape(x.shape)
+    order[part] = count + np.arange(math.prod(update.shape)).reshape(update.shape)
+    return joined([x, update], x.shape, order)
+
+
+def _entry(indices: Entries, at: tuple[int, ...], k: int) -> Any:
+    """Entry ``(*at, k)`` of an array of indices: a number, or scalars."""
+    if isinstance(indices, np.ndarray):
+        return int(indices[(*at, k)])
+    flat = int(np.ravel_multi_index((*at, k), indices.shape))
+    return taken(indices, np.array(flat))
+
+
+def _starts(numbers: Any, indices: Entries, at: tuple[int, ...], rank: int, batching: tuple[tuple[int, int], ...]) -> list[Any]:
+    """Where the window of one batch position begins."""
+    starts: list[Any] = [0] * rank
+    for k, axis in enumerate(numbers):
+        starts[axis] = _entry(indices, at, k)
+    for axis, of in batching:
+        starts[axis] = at[of]
+    return starts
+
+
+def _is_outside(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) -> bool:
+    known = [(s, n, size) for s, n, size in zip(starts, shape, sizes, strict=True) if not isinstance(s, Scalars)]
+    return any(s < 0 or s + size > n for s, n, size in known)
+
+
+def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
+    d, sizes = params["dimension_numbers"], tuple(params["slice_sizes"])
+    batch = indices.shape[:-1]
+    batching = tuple(zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True))
+    dropped = {*d.collapsed_slice_dims, *d.operand_batching_dims}
+    kept = [size for axis, size in enumerate(sizes) if axis not in dropped]
+    fills = "FILL" in str(params["mode"])
+    windows: list[Entries] = []
+    for at in np.ndindex(*batch):
+        starts = _starts(d.start_index_map, indices, at, len(x.shape), batching)
+        if fills and _is_outside(starts, x.shape, sizes):
+            value = np.nan if params["fill_value"] is None else params["fill_value"]
+            windows.append(np.full(kept, value))
+        else:
+            window = _window(x, _clamped(starts, x.shape, sizes), sizes)
+            windows.append(moved(window, lambda a: a.reshape(kept)))
+    rank = len(batch) + len(kept)
+    outer = [axis for axis in range(rank) if axis not in d.offset_dims]
+    order = np.argsort([*outer, *d.offset_dims])
+    if not windows:
+        return np.zeros([0] * rank)
+    whole = moved(stacked(windows), lambda a: a.reshape(*batch, *kept))
+    return moved(whole, lambda a: np.transpose(a, order))
+
+
+def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, updates: Entries) -> Entries:
+    """``x`` with windows set to the updates, or increased by them; updates outside of the array are dropped."""
+    if not is_known(indices):
+        raise NotTraceableError(name, "whose index depends on the input")
+    count, result = math.prod(x.shape), x
+    order = np.arange(count).reshape(x.shape)
+    for into, of in _windows(params, x.shape, indices, updates.shape):  # type: ignore[arg-type]
+        if name == "scatter":
+            order[into] = count + of
+        else:
+            result = _combined(name, result, into, taken(updates, of))
+    return joined([x, updates], x.shape, order) if name == "scatter" else result
+
+
+def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: np.ndarray, updated: tuple[int, ...]) -> list[tuple]:
+    """For each update window: where it goes, and the places of the updates."""
+    d = params["dimension_numbers"]
+    batching = tuple(zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True))
+    dropped = {*d.inserted_window_dims, *d.operand_batching_dims}
+    outer = [axis for axis in range(len(updated)) if axis not in d.update_window_dims]
+    places = np.transpose(np.arange(math.prod(updated)).reshape(updated), [*outer, *d.update_window_dims])
+    sizes = [1] * len(shape)
+    windows = iter(updated[axis] for axis in d.update_window_dims)
+    for axis in range(len(shape)):
+        sizes[axis] = 1 if axis in dropped else next(windows)
+    found = []
+    for at in np.ndindex(*indices.shape[:-1]):
+        starts = _starts(d.scatter_dims_to_operand_dims, indices, at, len(shape), batching)
+        if "CLIP" in str(params["mode"]):
+            starts = _clamped(starts, shape, tuple(sizes))
+        if not _is_outside(starts, shape, tuple(sizes)):
+            part = tuple(slice(s, s + size) for s, size in zip(starts, sizes, strict=True))
+            found.append((part, places[at].reshape(sizes)))
+    return found
+
+
+def _combined(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -> Entries:
+    """``x`` with a window combined with an update of its shape."""
+    inside = np.zeros(x.shape, bool)
+    inside[into] = True
+    window = moved(x, lambda a: a[into])
+    function = {"scatter-add": "add", "scatter_add": "add", "scatter_mul": "mul", "scatter_min": "min", "scatter_max": "max"}
+    if name not in function:
+        raise NotTraceableError(name, "which has no rule")
+    if is_known(window, update):
+        new: Any = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[function[name]](window, update)
+    else:
+        new = elementwise(function[name], {}, [window, update])
+    order = np.arange(math.prod(x.shape)).reshape(x.shape)
+    order[into] = math.prod(x.shape) + np.arange(math.prod(update.shape)).reshape(update.shape)
+    return joined([x, new], x.shape, order)
+
+
+Rule = Callable[..., Entries | list[Entries]]
+
+MOVES: dict[str, Rule] = {
+    "broadcast_in_dim": _broadcast,
+    "concatenate": lambda params, *a: concatenated(list(a), params["dimension"]),
+    "dynamic_slice": _dynamic_slice,
+    "dynamic_update_slice": _dynamic_update_slice,
+    "expand_dims": lambda params, x: moved(x, lambda a: np.expand_dims(a, tuple(params["dimensions"]))),
+    "gather": _gather,
+    "pad": _pad,
+    "reshape": lambda params, x: moved(x, lambda a: a.reshape(params["new_sizes"])),
+    "rev": lambda params, x: moved(x, lambda a: np.flip(a, params["dimensions"])),
+    "slice": _slice,
+    "split": _split,
+    "stack": lambda params, *a: moved(stacked(list(a)), lambda b: np.moveaxis(b, 0, params["axis"])),
+    "squeeze": lambda params, x: moved(x, lambda a: np.squeeze(a, tuple(params["dimensions"]))),
+    "tile": lambda params, x: moved(x, lambda a: np.tile(a, params["reps"])),
+    "transpose": lambda params, x: moved(x, lambda a: np.transpose(a, params["permutation"])),
+    "unstack": _unstack,
+    **{name: partial(_scatter, name) for name in ("scatter", "scatter-add", "scatter_mul", "scatter_min", "scatter_max")},
+}

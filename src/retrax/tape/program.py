@@ -1,0 +1,161 @@
+"""From a graph of scalars to a list of instructions for the machine: fused, and with registers of its own."""
+
+from dataclasses import dataclass, field
+from heapq import heappop, heappush
+
+import casadi as ca
+import numpy as np
+
+# Instructions with the names of CasADi's, and those that stand for two or more of them.
+NAMES = (
+    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT",
+    "CONST", "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
+    "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS", "SIGN",
+    "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH",
+    "LOG1P", "EXPM1",
+)  # fmt: skip
+CODES = {name: code for code, name in enumerate(NAMES)}
+_OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
+
+
+class UnknownInstructionError(ValueError):
+    """A graph has an instruction that the machine does not know."""
+
+
+@dataclass(slots=True)
+class _Instruction:
+    name: str
+    inputs: list[int]  # the instructions that make its operands
+    value: float = 0.0  # a constant, or the place of an input or output
+    uses: int = field(default=0)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Instructions ``(code, destination, operands)`` over registers, and how many inputs, outputs and registers they use."""
+
+    codes: np.ndarray
+    registers: np.ndarray  # destination and three operands, shape (instructions, 4)
+    values: np.ndarray
+    inputs: int
+    outputs: int
+    size: int  # registers
+
+
+def assembled(inputs: ca.SX, outputs: ca.SX) -> Program:
+    """The program of a column of scalars as a function of a column of symbols."""
+    function = ca.Function("f", [inputs], [ca.densify(outputs)], {"cse": True})
+    instructions = _read(function)
+    _count(instructions)
+    for k, instruction in enumerate(instructions):
+        _select(instructions, instruction)
+        _immediate(instructions, instruction)
+        _multiplied(instructions, k)
+    kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
+    return _allocated(instructions, kept, inputs.shape[0], outputs.shape[0])
+
+
+def _read(function: ca.Function) -> list[_Instruction]:
+    """CasADi's instructions, whose operands are named by the instructions that made them."""
+    found: list[_Instruction] = []
+    made: dict[int, int] = {}
+    for k in range(function.n_instructions()):
+        code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        if code not in _OF_CASADI:
+            raise UnknownInstructionError(f"instruction {code} of CasADi has no counterpart in the machine")
+        name = _OF_CASADI[code]
+        if name == "CONST":
+            instruction = _Instruction(name, [], function.instruction_constant(k))
+        elif name == "INPUT":
+            instruction = _Instruction(name, [], ins[1])
+        elif name == "OUTPUT":
+            instruction = _Instruction(name, [made[ins[0]]], outs[1])
+        else:
+            instruction = _Instruction(name, [made[i] for i in ins])
+        found.append(instruction)
+        if name != "OUTPUT":
+            made[outs[0]] = k
+    return found
+
+
+def _count(instructions: list[_Instruction]) -> None:
+    for instruction in instructions:
+        for k in instruction.inputs:
+            instructions[k].uses += 1
+
+
+def _replace(instructions: list[_Instruction], instruction: _Instruction, name: str, inputs: list[int], value: float) -> None:
+    """Give an instruction other operands; what it no longer needs is released, down to what that needed."""
+    for k in inputs:
+        instructions[k].uses += 1
+    old, instruction.inputs = instruction.inputs, inputs
+    instruction.name, instruction.value = name, value
+    while old:
+        unused = instructions[old.pop()]
+        unused.uses -= 1
+        if not unused.uses:
+            old += unused.inputs
+
+
+def _select(instructions: list[_Instruction], instruction: _Instruction) -> None:
+    """``(c ? a : 0) + (not c ? b : 0)`` is one choice."""
+    if instruction.name != "ADD":
+        return
+    first, second = (instructions[k] for k in instruction.inputs)
+    if first.name != "IF_ELSE_ZERO" or second.name != "IF_ELSE_ZERO":
+        return
+    opposite = instructions[second.inputs[0]]
+    if opposite.name == "NOT" and opposite.inputs[0] == first.inputs[0]:
+        _replace(instructions, instruction, "SELECT", [first.inputs[0], first.inputs[1], second.inputs[1]], 0.0)
+
+
+def _immediate(instructions: list[_Instruction], instruction: _Instruction) -> None:
+    """A constant operand becomes part of the instruction."""
+    if instruction.name not in ("ADD", "SUB", "MUL", "DIV"):
+        return
+    left, right = (instructions[k] for k in instruction.inputs)
+    if left.name == "CONST":
+        name = {"ADD": "ADD_CONST", "MUL": "MUL_CONST", "SUB": "CONST_SUB", "DIV": "CONST_DIV"}[instruction.name]
+        _replace(instructions, instruction, name, [instruction.inputs[1]], left.value)
+    elif right.name == "CONST" and instruction.name != "DIV":
+        name = "MUL_CONST" if instruction.name == "MUL" else "ADD_CONST"
+        value = -right.value if instruction.name == "SUB" else right.value
+        _replace(instructions, instruction, name, [instruction.inputs[0]], value)
+
+
+def _multiplied(instructions: list[_Instruction], k: int) -> None:
+    """A product that only this sum needs is formed in it."""
+    instruction = instructions[k]
+    if instruction.name not in ("ADD", "SUB"):
+        return
+    for place, other in ((0, 1), (1, 0)):
+        product = instructions[instruction.inputs[place]]
+        if product.name == "MUL" and product.uses == 1:
+            name = "MUL_ADD" if instruction.name == "ADD" else ("MUL_SUB" if place == 0 else "SUB_MUL")
+            _replace(instructions, instruction, name, [*product.inputs, instruction.inputs[other]], 0.0)
+            return
+
+
+def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
+    """Registers for the values, the lowest free one first; never that of an operand, so that loops over lanes are vectors."""
+    last = {i: k for k in kept for i in instructions[k].inputs}
+    where: dict[int, int] = {}
+    free: list[int] = []
+    size = 0
+    codes, values = np.zeros(len(kept), np.int64), np.zeros(len(kept))
+    registers = np.zeros((len(kept), 4), np.uint64)  # Numba wraps signed indices, at a cost
+    for row, k in enumerate(kept):
+        instruction = instructions[k]
+        operands = [where[i] for i in instruction.inputs]
+        codes[row], values[row] = CODES[instruction.name], instruction.value
+        if instruction.name != "OUTPUT":
+            if not free:
+                heappush(free, size)
+                size += 1
+            where[k] = heappop(free)
+            registers[row, 0] = where[k]
+        registers[row, 1 : 1 + len(operands)] = operands
+        for i in set(instruction.inputs):
+            if last[i] == k:
+                heappush(free, where[i])
+    return Program(codes, registers, values, inputs, outputs, size)

@@ -1,0 +1,201 @@
+"""Functions of a point as straight lines of scalar operations, evaluated on many points at once."""
+
+import math
+import os
+import warnings
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, cached_property
+from types import ModuleType
+from typing import Any, Self, final
+
+import casadi as ca
+import jax
+import numpy as np
+
+from .arrays import Complex, Entries, Scalars, column
+from .graph import Graph
+from .program import Program, assembled
+from .trace import trace
+
+WORTH_A_THREAD = 300_000  # instructions times points that one thread does before a second is worth its start
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Leaf:
+    """Shape and kind of one array among the arguments or values of a function."""
+
+    shape: tuple[int, ...]
+    complex: bool = False
+
+    @property
+    def rows(self) -> int:
+        """Real numbers in it."""
+        return math.prod(self.shape) * (2 if self.complex else 1)
+
+
+@final
+class Tape:
+    """A function of arrays as a list of scalar instructions, with exact derivatives.
+
+    ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all numbers
+    are double precision. A tape is called with the arrays of many points, the axis of the points last. Nothing is compiled
+    for it: a new function runs some milliseconds after it was written.
+    """
+
+    def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
+        self.graph, self.structure = graph, structure
+        self._leaves, self._arguments = arguments
+        self._values = values
+        self._results = [Leaf(tuple(v.shape), isinstance(v, Complex)) for v in values]
+
+    @classmethod
+    def trace(cls, function: Callable, *examples: Any) -> Self:
+        """The tape of a JAX function of pytrees of arrays, whose result is a pytree of arrays.
+
+        Raises ``NotTraceableError`` where the function calls what cannot be written as scalar operations, as LAPACK's
+        decompositions or a loop whose length depends on the input.
+        """
+        leaves, structure = jax.tree.flatten(examples)
+        graph, values, result = trace(function, *examples)
+        return cls(graph, values, ([Leaf(np.shape(a), np.iscomplexobj(a)) for a in leaves], structure), result)
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
+        inputs = self._packed(arguments)
+        rows = self._run(inputs)
+        return jax.tree.unflatten(self.structure, self._unpacked(rows))
+
+    @property
+    def instructions(self) -> int:
+        """Number of instructions."""
+        return len(self.program.codes)
+
+    @cached_property
+    def inputs(self) -> ca.SX:
+        """The symbols of the arguments, one column."""
+        return ca.vertcat(*self.graph.inputs)
+
+    @cached_property
+    def outputs(self) -> ca.SX:
+        """The scalars of the values, one column."""
+        return ca.vertcat(ca.SX(0, 1), *(column(half) for v in self._values for half in _halves(v)))
+
+    @cached_property
+    def program(self) -> Program:
+        """What the machine runs."""
+        return assembled(self.inputs, *self.graph.unmarked([self.outputs]))
+
+    def jacobian(self) -> "Tape":
+        """The matrix of all derivatives of the values by the arguments, both flat in order, as a tape."""
+        return self._of(self.graph.jacobian(self.outputs, self.inputs))
+
+    def gradient(self) -> "Tape":
+        """The derivatives of the one value of a function, as a tape with one flat array."""
+        return self._of(self.graph.gradient(self._only(), self.inputs), flat=True)
+
+    def hessian(self) -> "Tape":
+        """The matrix of second derivatives of the one value of a function, as a tape."""
+        return self._of(self.graph.hessian(self._only(), self.inputs))
+
+    def to_casadi(self, name: str = "f") -> ca.Function:
+        """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column each."""
+        outputs = [column(half) for v in self._values for half in _halves(v)]
+        return ca.Function(name, self.graph.inputs, self.graph.unmarked(outputs), {"cse": True})
+
+    def c_code(self, name: str = "f") -> str:
+        """The function as a C program, with the interface of CasADi's generated code."""
+        generator = ca.CodeGenerator(f"{name}.c")
+        generator.add(self.to_casadi(name))
+        return generator.dump()
+
+    def _of(self, values: ca.SX, flat: bool = False) -> "Tape":
+        values = ca.densify(values)
+        shape = (values.numel(),) if flat else values.shape
+        result: list[Entries] = [Scalars(ca.vec(values.T), shape)]
+        return Tape(self.graph, result, (self._leaves, self._arguments), jax.tree.structure(0))
+
+    def _only(self) -> ca.SX:
+        if self.outputs.numel() != 1:
+            raise ValueError(f"a gradient is of a function with one value, got {self.outputs.numel()}; try jacobian()")
+        return self.outputs
+
+    def _packed(self, arguments: Any) -> np.ndarray:
+        """All arguments as one array: a row for every scalar, a column for every point."""
+        leaves, structure = jax.tree.flatten(arguments)
+        if structure != self._arguments:
+            raise TypeError(f"the tape is of arguments {self._arguments}, got {structure}")
+        arrays = [np.asarray(leaf) for leaf in leaves]
+        counts = {a.shape[-1] if a.ndim else None for a in arrays}
+        shapes = [a.shape[:-1] for a in arrays]
+        expected = [leaf.shape for leaf in self._leaves]
+        if shapes != expected or len(counts) != 1 or any(a.ndim == 0 for a in arrays):
+            raise ValueError(
+                f"expected arrays of shapes {expected} with one more axis, the points, last and of one length; "
+                f"got shapes {[a.shape for a in arrays]}"
+            )
+        halves = [half for a, leaf in zip(arrays, self._leaves, strict=True) for half in _real_parts(a, leaf.complex)]
+        (count,) = counts
+        return np.concatenate([np.asarray(h, float).reshape(-1, count) for h in halves])
+
+    def _unpacked(self, rows: np.ndarray) -> list[np.ndarray]:
+        ends = np.cumsum([0, *(leaf.rows for leaf in self._results)])
+        found = []
+        for begin, leaf in zip(ends, self._results, strict=False):
+            size, shape = math.prod(leaf.shape), (*leaf.shape, rows.shape[1])
+            real = rows[begin : begin + size].reshape(shape)
+            found.append(real + 1j * rows[begin + size : begin + 2 * size].reshape(shape) if leaf.complex else real)
+        return found
+
+    def _run(self, inputs: np.ndarray) -> np.ndarray:
+        machine = _machine()
+        if machine is None:
+            return np.array(self._casadi(inputs)).reshape(self.outputs.shape[0], inputs.shape[1])
+        p = self.program
+        outputs = np.empty((p.outputs, inputs.shape[1]))
+
+        def run(part: tuple[int, int]) -> None:
+            work = np.zeros((p.size, machine.LANES))
+            machine.run(p.codes, p.registers, p.values, inputs, outputs, work, *part)
+
+        parts = _shares(inputs.shape[1], self.instructions, machine.LANES)
+        list(map(run, parts) if len(parts) == 1 else _threads().map(run, parts))
+        return outputs
+
+    @cached_property
+    def _casadi(self) -> ca.Function:
+        return ca.Function("f", [self.inputs], self.graph.unmarked([ca.densify(self.outputs)]), {"cse": True})
+
+
+def _halves(a: Entries) -> tuple[Any, ...]:
+    return (a.real, a.imag) if isinstance(a, Complex) else (a,)
+
+
+def _real_parts(a: np.ndarray, is_complex: bool) -> tuple[np.ndarray, ...]:
+    return (np.real(a), np.imag(a)) if is_complex else (a,)
+
+
+def _shares(points: int, instructions: int, lanes: int) -> list[tuple[int, int]]:
+    """Ranges of points for threads, in whole lanes."""
+    blocks = -(-points // lanes)
+    count = max(1, min(os.cpu_count() or 1, blocks, points * instructions // WORTH_A_THREAD))
+    ends = [min(points, lanes * (blocks * k // count)) for k in range(count)] + [points]
+    return list(zip(ends, ends[1:], strict=False))
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="retrax-tape")
+
+
+@cache
+def _machine() -> ModuleType | None:
+    """The compiled machine; None, after a warning, where Numba cannot make it."""
+    try:
+        from . import machine
+    except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for its cache
+        warnings.warn(f"tapes run slowly, on CasADi's machine, because Numba's is not available: {error}", stacklevel=2)
+        return None
+    return machine

@@ -1,0 +1,258 @@
+"""From JAX functions to graphs of scalars: the jaxpr is read equation by equation, values only."""
+
+from collections.abc import Callable
+from functools import partial, reduce
+from typing import Any
+
+import casadi as ca
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
+
+from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, column, is_complex, is_known, parts, scalars, taken
+from .elementwise import elementwise, select
+from .graph import Graph, Mark
+from .known import evaluated
+from .linear import LINEAR, inverse
+from .liveness import CALLS, called, needed, opened
+from .moves import MOVES, stacked
+
+LONGEST_LOOP = 1000  # iterations of a loop that is written out
+
+
+class Tracer:
+    """Reads jaxprs into one graph."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+
+    def run(self, jaxpr: Any, constants: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+        """Values of a jaxpr, None for those that are not wanted; arguments that these do not need may be None."""
+        wanted = [True] * len(jaxpr.outvars) if wanted is None else wanted
+        values: dict[Any, Any] = {}
+        values.update(zip(jaxpr.constvars, map(np.asarray, constants), strict=True))
+        values.update(zip(jaxpr.invars, arguments, strict=True))
+        for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
+            arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
+            values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
+        return [_read(values, v) if want else None for v, want in zip(jaxpr.outvars, wanted, strict=True)]
+
+    def closed(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+        """Values of a jaxpr that may hold its constants."""
+        return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
+
+    def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
+        name, params = eqn.primitive.name, eqn.params
+        if name in CALLS:
+            return self.closed(called(eqn), arrays, wanted)
+        if name in _CONTROL:
+            return _CONTROL[name](self, eqn, arrays)
+        if name in MOVES:
+            return _as_list(MOVES[name](params, *arrays))
+        if is_known(*arrays):
+            return list(evaluated(eqn, arrays))  # type: ignore[arg-type]
+        if name in LINEAR:
+            return _as_list(LINEAR[name](params, *arrays))
+        kind = np.dtype(eqn.outvars[0].aval.dtype).kind
+        value = elementwise(name, {**params, "whole": kind in "iu", "truth": kind == "b"}, arrays)
+        if value is None:
+            of = " of complex numbers" if any(is_complex(a) for a in arrays) else ""
+            raise NotTraceableError(name + of, "which has no rule")
+        return [value]
+
+    def _scan(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        params, length = eqn.params, eqn.params["length"]
+        _require_short("scan", length)
+        split = params["num_consts"], params["num_consts"] + params["num_carry"]
+        fixed, carry, along = arrays[: split[0]], arrays[split[0] : split[1]], arrays[split[1] :]
+        rows: dict[int, list[Entries]] = {}
+        for k in reversed(range(length)) if params["reverse"] else range(length):
+            out = self.closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
+            carry, rows[k] = out[: len(carry)], out[len(carry) :]
+        empty = [np.zeros(v.aval.shape) for v in eqn.outvars[len(carry) :]]
+        return [*carry, *([stacked([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty)]
+
+    def _while(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        params = eqn.params
+        first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+        of_test, of_body, carry = arrays[:first], arrays[first:second], arrays[second:]
+        for _ in range(LONGEST_LOOP):
+            (going,) = self.closed(params["cond_jaxpr"], [*of_test, *carry])
+            if not is_known(going):
+                raise NotTraceableError("while", "whose number of iterations depends on the input")
+            if not going:
+                return carry
+            carry = self.closed(params["body_jaxpr"], [*of_body, *carry])
+        raise NotTraceableError("while", f"with more than {LONGEST_LOOP} iterations")
+
+    def _cond(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        which, branches = arrays[0], eqn.params["branches"]
+        last = len(branches) - 1
+        if isinstance(which, np.ndarray):
+            return self.closed(branches[int(np.clip(which, 0, last))], arrays[1:])
+        found = [self.closed(branch, arrays[1:]) for branch in branches]
+        return [_chosen(which, values) for values in zip(*found, strict=True)]  # type: ignore[arg-type]
+
+    def _platform_index(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        platforms = eqn.params["platforms"]
+        return [np.asarray(next(k for k, names in enumerate(platforms) if names is None or "cpu" in names))]
+
+    def _stop_gradient(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        return [self._stopped(a) for a in arrays]
+
+    def _stopped(self, a: Entries) -> Entries:
+        if isinstance(a, Complex):
+            return Complex(self._stopped(a.real), self._stopped(a.imag))  # type: ignore[arg-type]
+        return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
+
+    def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        """``x = A^-1 b`` with ``dx = A^-1 (db - dA x)``, for the matrix ``A`` that is read off the linear map."""
+        counts, matvec = eqn.params["const_lengths"], eqn.params["jaxprs"].matvec
+        if any(is_complex(a) for a in arrays):
+            raise NotTraceableError("custom_linear_solve", "here of complex numbers")
+        fixed, right = arrays[: counts.matvec], arrays[sum(counts) :]
+        side = ca.vertcat(*(column(a) for a in right))  # type: ignore[arg-type]
+        ends = np.cumsum([0, *(int(np.prod(a.shape)) for a in right)]).tolist()
+        shapes = [a.shape for a in right]
+        unknown = ca.SX.sym("x", side.shape[0])
+        images = self.closed(matvec, [*fixed, *map(scalars, ca.vertsplit(unknown, ends), shapes)])
+        matrix = ca.jacobian(ca.vertcat(*(column(a) for a in images)), unknown)  # type: ignore[arg-type]
+        inverted = self._marked_inverse(matrix)
+        return list(map(scalars, ca.vertsplit(ca.mtimes(inverted, side), ends), shapes))
+
+    def _marked_inverse(self, matrix: ca.SX) -> ca.SX:
+        """The inverse with the derivative ``dB = -B dA B``, which needs none of the elimination."""
+        value = inverse(matrix)
+        symbols = self.graph.symbols(value.nnz())
+        marked = ca.SX(value.sparsity(), symbols)
+        entries = zip(*matrix.sparsity().get_triplet(), strict=True)
+
+        def slope() -> ca.SX:
+            moves = (-ca.mtimes(marked[:, i], marked[j, :]) for i, j in entries)
+            return ca.horzcat(*(_nonzeros(ca.project(move, value.sparsity())) for move in moves))
+
+        self.graph.add(Mark(symbols, _nonzeros(value), _nonzeros(matrix), slope))
+        return marked
+
+    def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
+        """A function with a derivative of its own, which JAX knows."""
+        values = self.closed(called(eqn), arrays)
+        if any(is_complex(a) for a in (*arrays, *values)):
+            raise NotTraceableError(eqn.primitive.name, "here of complex numbers")
+        varying = [k for k, a in enumerate(arrays) if isinstance(a, Scalars) and _is_real(eqn.invars[k])]
+        smooth = [k for k, v in enumerate(values) if isinstance(v, Scalars) and _is_real(eqn.outvars[k])]
+        if not varying or not smooth:
+            return values
+        rule = partial(self._slope, eqn, arrays, varying, smooth)
+        value = ca.vertcat(*(column(values[k]) for k in smooth))
+        symbols = self.graph.symbols(value.shape[0])
+        self.graph.add(Mark(symbols, value, ca.vertcat(*(column(arrays[k]) for k in varying)), rule))
+        ends = np.cumsum([0, *(values[k].size for k in smooth)]).tolist()  # type: ignore[union-attr]
+        for k, part in zip(smooth, ca.vertsplit(symbols, ends), strict=True):
+            values[k] = scalars(part, values[k].shape)
+        return values
+
+    def _slope(self, eqn: Any, arrays: list[Entries], varying: list[int], smooth: list[int]) -> ca.SX:
+        """Derivative of the values ``smooth`` of a function by its arguments ``varying``, by its own rule."""
+        call, forward = _function(eqn), "jvp" in eqn.primitive.name
+
+        def image(arguments: list[Any], directions: list[Any]) -> Any:
+            def inner(*moving: Any) -> list[Any]:
+                full = list(arguments)
+                for k, value in zip(varying, moving, strict=True):
+                    full[k] = value
+                out = call(*full)
+                return [out[k] for k in smooth]
+
+            point = [arguments[k] for k in varying]
+            return jax.jvp(inner, point, directions)[1] if forward else jax.vjp(inner, *point)[1](directions)
+
+        shapes = [eqn.invars[k].aval for k in varying] if forward else [eqn.outvars[k].aval for k in smooth]
+        examples = ([np.zeros(v.shape, v.dtype) for v in part] for part in ([v.aval for v in eqn.invars], shapes))
+        traced = jax.make_jaxpr(image)(*examples)
+        symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
+        directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
+        images = ca.vertcat(*(column(a) for a in self.closed(traced, [*arrays, *directions])))  # type: ignore[arg-type]
+        matrix = ca.jacobian(images, ca.vertcat(*symbols))
+        return matrix if forward else matrix.T
+
+
+def _function(eqn: Any) -> Callable[..., list[Any]]:
+    """One equation of a jaxpr as a function of JAX, which has its derivatives."""
+    variable = gensym()
+    ins, outs = ([variable(v.aval) for v in part] for part in (eqn.invars, eqn.outvars))
+    alone = new_jaxpr_eqn(ins, outs, eqn.primitive, eqn.params, eqn.effects)
+    return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects), []))
+
+
+def _as_list(value: Entries | list[Entries]) -> list[Entries]:
+    return value if isinstance(value, list) else [value]
+
+
+def _read(values: dict[Any, Entries], variable: Any) -> Entries:
+    return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
+
+
+def _is_real(variable: Any) -> bool:
+    return np.dtype(variable.aval.dtype).kind == "f"
+
+
+def _nonzeros(matrix: ca.SX) -> ca.SX:
+    return ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+
+
+def _require_short(name: str, length: int) -> None:
+    if length > LONGEST_LOOP:
+        raise NotTraceableError(name, f"with {length} iterations, where at most {LONGEST_LOOP} are written out")
+
+
+def _row(a: Entries, k: int) -> Entries:
+    shape = a.shape[1:]
+    count = int(np.prod(shape))
+    return taken(a, np.arange(k * count, (k + 1) * count).reshape(shape))
+
+
+def _chosen(which: Scalars, values: tuple[Entries, ...]) -> Entries:
+    if any(is_complex(v) for v in values):
+        halves = zip(*(parts(v) for v in values), strict=True)
+        return Complex(*(_chosen(which, half) for half in halves))  # type: ignore[arg-type]
+    columns = [column(v) for v in values]  # type: ignore[arg-type]
+    last = len(columns) - 1
+    value = reduce(lambda rest, k: select(which.values <= k, columns[k], rest), reversed(range(last)), columns[last])
+    return scalars(value, values[0].shape)
+
+
+_CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
+    "cond": Tracer._cond,
+    "custom_jvp_call": Tracer._custom,
+    "custom_linear_solve": Tracer._linear_solve,
+    "custom_vjp_call": Tracer._custom,
+    "platform_index": Tracer._platform_index,
+    "scan": Tracer._scan,
+    "stop_gradient": Tracer._stop_gradient,
+    "while": Tracer._while,
+}
+
+
+def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any]:
+    """The graph of a function of pytrees of arrays, its values leaf by leaf, and their structure.
+
+    Inputs are the leaves of ``examples``, whose values play no part: real ones a column each, complex ones two. Raises
+    ``NotTraceableError`` for what cannot be written as a graph of scalars.
+    """
+    leaves, structure = jax.tree.flatten(examples)
+    leaves = [np.asarray(leaf) for leaf in leaves]
+
+    def flat(*leaves: Any) -> Any:
+        return function(*jax.tree.unflatten(structure, leaves))
+
+    jaxpr, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    inputs: list[ca.SX] = []
+    arrays: list[Entries] = []
+    for k, leaf in enumerate(leaves):
+        symbols = [ca.SX.sym(f"{name}{k}", leaf.size) for name in ("xy" if np.iscomplexobj(leaf) else "x")]
+        inputs += symbols
+        halves: list[Real] = [scalars(s, leaf.shape) for s in symbols]
+        arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
+    graph = Graph(inputs)
+    return graph, Tracer(graph).closed(jaxpr, arrays), jax.tree.structure(shapes)
