@@ -64,6 +64,18 @@ def test_imports_point_downward(layer):
         assert not above, f"{path.relative_to(ROOT)} imports {above}"
 
 
+def test_the_tape_stands_below_the_layers():
+    modules = (ROOT / "src" / "retrax" / "tape").rglob("*.py")
+    nodes = [node for path in modules for node in ast.walk(ast.parse(path.read_text()))]
+    assert not [node for node in nodes if isinstance(node, ast.ImportFrom) and node.level > 1]
+    assert not [node for node in nodes if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("retrax")]
+
+
+def test_importing_retrax_imports_neither_casadi_nor_numba():
+    code = "import sys, retrax; assert not {'casadi', 'numba'} & set(sys.modules)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
 def test_the_downward_test_sees_an_upward_import(tmp_path):
     assert imported_layers(ROOT / "integrators" / "boundary_value" / "solve.py", "integrators") >= {"manifolds", "retractions"}
 

@@ -102,6 +102,13 @@ def moved(a: Entries, move: Callable[[np.ndarray], np.ndarray]) -> Entries:
     return taken(a, np.asarray(move(np.arange(math.prod(a.shape)).reshape(a.shape))))
 
 
+def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
+    """Arrays in their common shape, and that shape; those with one entry stay as they are, for it meets every scalar."""
+    shape = np.broadcast_shapes(*(a.shape for a in arrays))
+    alike = [a if a.shape == shape or math.prod(a.shape) == 1 else moved(a, lambda b: np.broadcast_to(b, shape)) for a in arrays]
+    return alike, shape
+
+
 def joined(arrays: list[Entries], shape: tuple[int, ...], order: np.ndarray | None = None) -> Entries:
     """The entries of arrays one after the other as one array; ``order``, of this shape, takes places of them."""
     if is_known(*arrays):

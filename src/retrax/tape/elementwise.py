@@ -1,5 +1,6 @@
 """Rules of JAX's elementwise primitives on arrays of scalars."""
 
+import math
 from collections.abc import Callable
 from functools import reduce
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, column, is_complex, parts, scalars
+from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, broadcast, column, is_complex, parts, scalars
 
 Function = Callable[..., ca.SX]
 
@@ -69,7 +70,6 @@ REAL: dict[str, Function] = {
     "ceil": ca.ceil,
     "conj": lambda x: x,
     "copy": lambda x: x,
-    "copy_p": lambda x: x,
     "cos": ca.cos,
     "cosh": ca.cosh,
     "erf": ca.erf,
@@ -81,7 +81,6 @@ REAL: dict[str, Function] = {
     "gt": lambda x, y: x > y,
     "is_finite": lambda x: ca.fabs(x) < np.inf,
     "le": lambda x, y: x <= y,
-    "le_to": lambda x, y: x <= y,
     "log": ca.log,
     "log1p": ca.log1p,
     "logistic": _logistic,
@@ -118,26 +117,20 @@ def elementwise(name: str, params: dict[str, Any], arrays: list[Entries]) -> Ent
 
 
 def _mapped(function: Function, *arrays: Any) -> Scalars:
-    """A function of columns on real arrays; those without axes meet every entry."""
-    shape = next((a.shape for a in arrays if a.shape), ())
-    values = function(*(column(a) for a in arrays))
-    return scalars(values, shape)
+    """A function of columns on real arrays."""
+    alike, shape = broadcast(*arrays)
+    return _full(function(*(column(a) for a in alike)), shape)
 
 
-def _real(function: Function, *arrays: Real) -> Real:
-    """``_mapped`` that leaves what is known to NumPy, for the parts of complex numbers."""
-    if all(isinstance(a, np.ndarray) for a in arrays):
-        shape = next((a.shape for a in arrays if a.shape), ())
-        values = ca.evalf(function(*(column(a) for a in arrays)))
-        return np.array(values).reshape(shape)
-    return _mapped(function, *arrays)
+def _full(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
+    count = math.prod(shape)
+    return scalars(values if values.shape[0] == count else ca.repmat(values, count, 1), shape)
 
 
 def _complex(name: str, pairs: list[tuple[Real, Real]]) -> Entries:
-    columns = [(column(a), column(b)) for a, b in pairs]
-    shape = next((a.shape for a, _ in pairs if a.shape), ())
-    value = _COMPLEX[name](*columns)
-    return Complex(*(scalars(part, shape) for part in value)) if isinstance(value, tuple) else scalars(value, shape)
+    alike, shape = broadcast(*(half for pair in pairs for half in pair))
+    value = _COMPLEX[name](*((column(a), column(b)) for a, b in zip(alike[::2], alike[1::2], strict=True)))
+    return Complex(*(_full(part, shape) for part in value)) if isinstance(value, tuple) else _full(value, shape)
 
 
 Pair = tuple[ca.SX, ca.SX]
@@ -166,7 +159,6 @@ _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
     "add_any": lambda x, y: (x[0] + y[0], x[1] + y[1]),
     "conj": lambda x: (x[0], -x[1]),
     "copy": lambda x: x,
-    "copy_p": lambda x: x,
     "div": _quotient,
     "eq": lambda x, y: ca.logic_and(_equal(x[0], y[0]), _equal(x[1], y[1])),
     "exp": _exponential,
@@ -196,8 +188,7 @@ def _select_n(params: dict[str, Any], which: Real, *cases: Entries) -> Entries:
         columns = [column(case) for case in cases]
         entries = [columns[int(w)][k] for k, w in enumerate(which.reshape(-1))]
         return scalars(ca.vertcat(*entries), which.shape)
-    shape = next((case.shape for case in cases if case.shape), ())
-    return scalars(chosen(column(which), *(column(case) for case in cases)), shape)
+    return _mapped(chosen, which, *cases)
 
 
 def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
@@ -286,3 +277,5 @@ _OTHERS: dict[str, Callable[..., Entries]] = {
     "select_n": _select_n,
     "xor": lambda params, *a: _logic(params, "xor", *a),
 }
+
+KINDS = {*REAL, *_COMPLEX, *_OTHERS}  # the primitives with a rule here

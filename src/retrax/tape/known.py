@@ -11,7 +11,6 @@ _UFUNCS: dict[str, Any] = {
     "and": np.logical_and,
     "conj": np.conj,
     "copy": np.asarray,
-    "copy_p": np.asarray,
     "cos": np.cos,
     "eq": np.equal,
     "exp": np.exp,

@@ -4,7 +4,7 @@ from typing import Any
 
 from jax.extend.core import Literal
 
-CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "checkpoint"}
+CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint"}
 
 
 def called(eqn: Any) -> Any:

@@ -136,6 +136,15 @@ def _common(c: int, v: float, w: np.ndarray, o: int, x: int, y: int, z: int) -> 
     elif c == IF_ELSE_ZERO:
         for j in range(LANES):
             w[o, j] = w[y, j] if w[x, j] != 0 else 0.0
+    elif c == CONST:
+        for j in range(LANES):
+            w[o, j] = v
+    elif c == ADD_CONST:
+        for j in range(LANES):
+            w[o, j] = w[x, j] + v
+    elif c == CONST_SUB:
+        for j in range(LANES):
+            w[o, j] = v - w[x, j]
     elif c == CONST_DIV:
         for j in range(LANES):
             w[o, j] = v / w[x, j]
@@ -144,57 +153,48 @@ def _common(c: int, v: float, w: np.ndarray, o: int, x: int, y: int, z: int) -> 
 
 
 @_compiled
-def run(
-    codes: np.ndarray,
-    registers: np.ndarray,
-    values: np.ndarray,
-    inputs: np.ndarray,
-    outputs: np.ndarray,
-    w: np.ndarray,
-    first: int,
-    last: int,
-) -> None:
-    """Run a program on the points ``first`` to ``last``: columns of ``inputs`` and ``outputs``; ``w``, shape ``(size, LANES)``."""
+def _block(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, s: int, m: int) -> None:
+    """Run a program on the points ``s`` to ``s + m``; ``ends`` are all inputs and outputs."""
+    inputs, outputs = ends
+    for k in range(codes.size):
+        c, v = codes[k], values[k]
+        o, x, y, z = registers[k, 0], registers[k, 1], registers[k, 2], registers[k, 3]
+        if c == MUL:
+            for j in range(LANES):
+                w[o, j] = w[x, j] * w[y, j]
+        elif c == MUL_ADD:
+            for j in range(LANES):
+                w[o, j] = w[x, j] * w[y, j] + w[z, j]
+        elif c == MUL_SUB:
+            for j in range(LANES):
+                w[o, j] = w[x, j] * w[y, j] - w[z, j]
+        elif c == SUB_MUL:
+            for j in range(LANES):
+                w[o, j] = w[z, j] - w[x, j] * w[y, j]
+        elif c == ADD:
+            for j in range(LANES):
+                w[o, j] = w[x, j] + w[y, j]
+        elif c == SUB:
+            for j in range(LANES):
+                w[o, j] = w[x, j] - w[y, j]
+        elif c == MUL_CONST:
+            for j in range(LANES):
+                w[o, j] = w[x, j] * v
+        elif c == INPUT:
+            for j in range(m):
+                w[o, j] = inputs[int(v), s + j]
+        elif c == OUTPUT:
+            for j in range(m):
+                outputs[int(v), s + j] = w[x, j]
+        else:
+            _common(c, v, w, o, x, y, z)
+
+
+@_compiled
+def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, first: int, last: int) -> None:
+    """Run a program on the points ``first`` to ``last``.
+
+    ``ends``: inputs and outputs, a row for each scalar and a column for each point; ``w``: registers, shape ``(size, LANES)``.
+    """
     for s in range(first, last, LANES):
-        m = min(LANES, last - s)
-        for k in range(codes.size):
-            c, v = codes[k], values[k]
-            o, x, y, z = registers[k, 0], registers[k, 1], registers[k, 2], registers[k, 3]
-            if c == MUL:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] * w[y, j]
-            elif c == MUL_ADD:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] * w[y, j] + w[z, j]
-            elif c == MUL_SUB:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] * w[y, j] - w[z, j]
-            elif c == SUB_MUL:
-                for j in range(LANES):
-                    w[o, j] = w[z, j] - w[x, j] * w[y, j]
-            elif c == ADD:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] + w[y, j]
-            elif c == SUB:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] - w[y, j]
-            elif c == MUL_CONST:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] * v
-            elif c == ADD_CONST:
-                for j in range(LANES):
-                    w[o, j] = w[x, j] + v
-            elif c == CONST_SUB:
-                for j in range(LANES):
-                    w[o, j] = v - w[x, j]
-            elif c == CONST:
-                for j in range(LANES):
-                    w[o, j] = v
-            elif c == INPUT:
-                for j in range(m):
-                    w[o, j] = inputs[int(v), s + j]
-            elif c == OUTPUT:
-                for j in range(m):
-                    outputs[int(v), s + j] = w[x, j]
-            else:
-                _common(c, v, w, o, x, y, z)
+        _block(codes, registers, values, ends, w, s, min(LANES, last - s))

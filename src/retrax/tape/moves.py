@@ -220,13 +220,11 @@ def _combined(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -
     inside = np.zeros(x.shape, bool)
     inside[into] = True
     window = moved(x, lambda a: a[into])
-    function = {"scatter-add": "add", "scatter_add": "add", "scatter_mul": "mul", "scatter_min": "min", "scatter_max": "max"}
-    if name not in function:
-        raise NotTraceableError(name, "which has no rule")
+    function = name.removeprefix("scatter-")
     if is_known(window, update):
-        new: Any = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[function[name]](window, update)
+        new: Any = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[function](window, update)
     else:
-        new = elementwise(function[name], {}, [window, update])
+        new = elementwise(function, {}, [window, update])
     order = np.arange(math.prod(x.shape)).reshape(x.shape)
     order[into] = math.prod(x.shape) + np.arange(math.prod(update.shape)).reshape(update.shape)
     return joined([x, new], x.shape, order)
@@ -239,7 +237,6 @@ MOVES: dict[str, Rule] = {
     "concatenate": lambda params, *a: concatenated(list(a), params["dimension"]),
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
-    "expand_dims": lambda params, x: moved(x, lambda a: np.expand_dims(a, tuple(params["dimensions"]))),
     "gather": _gather,
     "pad": _pad,
     "reshape": lambda params, x: moved(x, lambda a: a.reshape(params["new_sizes"])),
@@ -251,5 +248,5 @@ MOVES: dict[str, Rule] = {
     "tile": lambda params, x: moved(x, lambda a: np.tile(a, params["reps"])),
     "transpose": lambda params, x: moved(x, lambda a: np.transpose(a, params["permutation"])),
     "unstack": _unstack,
-    **{name: partial(_scatter, name) for name in ("scatter", "scatter-add", "scatter_mul", "scatter_min", "scatter_max")},
+    **{name: partial(_scatter, name) for name in ("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max")},
 }

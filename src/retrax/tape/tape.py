@@ -1,5 +1,6 @@
 """Functions of a point as straight lines of scalar operations, evaluated on many points at once."""
 
+import itertools
 import math
 import os
 import warnings
@@ -158,7 +159,7 @@ class Tape:
 
         def run(part: tuple[int, int]) -> None:
             work = np.zeros((p.size, machine.LANES))
-            machine.run(p.codes, p.registers, p.values, inputs, outputs, work, *part)
+            machine.run(p.codes, p.registers, p.values, (inputs, outputs), work, *part)
 
         parts = _shares(inputs.shape[1], self.instructions, machine.LANES)
         list(map(run, parts) if len(parts) == 1 else _threads().map(run, parts))
@@ -182,7 +183,7 @@ def _shares(points: int, instructions: int, lanes: int) -> list[tuple[int, int]]
     blocks = -(-points // lanes)
     count = max(1, min(os.cpu_count() or 1, blocks, points * instructions // WORTH_A_THREAD))
     ends = [min(points, lanes * (blocks * k // count)) for k in range(count)] + [points]
-    return list(zip(ends, ends[1:], strict=False))
+    return list(itertools.pairwise(ends))
 
 
 @cache

@@ -1,5 +1,6 @@
 """From JAX functions to graphs of scalars: the jaxpr is read equation by equation, values only."""
 
+import math
 from collections.abc import Callable
 from functools import partial, reduce
 from typing import Any
@@ -106,19 +107,17 @@ class Tracer:
         return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
 
     def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
-        """``x = A^-1 b`` with ``dx = A^-1 (db - dA x)``, for the matrix ``A`` that is read off the linear map."""
+        """``x = A^-1 b`` for the real matrix ``A`` that is read off the linear map, of real and imaginary parts."""
         counts, matvec = eqn.params["const_lengths"], eqn.params["jaxprs"].matvec
-        if any(is_complex(a) for a in arrays):
-            raise NotTraceableError("custom_linear_solve", "here of complex numbers")
         fixed, right = arrays[: counts.matvec], arrays[sum(counts) :]
-        side = ca.vertcat(*(column(a) for a in right))  # type: ignore[arg-type]
-        ends = np.cumsum([0, *(int(np.prod(a.shape)) for a in right)]).tolist()
-        shapes = [a.shape for a in right]
+        leaves = [
+            (v.aval.shape, is_complex(b) or np.dtype(v.aval.dtype).kind == "c") for v, b in zip(eqn.outvars, right, strict=True)
+        ]
+        side = _flat(right, leaves)
         unknown = ca.SX.sym("x", side.shape[0])
-        images = self.closed(matvec, [*fixed, *map(scalars, ca.vertsplit(unknown, ends), shapes)])
-        matrix = ca.jacobian(ca.vertcat(*(column(a) for a in images)), unknown)  # type: ignore[arg-type]
-        inverted = self._marked_inverse(matrix)
-        return list(map(scalars, ca.vertsplit(ca.mtimes(inverted, side), ends), shapes))
+        images = self.closed(matvec, [*fixed, *_arrays(unknown, leaves)])
+        inverted = self._marked_inverse(ca.jacobian(_flat(images, leaves), unknown))
+        return _arrays(ca.mtimes(inverted, side), leaves)
 
     def _marked_inverse(self, matrix: ca.SX) -> ca.SX:
         """The inverse with the derivative ``dB = -B dA B``, which needs none of the elimination."""
@@ -182,7 +181,8 @@ def _function(eqn: Any) -> Callable[..., list[Any]]:
     variable = gensym()
     ins, outs = ([variable(v.aval) for v in part] for part in (eqn.invars, eqn.outvars))
     alone = new_jaxpr_eqn(ins, outs, eqn.primitive, eqn.params, eqn.effects)
-    return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects), []))
+    debug = opened(called(eqn)).debug_info
+    return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects, debug), []))
 
 
 def _as_list(value: Entries | list[Entries]) -> list[Entries]:
@@ -195,6 +195,24 @@ def _read(values: dict[Any, Entries], variable: Any) -> Entries:
 
 def _is_real(variable: Any) -> bool:
     return np.dtype(variable.aval.dtype).kind == "f"
+
+
+def _flat(arrays: list[Entries], leaves: list[tuple[tuple[int, ...], bool]]) -> ca.SX:
+    """All scalars of arrays, one column; ``leaves`` has their shapes, and which are complex."""
+    halves = ((parts(a) if pair else (a,)) for a, (_, pair) in zip(arrays, leaves, strict=True))
+    return ca.vertcat(*(column(half) for group in halves for half in group))  # type: ignore[arg-type]
+
+
+def _arrays(values: ca.SX, leaves: list[tuple[tuple[int, ...], bool]]) -> list[Entries]:
+    """The arrays with these scalars."""
+    found: list[Entries] = []
+    begin = 0
+    for shape, pair in leaves:
+        size = math.prod(shape)
+        halves = [scalars(values[begin + k * size : begin + (k + 1) * size], shape) for k in range(1 + pair)]
+        found.append(Complex(*halves) if pair else halves[0])
+        begin += size * len(halves)
+    return found
 
 
 def _nonzeros(matrix: ca.SX) -> ca.SX:

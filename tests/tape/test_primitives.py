@@ -1,0 +1,63 @@
+"""Every primitive of the tape gives the values and derivatives that XLA gives."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.tape import Tape
+from retrax.tape.elementwise import KINDS
+from retrax.tape.linear import LINEAR
+from retrax.tape.moves import MOVES
+
+from .functions import SMOOTH, SPECIAL
+
+POINTS = 0.05 + 0.9 * np.random.default_rng(0).random((3, 5))
+
+
+def weighted(function):
+    """One value whose derivatives show those of all of a function's."""
+    return lambda x: jnp.sum(jnp.sin(jnp.arange(1.0, 4.0) * function(x)))
+
+
+CASES = {
+    **{name: (function, POINTS) for name, function in SMOOTH.items()},
+    **{n: (f, x[:, None]) for n, (f, x) in SPECIAL.items()},
+}
+
+
+@pytest.fixture(scope="module")
+def by_xla():
+    """Values, gradients and Hessians of all functions, compiled together."""
+
+    def all_of(function, points):
+        scalar = weighted(function)
+        derivatives = jax.vmap(jax.grad(scalar), -1, -1), jax.vmap(jax.jacrev(jax.grad(scalar)), -1, -1)
+        return jax.vmap(function, -1, -1)(points), *(d(points) for d in derivatives)
+
+    return jax.jit(lambda data: {name: all_of(CASES[name][0], x) for name, x in data.items()})(
+        {n: x for n, (_, x) in CASES.items()}
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_values_and_two_derivatives_are_those_of_xla(name, by_xla):
+    function, points = CASES[name]
+    values, slopes, curvatures = by_xla[name]
+    np.testing.assert_allclose(Tape.trace(function, points[:, 0])(points), values, rtol=1e-13, atol=1e-14)
+    tape = Tape.trace(weighted(function), points[:, 0])
+    np.testing.assert_allclose(tape.gradient()(points), slopes, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(tape.hessian()(points), curvatures, rtol=1e-10, atol=1e-11)
+
+
+def primitives(jaxpr, found):
+    for eqn in jaxpr.eqns:
+        found.add(eqn.primitive.name)
+        for value in jax.tree.leaves(list(eqn.params.values()), is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")):
+            if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
+                primitives(getattr(value, "jaxpr", value), found)
+    return found
+
+
+def test_every_rule_is_used_by_one_of_these_functions():
+    used = set().union(*(primitives(jax.make_jaxpr(f)(POINTS[:, 0]).jaxpr, set()) for f, _ in CASES.values()))
+    assert {*MOVES, *LINEAR, *KINDS} - used == set()

@@ -1,0 +1,168 @@
+"""The tape as its users meet it: arguments, results, derivatives, exports, and what it refuses."""
+
+import os
+import shutil
+import subprocess
+import sys
+from ctypes import CDLL
+
+import casadi as ca
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
+from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
+from retrax.tape import NotTraceableError, Tape
+from retrax.tape import tape as module
+
+REMARKABLE = {
+    "exponential of SO(3)": Exponential(SO(3)),
+    "Cayley of SE(3)": Cayley(SE(3)),
+    "projection of S2": Projection(Sphere(2)),
+    "exponential of H2": Exponential(Hyperbolic(2)),
+    "exponential of SU(2)": Exponential(SU(2)),
+    "oblique": Projection(Oblique(3, 2)),
+    "QR of St(4, 2)": QR(Stiefel(4, 2)),
+}
+ROTOR = np.array([0.3, -0.2, 0.9])
+
+
+def rotor(data):
+    """A pytree in, a pytree out."""
+    w, (inertia, step) = data
+    return {"torque": jnp.cross(w, inertia * w) * step, "energy": w @ (inertia * w) / 2}
+
+
+def sample(count):
+    draw = np.random.default_rng(1).random
+    return draw((3, count)), (1 + draw((3, count)), draw(count))
+
+
+@pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 200])
+def test_any_number_of_points(count):
+    data = sample(count)
+    values = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))(data)
+    expected = jax.vmap(rotor, ((-1, (-1, -1)),), -1)(data)
+    assert jax.tree.structure(values) == jax.tree.structure(expected)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), values, expected)
+
+
+def test_threads_change_nothing(monkeypatch):
+    data = sample(1000)
+    tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
+    alone = tape(data)
+    monkeypatch.setattr(module, "WORTH_A_THREAD", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 3)
+    jax.tree.map(np.testing.assert_array_equal, tape(data), alone)
+
+
+def test_without_numba_the_values_are_the_same_and_a_warning_says_why(monkeypatch):
+    data = sample(5)
+    tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
+    expected = tape(data)
+    module._machine.cache_clear()
+    monkeypatch.delitem(sys.modules, "retrax.tape.machine")
+    monkeypatch.delattr("retrax.tape.machine", raising=False)
+    monkeypatch.setitem(sys.modules, "numba", None)
+    with pytest.warns(UserWarning, match="Numba"):
+        values = tape(data)
+    module._machine.cache_clear()
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), values, expected)
+
+
+@pytest.mark.parametrize("name", REMARKABLE)
+def test_retractions_of_closed_form(name):
+    retraction = REMARKABLE[name]
+    manifold = retraction.manifold
+
+    def chart(x, c):
+        return retraction.chart(x, retraction.frame(x), c)
+
+    x = manifold.random_point(jax.random.key(3))
+    tape = Tape.trace(chart, x, np.zeros(manifold.dimension))
+    c = 0.3 * np.random.default_rng(2).standard_normal((manifold.dimension, 4))
+    expected = jax.vmap(chart, (None, -1), -1)(x, c)
+    points = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], 4, -1), x)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-14), tape(points, c), expected)
+
+
+def test_jacobian_is_of_all_values_by_all_arguments():
+    tape = Tape.trace(lambda x, a: (jnp.outer(a, x), a * 2), np.ones(2), np.ones(2))
+    x, a = np.array([1.0, 2.0]), np.array([3.0, 4.0])
+    expected = np.zeros((6, 4))
+    for i in range(2):
+        for j in range(2):
+            expected[2 * i + j, j], expected[2 * i + j, 2 + i] = a[i], x[j]
+        expected[4 + i, 2 + i] = 2
+    np.testing.assert_array_equal(tape.jacobian()(x[:, None], a[:, None])[..., 0], expected)
+
+
+def test_casadi_function_is_the_same_function():
+    function = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1))).to_casadi("rotor")
+    energy, torque = (np.array(part).ravel() for part in function(ROTOR, 1 + ROTOR, 0.5))
+    expected = rotor((ROTOR, (1 + ROTOR, 0.5)))
+    np.testing.assert_allclose(energy, expected["energy"], rtol=1e-15)
+    np.testing.assert_allclose(torque, expected["torque"], rtol=1e-15)
+
+
+def test_c_code_compiles_and_gives_the_same_values(tmp_path):
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    source = tmp_path / "rotor.c"
+    source.write_text(Tape.trace(rotor, (ROTOR, (ROTOR, 0.1))).c_code("rotor"))
+    assert "int rotor(const casadi_real** arg" in source.read_text()
+    if compiler:
+        subprocess.run([compiler, "-shared", "-fPIC", "-o", tmp_path / "rotor.so", source, "-lm"], check=True)
+        assert CDLL(str(tmp_path / "rotor.so")).rotor_n_in() == 3
+        energy, _ = ca.external("rotor", str(tmp_path / "rotor.so"))(ROTOR, 1 + ROTOR, 0.5)
+        assert float(energy) == pytest.approx(float(rotor((ROTOR, (1 + ROTOR, 0.5)))["energy"]), rel=1e-15)
+
+
+UNTRACEABLE = {
+    "eigh": lambda x: jnp.linalg.eigh(jnp.outer(x, x))[0],
+    "while": lambda x: jax.lax.while_loop(lambda c: c[0] < 3, lambda c: c * 2, x),
+    "svd": lambda x: jnp.linalg.svd(jnp.outer(x, x), compute_uv=False),
+    "sort": jnp.sort,
+    "pure_callback": lambda x: jax.pure_callback(np.sin, x, x),
+    "erfc": jax.scipy.special.erfc,
+    "scatter": lambda x: x.at[jnp.argmax(x)].set(0.0),
+    "scan": lambda x: jax.lax.fori_loop(0, 5000, lambda i, c: c * x, x),
+    "cholesky": lambda x: jnp.linalg.cholesky(jnp.eye(20) * x[0]),
+}
+
+
+@pytest.mark.parametrize("name", UNTRACEABLE)
+def test_what_is_not_scalars_is_refused_by_the_name_of_the_primitive(name):
+    with pytest.raises(NotTraceableError, match="traced to scalars") as caught:
+        Tape.trace(UNTRACEABLE[name], np.ones(3))
+    assert caught.value.primitive == name
+
+
+def test_a_loop_is_written_out_as_long_as_its_length_is_known():
+    # The number of iterations of one loop grows from those that are written out to those that are not.
+    def powers(count):
+        return lambda x: jax.lax.fori_loop(0, count, lambda i, c: c * x, jnp.ones(3))
+
+    for count in (1, 999, 1000):
+        np.testing.assert_allclose(Tape.trace(powers(count), np.ones(3))(np.ones((3, 1)) * 1.001)[:, 0], 1.001**count)
+    with pytest.raises(NotTraceableError, match="1001 iterations"):
+        Tape.trace(powers(1001), np.ones(3))
+    known = Tape.trace(lambda x: jax.lax.while_loop(lambda c: c[0] < 5, lambda c: (c[0] + 1, c[1] * x), (0, x))[1], np.ones(3))
+    np.testing.assert_allclose(known(np.full((3, 1), 2.0)), 2.0**6)
+
+
+def test_arguments_of_other_shapes_are_refused():
+    tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
+    with pytest.raises(ValueError, match="points"):
+        tape((ROTOR, (ROTOR, 0.1)))
+    with pytest.raises(ValueError, match="of one length"):
+        tape((np.ones((3, 2)), (np.ones((3, 2)), np.ones(3))))
+    with pytest.raises(TypeError, match="arguments"):
+        tape(np.ones((3, 2)))
+    with pytest.raises(ValueError, match="jacobian"):
+        tape.gradient()
+
+
+def test_a_polar_retraction_of_frames_names_what_decided():
+    with pytest.raises(NotTraceableError, match="svd"):
+        Tape.trace(Polar(Stiefel(4, 2)), *(np.eye(4)[:, :2],) * 2)
