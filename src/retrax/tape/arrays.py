@@ -7,7 +7,7 @@ pair of these two where it is complex and depends on the input.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Union
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -41,8 +41,8 @@ class Scalars:
 class Complex:
     """A complex array as its real and imaginary parts, of one shape."""
 
-    real: "Real"
-    imag: "Real"
+    real: "Entries"
+    imag: "Entries"
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -50,8 +50,7 @@ class Complex:
         return self.real.shape
 
 
-Real = Union[np.ndarray, Scalars]  # noqa: UP007  # a name for annotations
-Entries = Union[np.ndarray, Scalars, Complex]  # noqa: UP007
+Entries = np.ndarray | Scalars | Complex
 
 
 def is_known(*arrays: Any) -> bool:
@@ -59,14 +58,16 @@ def is_known(*arrays: Any) -> bool:
     return all(isinstance(a, np.ndarray) for a in arrays)
 
 
-def column(a: Real) -> ca.SX:
+def column(a: Entries) -> ca.SX:
     """Entries of a real array as a dense column in C order."""
     if isinstance(a, Scalars):
         return a.values
+    if isinstance(a, Complex):
+        raise TypeError("expected a real array, got a complex one")
     return ca.SX(ca.DM(np.asarray(a, float).reshape(-1, 1)))
 
 
-def parts(a: Entries) -> tuple[Real, Real]:
+def parts(a: Entries) -> tuple[Entries, Entries]:
     """Real and imaginary part of an array."""
     if isinstance(a, Complex):
         return a.real, a.imag
@@ -85,17 +86,17 @@ def scalars(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
     return Scalars(values if values.is_dense() else ca.densify(values), tuple(shape))
 
 
-def taken(a: Entries, places: np.ndarray) -> Entries:
+def taken(a: Entries, places: np.ndarray) -> Any:
     """The array of the shape of ``places`` whose entries are those of ``a`` at these places of its C order."""
     if isinstance(a, Complex):
-        return Complex(_real(taken(a.real, places)), _real(taken(a.imag, places)))
+        return Complex(taken(a.real, places), taken(a.imag, places))
     if isinstance(a, np.ndarray):
         return np.reshape(a, -1)[places]
     values = a.values[places.reshape(-1).tolist()]  # a row if there is one scalar to take from
     return Scalars(ca.reshape(values, places.size, 1), places.shape)
 
 
-def moved(a: Entries, move: Callable[[np.ndarray], np.ndarray]) -> Entries:
+def moved(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:
     """The array with its entries in the places to which a function of NumPy arrays moves them."""
     if isinstance(a, np.ndarray):
         return np.asarray(move(a))
@@ -109,21 +110,15 @@ def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
     return alike, shape
 
 
-def joined(arrays: list[Entries], shape: tuple[int, ...], order: np.ndarray | None = None) -> Entries:
+def joined(arrays: list[Any], shape: tuple[int, ...], order: np.ndarray | None = None) -> Any:
     """The entries of arrays one after the other as one array; ``order``, of this shape, takes places of them."""
     if is_known(*arrays):
         flat: Entries = np.concatenate([np.reshape(a, -1) for a in arrays])
     elif any(is_complex(a) for a in arrays):
         pairs = [parts(a) for a in arrays]
-        flat = Complex(*(_real(joined(list(part), (-1,))) for part in zip(*pairs, strict=True)))
+        flat = Complex(*(joined(list(part), (-1,)) for part in zip(*pairs, strict=True)))
     else:
-        values = ca.vertcat(*(column(_real(a)) for a in arrays))
+        values = ca.vertcat(*(column(a) for a in arrays))
         flat = Scalars(values, (values.shape[0],))
     places = np.arange(math.prod(flat.shape)).reshape(shape) if order is None else order
     return taken(flat, places)
-
-
-def _real(a: Entries) -> Real:
-    if isinstance(a, Complex):
-        raise TypeError("expected a real array, got a complex one")
-    return a

@@ -8,12 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, broadcast, column, is_complex, parts, scalars
+from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, parts, scalars
 
 Function = Callable[..., ca.SX]
 
 
-def select(condition: ca.SX, yes: ca.SX, no: ca.SX) -> ca.SX:
+def select(condition: ca.SX, yes: ca.SX | float, no: ca.SX | float) -> ca.SX:
     """``yes`` where the condition holds, ``no`` elsewhere, entry by entry."""
     return ca.if_else(condition, yes, no)
 
@@ -127,7 +127,7 @@ def _full(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
     return scalars(values if values.shape[0] == count else ca.repmat(values, count, 1), shape)
 
 
-def _complex(name: str, pairs: list[tuple[Real, Real]]) -> Entries:
+def _complex(name: str, pairs: list[tuple[Entries, Entries]]) -> Entries:
     alike, shape = broadcast(*(half for pair in pairs for half in pair))
     value = _COMPLEX[name](*((column(a), column(b)) for a, b in zip(alike[::2], alike[1::2], strict=True)))
     return Complex(*(_full(part, shape) for part in value)) if isinstance(value, tuple) else _full(value, shape)
@@ -173,12 +173,12 @@ _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
 }
 
 
-def _select_n(params: dict[str, Any], which: Real, *cases: Entries) -> Entries:
+def _select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries:
     if isinstance(which, np.ndarray) and not which.shape:
         return cases[int(which)]
     if any(is_complex(case) for case in cases):
         halves = zip(*(parts(case) for case in cases), strict=True)
-        return Complex(*(_select_n(params, which, *half) for half in halves))  # type: ignore[arg-type]
+        return Complex(*(_select_n(params, which, *half) for half in halves))
 
     def chosen(which: ca.SX, *cases: ca.SX) -> ca.SX:
         last = len(cases) - 1
@@ -198,7 +198,7 @@ def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
         one = ca.SX.ones(1), ca.SX.zeros(1)
         value = power if exponent >= 0 else _quotient(one, power)
         return Complex(*(scalars(part, x.shape) for part in value))
-    value, base = None, column(x)  # type: ignore[arg-type]
+    value, base = None, column(x)
     for bit in bin(abs(exponent))[2:]:
         value = None if value is None else value * value
         value = (base if value is None else value * base) if bit == "1" else value
@@ -206,7 +206,7 @@ def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
     return scalars(value if exponent >= 0 else 1 / value, x.shape)
 
 
-def _repeated(x: tuple[Real, Real], exponent: int) -> Pair:
+def _repeated(x: tuple[Entries, Entries], exponent: int) -> Pair:
     base = column(x[0]), column(x[1])
     value = ca.SX.ones(base[0].shape[0]), ca.SX.zeros(base[0].shape[0])
     for _ in range(exponent):

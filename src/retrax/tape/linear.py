@@ -8,13 +8,13 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, column, is_complex, moved, parts, scalars
+from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, moved, parts, scalars
 from .elementwise import larger, select, smaller
 
 LARGEST_FACTOR = 16  # rows of a matrix that is factorised entry by entry: beyond LAPACK is the better choice
 
 
-def _operand(a: Real, batch: tuple[int, ...], contracted: tuple[int, ...], first: bool) -> tuple[Real, tuple[int, ...]]:
+def _operand(a: Entries, batch: tuple[int, ...], contracted: tuple[int, ...], first: bool) -> tuple[Entries, tuple[int, ...]]:
     """The array with axes in the order batch, free, contracted, as matrices; and the sizes of its free axes."""
     free = [axis for axis in range(len(a.shape)) if axis not in batch and axis not in contracted]
     order = [*batch, *free, *contracted] if first else [*batch, *contracted, *free]
@@ -22,33 +22,33 @@ def _operand(a: Real, batch: tuple[int, ...], contracted: tuple[int, ...], first
     inner = math.prod(a.shape[axis] for axis in contracted)
     outer = math.prod(a.shape[axis] for axis in batch)
     shape = (outer, math.prod(sizes), inner) if first else (outer, inner, math.prod(sizes))
-    return moved(a, lambda b: np.transpose(b, order).reshape(shape)), sizes  # type: ignore[return-value]
+    return moved(a, lambda b: np.transpose(b, order).reshape(shape)), sizes
 
 
-def _matrix(a: Real, k: int) -> ca.SX:
+def _matrix(a: Entries, k: int) -> ca.SX:
     """The k-th matrix of a batch."""
-    return ca.reshape(column(moved(a, lambda b: b[k].T)), a.shape[1], a.shape[2])  # type: ignore[arg-type]
+    return ca.reshape(column(moved(a, lambda b: b[k].T)), a.shape[1], a.shape[2])
 
 
 def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
     if is_complex(x) or is_complex(y):
         (a, b), (c, d) = parts(x), parts(y)
         ac, bd, ad, bc = (_dot_general(params, *pair) for pair in ((a, c), (b, d), (a, d), (b, c)))
-        return Complex(scalars(column(ac) - column(bd), ac.shape), scalars(column(ad) + column(bc), ac.shape))  # type: ignore[arg-type]
+        return Complex(scalars(column(ac) - column(bd), ac.shape), scalars(column(ad) + column(bc), ac.shape))
     (left, right), (batch_left, batch_right) = params["dimension_numbers"]
-    a, rows = _operand(x, batch_left, left, True)  # type: ignore[arg-type]
-    b, columns = _operand(y, batch_right, right, False)  # type: ignore[arg-type]
+    a, rows = _operand(x, batch_left, left, True)
+    b, columns = _operand(y, batch_right, right, False)
     products = [ca.densify(ca.mtimes(_matrix(a, k), _matrix(b, k))) for k in range(a.shape[0])]
     outer = tuple(x.shape[axis] for axis in batch_left)
     return scalars(ca.vertcat(*(ca.vec(p.T) for p in products)), (*outer, *rows, *columns))
 
 
-def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Real, axes: tuple[int, ...], start: float) -> Scalars:
+def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Entries, axes: tuple[int, ...], start: float) -> Scalars:
     kept = [axis for axis in range(len(x.shape)) if axis not in axes]
     shape = tuple(x.shape[axis] for axis in kept)
     count = math.prod(x.shape[axis] for axis in axes)
     flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, -1))
-    rows = [column(moved(flat, lambda a, k=k: a[k])) for k in range(count)]  # type: ignore[arg-type]
+    rows = [column(moved(flat, lambda a, k=k: a[k])) for k in range(count)]
     return scalars(reduce(function, rows) if rows else ca.SX.ones(math.prod(shape)) * start, shape)
 
 
@@ -59,7 +59,7 @@ def _reduction(function: Callable[[ca.SX, ca.SX], ca.SX], start: float) -> Calla
             if start:
                 raise NotTraceableError("a reduction", "here of complex numbers")
             return Complex(*(_reduced(function, part, axes, start) for part in parts(x)))
-        return _reduced(function, x, axes, start)  # type: ignore[arg-type]
+        return _reduced(function, x, axes, start)
 
     return rule
 
@@ -71,7 +71,7 @@ def _cumulative(function: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entr
         rows: dict[int, ca.SX] = {}
         last = None
         for k in order:
-            row = column(moved(x, lambda a, k=k: np.take(a, k, axis)))  # type: ignore[arg-type]
+            row = column(moved(x, lambda a, k=k: np.take(a, k, axis)))
             last = row if last is None else function(last, row)
             rows[k] = last
         shape = (count, *np.delete(x.shape, axis))
@@ -86,7 +86,7 @@ def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
 
     def rule(params: dict[str, Any], x: Entries) -> Entries:
         (axis,) = params["axes"]
-        rows = [column(moved(x, lambda a, k=k: np.take(a, k, axis))) for k in range(x.shape[axis])]  # type: ignore[arg-type]
+        rows = [column(moved(x, lambda a, k=k: np.take(a, k, axis))) for k in range(x.shape[axis])]
         best, place = rows[0], ca.SX.zeros(rows[0].shape[0])
         for k, row in enumerate(rows[1:], 1):
             place, best = select(beats(row, best), k, place), select(beats(row, best), row, best)
@@ -95,7 +95,7 @@ def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
     return rule
 
 
-def matrices(a: Real) -> list[ca.SX]:
+def matrices(a: Entries) -> list[ca.SX]:
     """The matrices of a batch, one after the other."""
     flat: Any = moved(a, lambda b: b.reshape(-1, *a.shape[-2:]))
     return [_matrix(flat, k) for k in range(flat.shape[0])]

@@ -91,7 +91,7 @@ def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> En
     """The part of an array of these sizes that starts at an index; one that depends on the input selects among all."""
     unknown = [k for k, start in enumerate(starts) if not isinstance(start, int)]
     choices = itertools.product(*(range(x.shape[k] - sizes[k] + 1) for k in unknown))
-    found: list[tuple[ca.SX | None, Entries]] = []
+    found: list[tuple[Any, Entries]] = []
     for choice in choices:
         at = list(starts)
         for k, index in zip(unknown, choice, strict=True):
@@ -103,15 +103,15 @@ def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> En
     return _chosen(found)
 
 
-def _chosen(found: list[tuple[ca.SX | None, Entries]]) -> Entries:
+def _chosen(found: list[tuple[Any, Entries]]) -> Entries:
     if len(found) == 1:
         return found[0][1]
     if any(isinstance(value, Complex) for _, value in found):
         halves = ([(c, parts(value)[k]) for c, value in found] for k in (0, 1))
-        return Complex(*(_chosen(half) for half in halves))  # type: ignore[arg-type]
-    shape, value = found[0][1].shape, column(found[-1][1])  # type: ignore[arg-type]
+        return Complex(*(_chosen(half) for half in halves))
+    shape, value = found[0][1].shape, column(found[-1][1])
     for condition, part in reversed(found[:-1]):
-        value = select(condition, column(part), value)  # type: ignore[arg-type]
+        value = select(condition, column(part), value)
     return scalars(value, shape)
 
 
@@ -124,7 +124,7 @@ def _dynamic_update_slice(params: dict[str, Any], x: Entries, update: Entries, *
     at = _clamped(list(starts), x.shape, update.shape)
     if not all(isinstance(start, int) for start in at):
         raise NotTraceableError("dynamic_update_slice", "whose index depends on the input")
-    part = tuple(slice(s, s + size) for s, size in zip(at, update.shape, strict=True))  # type: ignore[operator]
+    part = tuple(slice(s, s + size) for s, size in zip(at, update.shape, strict=True))
     count = math.prod(x.shape)
     order = np.arange(count).reshape(x.shape)
     order[part] = count + np.arange(math.prod(update.shape)).reshape(update.shape)
@@ -185,7 +185,7 @@ def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, up
         raise NotTraceableError(name, "whose index depends on the input")
     count, result = math.prod(x.shape), x
     order = np.arange(count).reshape(x.shape)
-    for into, of in _windows(params, x.shape, indices, updates.shape):  # type: ignore[arg-type]
+    for into, of in _windows(params, x.shape, indices, updates.shape):
         if name == "scatter":
             order[into] = count + of
         else:
@@ -193,7 +193,7 @@ def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, up
     return joined([x, updates], x.shape, order) if name == "scatter" else result
 
 
-def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: np.ndarray, updated: tuple[int, ...]) -> list[tuple]:
+def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updated: tuple[int, ...]) -> list[tuple]:
     """For each update window: where it goes, and the places of the updates."""
     d = params["dimension_numbers"]
     batching = tuple(zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True))

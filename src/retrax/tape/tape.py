@@ -138,8 +138,7 @@ class Tape:
                 f"got shapes {[a.shape for a in arrays]}"
             )
         halves = [half for a, leaf in zip(arrays, self._leaves, strict=True) for half in _real_parts(a, leaf.complex)]
-        (count,) = counts
-        return np.concatenate([np.asarray(h, float).reshape(-1, count) for h in halves])
+        return np.concatenate([np.asarray(h, float).reshape(-1, h.shape[-1]) for h in halves])
 
     def _unpacked(self, rows: np.ndarray) -> list[np.ndarray]:
         ends = np.cumsum([0, *(leaf.rows for leaf in self._results)])

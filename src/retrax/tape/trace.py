@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
-from .arrays import Complex, Entries, NotTraceableError, Real, Scalars, column, is_complex, is_known, parts, scalars, taken
+from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select
 from .graph import Graph, Mark
 from .known import evaluated
@@ -51,7 +51,7 @@ class Tracer:
         if name in MOVES:
             return _as_list(MOVES[name](params, *arrays))
         if is_known(*arrays):
-            return list(evaluated(eqn, arrays))  # type: ignore[arg-type]
+            return list(evaluated(eqn, arrays))
         if name in LINEAR:
             return _as_list(LINEAR[name](params, *arrays))
         kind = np.dtype(eqn.outvars[0].aval.dtype).kind
@@ -92,7 +92,7 @@ class Tracer:
         if isinstance(which, np.ndarray):
             return self.closed(branches[int(np.clip(which, 0, last))], arrays[1:])
         found = [self.closed(branch, arrays[1:]) for branch in branches]
-        return [_chosen(which, values) for values in zip(*found, strict=True)]  # type: ignore[arg-type]
+        return [_chosen(which, values) for values in zip(*found, strict=True)]
 
     def _platform_index(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         platforms = eqn.params["platforms"]
@@ -103,7 +103,7 @@ class Tracer:
 
     def _stopped(self, a: Entries) -> Entries:
         if isinstance(a, Complex):
-            return Complex(self._stopped(a.real), self._stopped(a.imag))  # type: ignore[arg-type]
+            return Complex(self._stopped(a.real), self._stopped(a.imag))
         return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
 
     def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
@@ -146,7 +146,7 @@ class Tracer:
         value = ca.vertcat(*(column(values[k]) for k in smooth))
         symbols = self.graph.symbols(value.shape[0])
         self.graph.add(Mark(symbols, value, ca.vertcat(*(column(arrays[k]) for k in varying)), rule))
-        ends = np.cumsum([0, *(values[k].size for k in smooth)]).tolist()  # type: ignore[union-attr]
+        ends = np.cumsum([0, *(values[k].size for k in smooth)]).tolist()
         for k, part in zip(smooth, ca.vertsplit(symbols, ends), strict=True):
             values[k] = scalars(part, values[k].shape)
         return values
@@ -171,7 +171,7 @@ class Tracer:
         traced = jax.make_jaxpr(image)(*examples)
         symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
         directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
-        images = ca.vertcat(*(column(a) for a in self.closed(traced, [*arrays, *directions])))  # type: ignore[arg-type]
+        images = ca.vertcat(*(column(a) for a in self.closed(traced, [*arrays, *directions])))
         matrix = ca.jacobian(images, ca.vertcat(*symbols))
         return matrix if forward else matrix.T
 
@@ -200,7 +200,7 @@ def _is_real(variable: Any) -> bool:
 def _flat(arrays: list[Entries], leaves: list[tuple[tuple[int, ...], bool]]) -> ca.SX:
     """All scalars of arrays, one column; ``leaves`` has their shapes, and which are complex."""
     halves = ((parts(a) if pair else (a,)) for a, (_, pair) in zip(arrays, leaves, strict=True))
-    return ca.vertcat(*(column(half) for group in halves for half in group))  # type: ignore[arg-type]
+    return ca.vertcat(*(column(half) for group in halves for half in group))
 
 
 def _arrays(values: ca.SX, leaves: list[tuple[tuple[int, ...], bool]]) -> list[Entries]:
@@ -216,7 +216,7 @@ def _arrays(values: ca.SX, leaves: list[tuple[tuple[int, ...], bool]]) -> list[E
 
 
 def _nonzeros(matrix: ca.SX) -> ca.SX:
-    return ca.vertcat(*matrix.nonzeros()) if matrix.nnz() else ca.SX(0, 1)
+    return matrix.nz[:]
 
 
 def _require_short(name: str, length: int) -> None:
@@ -230,11 +230,11 @@ def _row(a: Entries, k: int) -> Entries:
     return taken(a, np.arange(k * count, (k + 1) * count).reshape(shape))
 
 
-def _chosen(which: Scalars, values: tuple[Entries, ...]) -> Entries:
+def _chosen(which: Any, values: tuple[Entries, ...]) -> Entries:
     if any(is_complex(v) for v in values):
         halves = zip(*(parts(v) for v in values), strict=True)
-        return Complex(*(_chosen(which, half) for half in halves))  # type: ignore[arg-type]
-    columns = [column(v) for v in values]  # type: ignore[arg-type]
+        return Complex(*(_chosen(which, half) for half in halves))
+    columns = [column(v) for v in values]
     last = len(columns) - 1
     value = reduce(lambda rest, k: select(which.values <= k, columns[k], rest), reversed(range(last)), columns[last])
     return scalars(value, values[0].shape)
@@ -270,7 +270,7 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
     for k, leaf in enumerate(leaves):
         symbols = [ca.SX.sym(f"{name}{k}", leaf.size) for name in ("xy" if np.iscomplexobj(leaf) else "x")]
         inputs += symbols
-        halves: list[Real] = [scalars(s, leaf.shape) for s in symbols]
+        halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
     return graph, Tracer(graph).closed(jaxpr, arrays), jax.tree.structure(shapes)
