@@ -98,6 +98,24 @@ def test_jacobian_is_of_all_values_by_all_arguments():
     np.testing.assert_array_equal(tape.jacobian()(x[:, None], a[:, None])[..., 0], expected)
 
 
+@pytest.mark.parametrize("size", [1, 2])
+def test_derivatives_by_some_arguments(size):
+    def function(x, a, z):
+        return jnp.sum(a[0] * x**2) + jnp.sum(a[1] * x) + jnp.sum(jnp.abs(z) ** 2)
+
+    x, a, z = np.arange(1.0, size + 1), (np.full(size, 3.0), np.full(size, 4.0)), np.full(size, 1 + 2j)
+    data = jax.tree.map(lambda leaf: leaf[..., None], (x, a, z))
+    tape = Tape.trace(function, x, a, z)
+    value, slope, curvature = (part[..., 0] for part in tape.second_order(0)(*data))
+    assert value == function(x, a, z)
+    np.testing.assert_array_equal(slope, 2 * a[0] * x + a[1])
+    np.testing.assert_array_equal(curvature, np.diag(2 * a[0]))
+    np.testing.assert_array_equal(tape.gradient((0, 1))(*data)[..., 0], [*slope, *x**2, *x])
+    np.testing.assert_array_equal(tape.gradient(2)(*data)[..., 0], [*2 * z.real, *2 * z.imag])
+    np.testing.assert_array_equal(tape.jacobian(1)(*data)[..., 0], [[*x**2, *x]])
+    assert tape.gradient()(*data).shape == (5 * size, 1)
+
+
 def test_casadi_function_is_the_same_function():
     function = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1))).to_casadi("rotor")
     energy, torque = (np.array(part).ravel() for part in function(ROTOR, 1 + ROTOR, 0.5))

@@ -4,7 +4,7 @@ import itertools
 import math
 import os
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -15,11 +15,12 @@ import casadi as ca
 import jax
 import numpy as np
 
-from .arrays import Complex, Entries, Scalars, column
+from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
 from .trace import trace
 
+Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
 WORTH_A_THREAD = 300_000  # instructions times points that one thread does before a second is worth its start
 
 
@@ -29,7 +30,8 @@ class Leaf:
     """Shape and kind of one array among the arguments or values of a function."""
 
     shape: tuple[int, ...]
-    complex: bool = False
+    complex: bool
+    argument: int = 0  # its place among the arguments
 
     @property
     def rows(self) -> int:
@@ -61,7 +63,9 @@ class Tape:
         """
         leaves, structure = jax.tree.flatten(examples)
         graph, values, result = trace(function, *examples)
-        return cls(graph, values, ([Leaf(np.shape(a), np.iscomplexobj(a)) for a in leaves], structure), result)
+        owners = [k for k, part in enumerate(examples) for _ in jax.tree.leaves(part)]
+        kinds = [Leaf(np.shape(a), np.iscomplexobj(a), k) for a, k in zip(leaves, owners, strict=True)]
+        return cls(graph, values, (kinds, structure), result)
 
     def __call__(self, *arguments: Any) -> Any:
         """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
@@ -89,17 +93,26 @@ class Tape:
         """What the machine runs."""
         return assembled(self.inputs, *self.graph.unmarked([self.outputs]))
 
-    def jacobian(self) -> "Tape":
-        """The matrix of all derivatives of the values by the arguments, both flat in order, as a tape."""
-        return self._of(self.graph.jacobian(self.outputs, self.inputs))
+    def jacobian(self, argnums: Argnums = None) -> "Tape":
+        """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a tape."""
+        matrix = self.graph.jacobian(self.outputs, self._by(argnums))
+        return self._of((matrix, matrix.shape))
 
-    def gradient(self) -> "Tape":
-        """The derivatives of the one value of a function, as a tape with one flat array."""
-        return self._of(self.graph.gradient(self._only(), self.inputs), flat=True)
+    def gradient(self, argnums: Argnums = None) -> "Tape":
+        """The derivatives of the one value of a function by arguments, as a tape with one flat array."""
+        column = self.graph.gradient(self._only(), self._by(argnums))
+        return self._of((column, column.shape[:1]))
 
-    def hessian(self) -> "Tape":
-        """The matrix of second derivatives of the one value of a function, as a tape."""
-        return self._of(self.graph.hessian(self._only(), self.inputs))
+    def hessian(self, argnums: Argnums = None) -> "Tape":
+        """The matrix of second derivatives of the one value of a function by arguments, as a tape."""
+        matrix = self.graph.hessian(self._only(), self._by(argnums))
+        return self._of((matrix, matrix.shape))
+
+    def second_order(self, argnums: Argnums = None) -> "Tape":
+        """The one value of a function, its gradient and its Hessian by arguments, as one tape: they share what they compute."""
+        value, by = self._only(), self._by(argnums)
+        slope, curvature = self.graph.gradient(value, by), self.graph.hessian(value, by)
+        return self._of((value, ()), (slope, slope.shape[:1]), (curvature, curvature.shape))
 
     def to_casadi(self, name: str = "f") -> ca.Function:
         """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column each."""
@@ -112,11 +125,19 @@ class Tape:
         generator.add(self.to_casadi(name))
         return generator.dump()
 
-    def _of(self, values: ca.SX, flat: bool = False) -> "Tape":
-        values = ca.densify(values)
-        shape = (values.numel(),) if flat else values.shape
-        result: list[Entries] = [Scalars(ca.vec(values.T), shape)]
-        return Tape(self.graph, result, (self._leaves, self._arguments), jax.tree.structure(0))
+    def _of(self, *values: tuple[ca.SX, tuple[int, ...]]) -> "Tape":
+        """The tape of some expressions of the same inputs, with their shapes; a tuple of arrays if they are several."""
+        results: list[Entries] = [scalars(ca.vec(ca.densify(v).T), shape) for v, shape in values]
+        structure = jax.tree.structure(0 if len(values) == 1 else (0,) * len(values))
+        return Tape(self.graph, results, (self._leaves, self._arguments), structure)
+
+    def _by(self, argnums: Argnums) -> ca.SX:
+        """The symbols of some arguments, one column."""
+        wanted = (
+            {argnums} if isinstance(argnums, int) else {leaf.argument for leaf in self._leaves} if argnums is None else {*argnums}
+        )
+        owners = [leaf.argument for leaf in self._leaves for _ in range(1 + leaf.complex)]
+        return ca.vertcat(*(symbols for symbols, owner in zip(self.graph.inputs, owners, strict=True) if owner in wanted))
 
     def _only(self) -> ca.SX:
         if self.outputs.numel() != 1:
