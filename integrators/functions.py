@@ -56,7 +56,8 @@ def by_data(tree: Any) -> Any:
 
 def reads_traced(tree: Any) -> bool:
     """Whether a function in a pytree reads a value that JAX is tracing."""
-    return any(isinstance(leaf, ByData) and leaf.reads_traced for leaf in jax.tree.leaves(by_data(tree)))
+    leaves = [leaf for leaf in jax.tree.leaves(tree) if callable(leaf)]
+    return any((leaf if isinstance(leaf, ByData) else ByData(leaf)).reads_traced for leaf in leaves)
 
 
 def is_transformed(*arguments: Any) -> bool:

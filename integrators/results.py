@@ -16,6 +16,7 @@ class Result(eqx.Enumeration):
         "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or another "
         "retraction if the motion of one step leaves its domain."
     )
+    interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     too_many_iterations = (
         "The iteration limit came before the conditions were met; try more iterations, a better guess, or more steps."
     )

@@ -1,10 +1,11 @@
 """Integration over many steps."""
 
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
@@ -13,6 +14,7 @@ from ..compilation import compiled
 from ..functions import by_data, is_transformed
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
+from .pieces import Carry, Nodes, advance, begin, node, run
 
 
 @final
@@ -22,6 +24,7 @@ class Trajectory(eqx.Module):
     ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a composition
     has one for each of its substeps.
     ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
+    Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
     """
 
     times: Float[Array, " nodes"]
@@ -31,13 +34,6 @@ class Trajectory(eqx.Module):
     stage_times: Float[Array, "steps ..."]
     result: Result
     failed_step: Int[Array, ""]
-
-
-class _Carry(NamedTuple):
-    q: Ambient
-    p: Ambient
-    unknowns: Any
-    failed_step: Array
 
 
 def integrate(
@@ -57,8 +53,11 @@ def integrate(
     ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint manifold of a singular
     problem is taken as it is, and a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
 
+    Elsewhere the steps are compiled once, whatever their number and ``save_every``, and run in pieces of a fraction of a second.
+
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
-    ``ConvergenceError`` if a step cannot be solved.
+    ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its attribute ``trajectory`` has
+    what was reached until then.
     """
     if not isinstance(integrator, Integrator):
         raise InvalidInputError(
@@ -68,10 +67,13 @@ def integrate(
     warn_about_precision()
     q0, p0 = _checked_start(integrator.manifold, start)
     system = by_data(system)
-    if not is_transformed(q0, p0, system, integrator):
+    step_size, count, every = jnp.asarray(step_size, float), int(steps) // int(save_every), int(save_every)
+    arguments = system, integrator, (q0, p0), step_size, count, every
+    transformed = is_transformed(arguments)
+    if not transformed:
         integrator.check(system, q0, p0)
-    count, every = int(steps) // int(save_every), int(save_every)
-    trajectory = _integrate(system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every)
+    scanned = transformed or jax.config.jax_disable_jit
+    trajectory = _scanned(*arguments) if scanned else _in_pieces(*arguments)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)
         first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
@@ -106,26 +108,47 @@ def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
 
 
 @compiled
-def _integrate(
+def _scanned(
     system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
 ) -> Trajectory:
-    def step(carry: _Carry, index: Array) -> tuple[_Carry, None]:
-        new = integrator.step(system, step_size, carry.q, carry.p, carry.unknowns)
-        good = new.converged & (carry.failed_step < 0)
-        moved = _Carry(new.q, new.p, new.unknowns, carry.failed_step)
-        kept = carry._replace(failed_step=jnp.where(carry.failed_step < 0, index, carry.failed_step))
-        return jax.tree.map(lambda a, b: jnp.where(good, a, b), moved, kept), None
+    """The trajectory as one loop of fixed length, which can be differentiated, batched and compiled into something larger."""
 
-    def block(carry: _Carry, first: Array) -> tuple[_Carry, tuple[Ambient, Ambient, Any]]:
+    def step(carry: Carry, index: Array) -> tuple[Carry, None]:
+        return advance(system, integrator, step_size, carry, index), None
+
+    def block(carry: Carry, first: Array) -> tuple[Carry, Nodes]:
         carry, _ = jax.lax.scan(step, carry, first + jnp.arange(every))
-        return carry, (carry.q, carry.p, integrator.control(carry.unknowns))
+        return carry, node(integrator, carry)
 
-    q0, p0 = start[0], integrator.manifold.projection(*start)
-    first = _Carry(q0, p0, integrator.begin(system, q0, p0), jnp.array(-1))
+    first = begin(system, integrator, start)
     last, (q, p, controls) = jax.lax.scan(block, first, every * jnp.arange(saves))
-    q, p = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), (q0, p0), (q, p))
-    times = step_size * every * jnp.arange(saves + 1)
-    before_end = 1 - integrator.control_times
-    stage_times = times[1:].reshape(-1, *(1,) * before_end.ndim) - before_end * step_size
+    q, p = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), (first.q, first.p), (q, p))
+    times, stage_times = _times(integrator, step_size, every, jnp.arange(saves + 1))
     result = Result.where(last.failed_step < 0, Result.successful, Result.step_not_solved)
     return Trajectory(times, q, p, controls, stage_times, result, last.failed_step)
+
+
+def _in_pieces(
+    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
+) -> Trajectory:
+    """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the times."""
+    nodes, failed, interrupt = run(system, integrator, start, step_size, saves, every)
+    count = len(jax.tree.leaves(nodes.q)[0])
+    times = _times(integrator, np.asarray(step_size), every, np.arange(count))
+    # jnp.asarray would compile something for each shape.
+    (q, p, controls), (at_nodes, at_stages) = jax.device_put((nodes, times))
+    result = Result.interrupted if interrupt else Result.successful if failed < 0 else Result.step_not_solved
+    trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, jnp.asarray(failed, int))
+    if interrupt:
+        # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C does.
+        vars(interrupt)["trajectory"] = trajectory
+        interrupt.add_note(f"integrate has reached t = {times[0][-1]:.6g}: {count} nodes are in the attribute trajectory")
+        raise interrupt
+    return trajectory
+
+
+def _times(integrator: Integrator, step_size: Any, every: int, nodes: Any) -> tuple[Any, Any]:
+    """Times of the nodes with these numbers and of the stages of the step before each, in NumPy or JAX as they are given."""
+    times = step_size * every * nodes.astype(step_size.dtype)
+    before_end = 1 - integrator.control_times.astype(step_size.dtype)
+    return times, times[1:].reshape(-1, *(1,) * before_end.ndim) - before_end * step_size
