@@ -25,6 +25,7 @@ from .initial_value import (
     Trajectory,
     form_defect,
     integrate,
+    load_trajectory,
 )
 from .problem import OptimalControlProblem
 from .results import Result
@@ -79,6 +80,7 @@ __all__ = [
     "form_defect",
     "integrate",
     "load_solution",
+    "load_trajectory",
     "singular_integrator",
     "solve",
 ]

@@ -13,6 +13,7 @@ from ...retractions import DiscretizationMap, Retraction, default_retraction
 from ..compilation import call_compiled
 from ..initial_value.integrator import resting_control
 from ..problem import OptimalControlProblem
+from ..records import shapes
 
 ASIDE = 0.05  # of the chord
 
@@ -26,6 +27,9 @@ class Guess(NamedTuple):
     states: Ambient
     controls: Any
     costates: Any = None
+
+    def __repr__(self) -> str:
+        return f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
 
 
 def default_guess(

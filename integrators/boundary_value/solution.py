@@ -1,14 +1,15 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
 from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self, get_type_hints
 
 import numpy as np
 
-from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds import ConvergenceError
 from ...manifolds.manifold import default_tolerance
+from ..records import Along, RecordFile, not_finite, shapes
 from .diagnostics import Diagnostics
 from .guess import Guess
 
@@ -106,17 +107,17 @@ class Solution:
     computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
     """
 
-    times: np.ndarray
-    states: Any
-    costates: Any
-    stage_times: np.ndarray
-    stage_states: Any
-    stage_costates: Any
-    controls: Any
-    hamiltonians: np.ndarray
-    momenta: dict[str, np.ndarray]
-    body_costates: dict[str, np.ndarray]
-    spatial_costates: dict[str, np.ndarray]
+    times: Annotated[np.ndarray, Along("nodes", ndim=1)]
+    states: Annotated[Any, Along("nodes")]
+    costates: Annotated[Any, Along("nodes", like="states")]
+    stage_times: Annotated[np.ndarray, Along("stages", ndim=1)]
+    stage_states: Annotated[Any, Along("stages", like="states")]
+    stage_costates: Annotated[Any, Along("stages", like="states")]
+    controls: Annotated[Any, Along("stages")]
+    hamiltonians: Annotated[np.ndarray, Along("stages", ndim=1)]
+    momenta: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)]
+    body_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
+    spatial_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
     cost: float
     success: bool
     result: str
@@ -141,6 +142,15 @@ class Solution:
         """Print what a user checks."""
         print(self)
 
+    def __repr__(self) -> str:
+        """The essential numbers, and the shapes of the rest."""
+        span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}" if len(self.times) else "times=[]"
+        arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("states", "costates", "controls", "momenta")]
+        kind = "" if self.singular is None else f"singular, on P_f of dimension {self.singular.dimension}; "
+        checks = f"gap={self.checks.gap:.1e}, stationarity={self.checks.stationarity:.1e}"
+        parts = [f"success={self.success}, cost={self.cost:.12g}, steps={self.steps}, {span}", *arrays, f"{kind}{checks}"]
+        return "\n  ".join(["Solution(", *parts, f"result={self.result!r})"])
+
     def __str__(self) -> str:
         from .report import report_text
 
@@ -153,14 +163,12 @@ class Solution:
         return self
 
     def save(self, path: str | Path) -> None:
-        """Write the solution to an ``.npz`` file that ``load_solution`` reads; nested parts are named by their path."""
-        flat: dict[str, np.ndarray] = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if value is not None:
-                _flatten(field.name, vars(value) if field.name in _RECORDS else value, flat)
-        with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
-            np.savez(file, allow_pickle=False, **flat)
+        """Write the solution to an ``.npz`` file that ``load_solution`` reads.
+
+        Raises ``InvalidInputError`` if it is not one that can be read again, such as one put together by hand.
+        """
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 
 
 def _arrays(value: Any) -> Iterator[np.ndarray]:
@@ -172,51 +180,16 @@ def _arrays(value: Any) -> Iterator[np.ndarray]:
             yield from _arrays(part)
 
 
-_RECORDS = {"checks": Checks, "statistics": Statistics, "singular": SingularArc}
-_MARKS = {tuple: "tuple", dict: "dict"}
-
-
-def _flatten(name: str, value: Any, flat: dict[str, np.ndarray]) -> None:
-    """Entries ``name/0/...`` for tuples and ``name/key/...`` for dictionaries, each with its kind under ``name/kind``."""
-    if isinstance(value, tuple | dict):
-        flat[f"{name}/kind"] = np.asarray(_MARKS[type(value)])
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        keys = []
-        for key, part in items:
-            keys.append(str(key))
-            _flatten(f"{name}/{key}", part, flat)
-        flat[f"{name}/keys"] = np.asarray(keys, dtype=str)
-    else:
-        flat[name] = np.asarray(value)
-
-
-def _unflatten(name: str, flat: Any) -> Any:
-    if f"{name}/kind" not in flat:
-        value = flat[name]
-        return value.item() if value.ndim == 0 else value
-    parts = {str(key): _unflatten(f"{name}/{key}", flat) for key in flat[f"{name}/keys"]}
-    return parts if flat[f"{name}/kind"] == "dict" else tuple(parts.values())
+_FILE = RecordFile(
+    "Solution",
+    get_type_hints(Solution, include_extras=True),
+    lambda values: not_finite(values) if values["success"] else "",
+)
 
 
 def load_solution(path: str | Path) -> Solution:
-    """Read a solution that ``Solution.save`` wrote. Raises ``InvalidInputError`` if the file is something else."""
-    with _archive(path) as flat:
-        absent = [f for f in fields(Solution) if f.name not in flat and f"{f.name}/kind" not in flat]
-        missing = [f.name for f in absent if f.default is MISSING]
-        if missing:
-            raise InvalidInputError(
-                f"{path} is not a saved solution: it lacks {', '.join(missing)}; expected a file from Solution.save"
-            )
-        values = {f.name: _unflatten(f.name, flat) for f in fields(Solution) if f not in absent}
-    records = {name: record(**values[name]) for name, record in _RECORDS.items() if name in values}
-    return Solution(**{**values, **records})
+    """Read a solution that ``Solution.save`` wrote; nothing in the file is executed.
 
-
-def _archive(path: str | Path) -> Any:
-    try:
-        archive = np.load(Path(path), allow_pickle=False)
-    except ValueError as error:
-        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise InvalidInputError(f"{path} is not a saved solution but a single array; expected a file from Solution.save")
-    return archive
+    Raises ``InvalidInputError`` if the file is something else, damaged, incomplete, or of another version.
+    """
+    return Solution(**_FILE.read(path))

@@ -5,7 +5,7 @@ from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .preservation import form_defect
 from .step import StepResult, lifted_step
-from .trajectory import Trajectory, integrate
+from .trajectory import Trajectory, integrate, load_trajectory
 
 __all__ = [
     "KAHAN_LI_6",
@@ -24,4 +24,5 @@ __all__ = [
     "form_defect",
     "integrate",
     "lifted_step",
+    "load_trajectory",
 ]

@@ -1,6 +1,7 @@
 """Integration over many steps."""
 
-from typing import Any, final
+from pathlib import Path
+from typing import Annotated, Any, final, get_type_hints
 
 import equinox as eqx
 import jax
@@ -11,7 +12,8 @@ from jaxtyping import Array, Float, Int
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
 from ..compilation import compiled
-from ..functions import by_data, is_transformed
+from ..functions import by_data, is_transformed, require_concrete
+from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
 from .pieces import Carry, Nodes, advance, begin, node, run
@@ -27,13 +29,62 @@ class Trajectory(eqx.Module):
     Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
     """
 
-    times: Float[Array, " nodes"]
-    q: Ambient
-    p: Ambient
-    controls: Any
-    stage_times: Float[Array, "steps ..."]
+    times: Annotated[Float[Array, " nodes"], Along("nodes", ndim=1)]
+    q: Annotated[Ambient, Along("nodes")]
+    p: Annotated[Ambient, Along("nodes", like="q")]
+    controls: Annotated[Any, Along("stages", optional=True)]
+    stage_times: Annotated[Float[Array, "steps ..."], Along("stages")]
     result: Result
     failed_step: Int[Array, ""]
+
+    def __repr__(self) -> str:
+        """The essential numbers, and the shapes of the rest."""
+        if is_traced(self) or np.ndim(self.times) != 1:
+            parts = [f"{name}={shapes(getattr(self, name))}" for name in ("times", "q", "p", "controls", "failed_step")]
+            return "\n  ".join(["Trajectory(", *parts]) + ")"
+        span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}, nodes={len(self.times)}, failed_step={self.failed_step}"
+        arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("q", "p", "controls")]
+        return "\n  ".join(["Trajectory(", span, *arrays, f"result={Result[self.result]!r})"])
+
+    def save(self, path: str | Path) -> None:
+        """Write the trajectory to an ``.npz`` file that ``load_trajectory`` reads.
+
+        Raises ``InvalidInputError`` for a batch of trajectories, under ``jit`` and ``vmap``, and if it could not be read again.
+        """
+        require_concrete("Trajectory.save", self)
+        if np.ndim(self.times) != 1:
+            raise InvalidInputError(f"a batch of trajectories cannot be saved, got times of shape {self.times.shape}; save each")
+        values: dict[str, Any] = {name: jax.device_get(getattr(self, name)) for name in _FILE.schema if name != "result"}
+        ends = [name for name in _ENDS if self.result == getattr(Result, name)]
+        _FILE.write(path, {**values, "result": ends[0], "failed_step": int(self.failed_step)})
+
+
+_ENDS = ("successful", "step_not_solved", "interrupted")
+
+
+def _disagreement(values: dict[str, Any]) -> str:
+    """What is wrong with the result of a trajectory, or with its numbers, all of which are finite."""
+    result, failed = values["result"], values["failed_step"]
+    if result not in _ENDS:
+        return f"the result is {result!r:.60}, expected one of {', '.join(_ENDS)}"
+    if failed < -1 or (failed >= 0) != (result == "step_not_solved"):
+        return f"the failed step is {failed} with the result {result}"
+    return not_finite(values)
+
+
+_FILE = RecordFile(
+    "Trajectory", {**get_type_hints(Trajectory, include_extras=True), "result": str, "failed_step": int}, _disagreement
+)
+
+
+def load_trajectory(path: str | Path) -> Trajectory:
+    """Read a trajectory that ``Trajectory.save`` wrote; nothing in the file is executed.
+
+    Raises ``InvalidInputError`` if the file is something else, damaged, incomplete, or of another version.
+    """
+    values = _FILE.read(path)
+    result, failed = getattr(Result, values.pop("result")), jnp.asarray(values.pop("failed_step"), int)
+    return Trajectory(**jax.device_put(values), result=result, failed_step=failed)
 
 
 def integrate(

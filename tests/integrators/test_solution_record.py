@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Result, Solution, load_solution, solve
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Product, hat
+from retrax.manifolds import ConvergenceError, Euclidean, Product, hat
 from retrax.retractions import Exponential, Midpoint
 
 from .problems import IDENTITY, REST, SO3, rotation
@@ -103,32 +103,6 @@ def test_a_solution_is_loaded_from_the_name_it_was_saved_under(solution, tmp_pat
     name = kind(tmp_path / "without_an_ending")
     solution.save(name)
     assert load_solution(name).cost == solution.cost
-
-
-def write_text(path) -> None:
-    path.write_text("x, y\n1, 2\n")
-
-
-def write_array(path) -> None:
-    with path.open("wb") as file:
-        np.save(file, np.zeros(3))
-
-
-def write_other_archive(path) -> None:
-    np.savez(path, cost=np.zeros(()), controls=np.zeros(3))
-
-
-@pytest.mark.parametrize("write", [write_text, write_array, write_other_archive])
-def test_loading_something_else_says_what_was_expected(tmp_path, write):
-    path = tmp_path / "other.npz"
-    write(path)
-    with pytest.raises(InvalidInputError, match=r"(?s)other.npz.*Solution.save"):
-        load_solution(path)
-
-
-def test_a_file_that_does_not_exist_is_the_usual_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        load_solution(tmp_path / "nothing.npz")
 
 
 def test_a_solution_is_a_guess_that_is_right_at_once(solution):

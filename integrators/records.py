@@ -1,0 +1,243 @@
+"""Records: how they print, and their files, checked as a whole against the annotations of the fields before they are used."""
+
+import io
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass, is_dataclass
+from pathlib import Path
+from types import UnionType
+from typing import Annotated, Any, NamedTuple, get_args, get_origin, get_type_hints
+
+import equinox as eqx
+import numpy as np
+
+from ..manifolds import InvalidInputError
+
+VERSION = 1
+LONGEST_TEXT = 100  # characters
+REAL = tuple(map(np.dtype, (np.float32, np.float64)))
+NUMBERS = (*REAL, *map(np.dtype, (np.complex64, np.complex128)))
+
+
+class Along(NamedTuple):
+    """Annotation of an array of numbers, or of nested tuples or a dictionary of them: its leading ``axis``.
+
+    ``ndim``: the number of axes, if that is fixed; then the numbers are real. ``like``: an entry before it with the same
+    structure and with arrays that have the same shapes and types of numbers along theirs. ``optional``: None fits too.
+    """
+
+    axis: str
+    ndim: int | None = None
+    like: str | None = None
+    optional: bool = False
+
+
+class _Context(NamedTuple):
+    """All values, and the lengths of the axes, each as it was met first."""
+
+    values: dict[str, Any]
+    sizes: dict[str, int]
+
+
+@dataclass(frozen=True)
+class RecordFile:
+    """The ``.npz`` file of a class: its name, and its fields with their annotations; no pickled objects.
+
+    ``disagreement`` says in words what is wrong with values that fit their annotations one by one; else it is empty.
+    """
+
+    name: str
+    schema: dict[str, Any]
+    disagreement: Callable[[dict[str, Any]], str]
+
+    def write(self, path: str | Path, values: dict[str, Any]) -> None:
+        """Write the values of all fields; raises ``InvalidInputError`` if they are no record that could be read again."""
+        try:
+            self._require(values)
+        except InvalidInputError as error:
+            raise InvalidInputError(f"this {self.name.lower()} cannot be saved: {error}") from error
+        flat = {"schema": np.asarray(self._mark), **_flattened(values)}
+        with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
+            np.savez(file, allow_pickle=False, **flat)
+
+    def read(self, path: str | Path) -> dict[str, Any]:
+        """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something else."""
+        try:
+            return self._require(self._values(_entries(Path(path))))
+        except (InvalidInputError, RecursionError) as error:  # the second for tuples in tuples, a thousand deep
+            expected = f"expected a file from {self.name}.save"
+            raise InvalidInputError(f"{path} is not a saved {self.name.lower()}: {error}; {expected}") from error
+
+    def _values(self, flat: dict[str, np.ndarray]) -> dict[str, Any]:
+        """The fields from all of the entries."""
+        mark = flat.pop("schema", None)
+        if mark is None or mark.shape or str(mark) != self._mark:
+            came = "no entry schema" if mark is None else f"the schema {mark!s:.60}"
+            raise InvalidInputError(f"it has {came}, where this version of retrax reads {self._mark!r}")
+        values = {name: _unflatten(name, flat) for name in self.schema}
+        if flat:
+            raise InvalidInputError(f"it has the entry {min(flat)!r}, which nothing reads")
+        return values
+
+    @property
+    def _mark(self) -> str:
+        return f"retrax.{self.name} {VERSION}"
+
+    def _require(self, values: dict[str, Any]) -> dict[str, Any]:
+        """The values, with dataclasses made of their fields; raises if they do not fit the schema or each other."""
+        sizes: dict[str, int] = {}
+        made = {name: _fitted(name, values[name], hint, _Context(values, sizes)) for name, hint in self.schema.items()}
+        if sizes["nodes"] != sizes["stages"] + 1:
+            raise InvalidInputError(f"it has {sizes['nodes']} nodes and {sizes['stages']} stages, expected one node more")
+        for name in ("times", "stage_times"):
+            if not _ordered(values[name]):
+                raise InvalidInputError(f"{name} are not finite real numbers in ascending or descending order")
+        wrong = self.disagreement(values)
+        if wrong:
+            raise InvalidInputError(wrong)
+        return made
+
+
+def _ordered(times: Any) -> bool:
+    """Whether these are finite real numbers in ascending or descending order, each column for itself."""
+    if not (isinstance(times, np.ndarray) and times.dtype in REAL and np.all(np.isfinite(times))):
+        return False
+    change = np.diff(times, axis=0)
+    return bool(np.all(change >= 0) or np.all(change <= 0))
+
+
+def shapes(value: Any) -> str:
+    """Nested tuples and dictionaries with arrays by type and shape, on one line, as ``(f64[5,3,3], f64[5,3])``."""
+    text = " ".join(eqx.tree_pformat(value).replace("(numpy)", "").split())
+    return text if len(text) <= LONGEST_TEXT else f"{text[:LONGEST_TEXT]}..."
+
+
+def not_finite(values: dict[str, Any]) -> str:
+    """The entry that has numbers that are not finite, in words; empty if there is none."""
+    flat = _flattened(values)
+    bad = [name for name, a in flat.items() if a.dtype.kind in "fc" and not np.all(np.isfinite(a))]
+    return f"{bad[0]} has entries that are NaN or infinite" if bad else ""
+
+
+def _entries(path: Path) -> dict[str, np.ndarray]:
+    """The arrays in a file by their names."""
+    if path.is_dir():
+        raise InvalidInputError("it is a folder")
+    content = path.read_bytes()
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            names = archive.namelist()
+            entries = {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
+    except Exception as error:  # zipfile, zlib and NumPy raise about everything for bytes that they did not write
+        raise InvalidInputError(f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error})") from error
+    if len(entries) != len(names):
+        raise InvalidInputError("it has several entries of one name")
+    return entries
+
+
+def _array(content: bytes) -> np.ndarray:
+    """The array in an ``.npy`` file; never an object."""
+    stream = io.BytesIO(content)
+    array = np.lib.format.read_array(stream, allow_pickle=False)
+    if stream.read(1):
+        raise ValueError("an entry is longer than its array")
+    return array
+
+
+def _flattened(values: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Entries ``name/0``, ... for the parts of a tuple or dictionary, with their number or keys; those of None say so."""
+    flat: dict[str, np.ndarray] = {}
+    for name, value in values.items():
+        parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
+        if isinstance(value, dict):
+            flat[f"{name}/keys"] = np.asarray(list(value), dtype=str)
+        elif isinstance(value, tuple):
+            flat[f"{name}/length"] = np.asarray(len(value))
+        elif value is None:
+            flat[f"{name}/none"] = np.asarray(True)
+        else:
+            flat[name] = np.asarray(value)
+        flat.update(_flattened({f"{name}/{index}": part for index, part in enumerate(parts)}))
+    return flat
+
+
+def _unflatten(name: str, flat: dict[str, np.ndarray]) -> Any:
+    """What ``_flattened`` took apart, removed from ``flat``; raises if something is missing."""
+    if f"{name}/none" in flat:
+        if flat.pop(f"{name}/none").tolist() is not True:
+            raise InvalidInputError(f"{name}/none is not True")
+        return None
+    if f"{name}/keys" in flat:
+        keys = flat.pop(f"{name}/keys")
+        if keys.dtype.kind != "U" or keys.ndim != 1 or len(set(keys.tolist())) != len(keys):
+            raise InvalidInputError(f"{name}/keys are not different words")
+        return {key: _unflatten(f"{name}/{index}", flat) for index, key in enumerate(keys.tolist())}
+    if f"{name}/length" in flat:
+        length = flat.pop(f"{name}/length")
+        if length.dtype.kind != "i" or length.ndim or length < 0:
+            raise InvalidInputError(f"{name}/length is not a number of parts")
+        return tuple(_unflatten(f"{name}/{index}", flat) for index in range(int(length)))
+    if name not in flat:
+        raise InvalidInputError(f"it lacks the entry {name}")
+    value = flat.pop(name)
+    return value.item() if not value.ndim and (value.dtype in REAL or value.dtype.kind in "biU") else value
+
+
+def _fitted(name: str, value: Any, hint: Any, context: _Context) -> Any:
+    """The value as its annotation wants it; raises if it does not fit."""
+    kind, arguments = get_origin(hint), get_args(hint)
+    if kind is UnionType:
+        return None if value is None else _fitted(name, value, arguments[0], context)
+    if is_dataclass(hint):
+        hints = get_type_hints(hint, include_extras=True)
+        if not (isinstance(value, dict) and set(value) == set(hints)):
+            raise InvalidInputError(f"{name} is {_words(value)}, expected the fields {', '.join(hints)}")
+        return hint(**{key: _fitted(f"{name}: {key}", part, hints[key], context) for key, part in value.items()})
+    if kind is dict or (kind is Annotated and get_origin(arguments[0]) is dict):
+        if not isinstance(value, dict):
+            raise InvalidInputError(f"{name} is {_words(value)}, expected values by their names")
+        each = arguments[1] if kind is dict else Annotated[Any, arguments[1]]
+        return {key: _fitted(f"{name}: {key}", part, each, context) for key, part in value.items()}
+    if kind is Annotated:
+        _require_along(name, value, arguments[1], context)
+    elif type(value.item() if isinstance(value, np.generic) else value) is not hint:
+        raise InvalidInputError(f"{name} is {_words(value)}, expected a value of type {hint.__name__}")
+    return value
+
+
+def _require_along(name: str, tree: Any, along: Along, context: _Context) -> None:
+    """Raise unless these are arrays of numbers, as long as others along the axis, and shaped like those they go with."""
+    if tree is None and along.optional:
+        return
+    like = context.values[along.like] if along.like else None
+    if like is not None and _rows(tree) != _rows(like):
+        raise InvalidInputError(f"{name} has other parts, shapes or types of numbers than {along.like}")
+    for leaf in _leaves(tree):
+        if not (isinstance(leaf, np.ndarray) and leaf.ndim and leaf.dtype in (REAL if along.ndim else NUMBERS)):
+            raise InvalidInputError(f"{name} is {_words(leaf)}, expected an array of numbers")
+        if along.ndim and leaf.ndim != along.ndim:
+            raise InvalidInputError(f"{name} has {leaf.ndim} axes, expected {along.ndim}")
+        if len(leaf) != context.sizes.setdefault(along.axis, len(leaf)):
+            expected = f"expected {context.sizes[along.axis]}, one for each of the {along.axis}"
+            raise InvalidInputError(f"{name} has the length {len(leaf)}, {expected}")
+
+
+def _leaves(tree: Any) -> list[Any]:
+    """What nested tuples are made of."""
+    return [leaf for part in tree for leaf in _leaves(part)] if isinstance(tree, tuple) else [tree]
+
+
+def _rows(tree: Any) -> Any:
+    """Structure, shapes along the leading axis and types of the arrays in nested tuples."""
+    if isinstance(tree, tuple):
+        return tuple(map(_rows, tree))
+    return (tree.shape[1:], tree.dtype.str) if isinstance(tree, np.ndarray) else type(tree)
+
+
+def _words(value: Any) -> str:
+    """What came, in a few words."""
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype} with shape {value.shape}"
+    if isinstance(value, dict | tuple):
+        return f"a {type(value).__name__} of {len(value)}"
+    return f"{value!r:.60}"
