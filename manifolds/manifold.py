@@ -9,10 +9,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, PyTree
+from jaxtyping import Array, Bool
 
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
+from .numerics.attribute import attribute
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
@@ -36,15 +37,15 @@ class Manifold(eqx.Module):
     Methods act on one point; batches are ``jax.vmap``.
     """
 
-    @property
+    @attribute
     @abstractmethod
     def dimension(self) -> int:
         """Dimension ``n`` of the manifold."""
 
-    @property
+    @attribute
     @abstractmethod
-    def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
-        """Shapes and dtypes of the arrays that make up a point."""
+    def ambient(self) -> Any:
+        """Shapes and dtypes of the arrays that make up a point: a pytree of ``jax.ShapeDtypeStruct``."""
 
     @abstractmethod
     def projection(self, x: Ambient, a: Ambient) -> Ambient:

@@ -9,6 +9,7 @@ from jaxtyping import Array
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient
+from .numerics.attribute import attribute
 
 
 class Metric(eqx.Module):
@@ -17,7 +18,10 @@ class Metric(eqx.Module):
     It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.
     """
 
-    manifold: eqx.AbstractVar[Manifold]
+    @attribute
+    @abstractmethod
+    def manifold(self) -> Manifold:
+        """The manifold on which this is a metric."""
 
     @abstractmethod
     def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:

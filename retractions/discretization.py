@@ -12,6 +12,7 @@ from ..manifolds import DomainError, InvalidInputError, Manifold
 from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root
 from .constructions import PowerRetraction, ProductRetraction
 from .retraction import MidpointRetraction, Retraction, nan_unless
@@ -24,12 +25,14 @@ class DiscretizationMap(eqx.Module):
 
     It turns a tangent vector, base point and velocity times step, into the two ends of a step
     [Barbero-Linan, Martin de Diego, "Retraction maps: a seed of geometric integrators", 2022].
-    ``theta`` says where in the step the base point sits: 0 at its start, 1 at its end.
     """
 
-    theta: eqx.AbstractVar[float]
+    @attribute
+    @abstractmethod
+    def theta(self) -> float:
+        """Where in the step the base point sits: 0 at its start, 1 at its end."""
 
-    @property
+    @attribute
     @abstractmethod
     def retraction(self) -> Retraction:
         """A retraction of the same manifold, by which solvers move base points."""

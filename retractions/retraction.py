@@ -15,6 +15,7 @@ from ..manifolds import DomainError, InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root, known_root
 
 EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
@@ -27,7 +28,10 @@ class Retraction(eqx.Module):
     round trip); a class that knows closed forms writes them in their place.
     """
 
-    manifold: eqx.AbstractVar[Manifold]
+    @attribute
+    @abstractmethod
+    def manifold(self) -> Manifold:
+        """The manifold on which this is a retraction."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
@@ -37,8 +41,8 @@ class Retraction(eqx.Module):
 
     def __check_init__(self) -> None:
         """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their annotations."""
-        annotated = [item for kind in type(self).__mro__ for item in inspect.get_annotations(kind).items()]
-        for name, wanted in dict(reversed(annotated)).items():
+        annotated = [item for kind in reversed(type(self).__mro__) for item in inspect.get_annotations(kind).items()]
+        for name, wanted in dict(annotated).items():
             made_of = isinstance(wanted, type) and issubclass(wanted, Manifold | Retraction | Metric)
             if made_of and not isinstance(getattr(self, name), wanted):
                 raise InvalidInputError(f"{type(self).__name__} takes a {wanted.__name__}, got {getattr(self, name)!r}")

@@ -12,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool
 from ...manifolds import Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import working_precision
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
 from ..compilation import compiled
@@ -24,12 +25,12 @@ from .step import StepResult, lifted_step, restored
 class Integrator(eqx.Module):
     """A one-step method on ``T*Q``."""
 
-    @property
+    @attribute
     @abstractmethod
     def manifold(self) -> Manifold:
         """The configuration manifold Q."""
 
-    @property
+    @attribute
     @abstractmethod
     def control_times(self) -> np.ndarray:
         """Where in a step its controls belong, in fractions of the step: an array shaped like the leading axes of ``control``."""
@@ -58,7 +59,10 @@ class Integrator(eqx.Module):
 class LiftedIntegrator(Integrator):
     """A method built on the cotangent lift of a discretization map."""
 
-    lift: eqx.AbstractVar[CotangentLift]
+    @attribute
+    @abstractmethod
+    def lift(self) -> CotangentLift:
+        """The cotangent lift."""
 
     @property
     def manifold(self) -> Manifold:

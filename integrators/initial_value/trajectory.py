@@ -107,8 +107,8 @@ def integrate(
     Elsewhere the steps are compiled once, whatever their number and ``save_every``, and run in pieces of a fraction of a second.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
-    ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its attribute ``trajectory`` has
-    what was reached until then.
+    ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its one argument is the
+    trajectory until then.
     """
     if not isinstance(integrator, Integrator):
         raise InvalidInputError(
@@ -192,8 +192,7 @@ def _in_pieces(
     trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, jnp.asarray(failed, int))
     if interrupt:
         # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C does.
-        vars(interrupt)["trajectory"] = trajectory
-        interrupt.add_note(f"integrate has reached t = {times[0][-1]:.6g}: {count} nodes are in the attribute trajectory")
+        interrupt.args = (trajectory,)
         raise interrupt
     return trajectory
 

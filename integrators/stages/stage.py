@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.newton import tolerance
 from ...retractions import DiscretizationMap
 
@@ -26,14 +27,17 @@ class Stage(eqx.Module):
     ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
     """
 
-    discretization: eqx.AbstractVar[DiscretizationMap]
+    @attribute
+    @abstractmethod
+    def discretization(self) -> DiscretizationMap:
+        """The discretization map that makes a step of a tangent vector."""
 
     @property
     def manifold(self) -> Manifold:
         """The configuration manifold Q on which the ends of the step live."""
         return self.discretization.manifold
 
-    @property
+    @attribute
     @abstractmethod
     def dimension(self) -> int:
         """Number of coordinates of the unknowns."""

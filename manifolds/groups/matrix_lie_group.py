@@ -11,6 +11,7 @@ from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace, complex_entries, real
 from ..numerics import ambient as vec
+from ..numerics.attribute import attribute
 from ..numerics.errors import shapes_of
 from ..numerics.matrices import exponential
 from . import invariants
@@ -30,7 +31,7 @@ class MatrixLieGroup(HomogeneousSpace):
     class that knows closed forms writes them in their place.
     """
 
-    @property
+    @attribute
     @abstractmethod
     def algebra(self) -> np.ndarray:
         """Basis ``A_i`` of the Lie algebra, shape ``(d, n, n)``, real or complex: independent, closed under commutators."""

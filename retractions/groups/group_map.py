@@ -16,6 +16,7 @@ from jaxtyping import Array, Shaped
 from ...manifolds import InvalidInputError, MatrixLieGroup
 from ...manifolds.manifold import default_tolerance, same_point
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.attribute import attribute
 from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_preimage
 
 Matrix = Shaped[Array, "n n"]
@@ -32,7 +33,10 @@ class GroupRetraction(Retraction):
     off the group.
     """
 
-    manifold: eqx.AbstractVar[MatrixLieGroup]
+    @attribute
+    @abstractmethod
+    def manifold(self) -> MatrixLieGroup:
+        """The group."""
 
     @abstractmethod
     def group_map(self, a: Matrix) -> Matrix:

@@ -4,11 +4,11 @@ from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any, ClassVar, Self
 
-import equinox as eqx
 from jaxtyping import Array
 
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.attribute import attribute
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
 from ..integrability import Classification
@@ -23,11 +23,15 @@ class NotApplicableError(InvalidInputError):
 class SingularIntegrator(LiftedIntegrator):
     """A method for the extremals of a singular problem on its final constraint manifold ``P_f``.
 
-    ``reason`` says why this strategy was chosen; ``presymplectic`` whether it preserves the form ``omega_f`` of ``P_f``.
+    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``.
     """
 
-    reason: eqx.AbstractVar[str]
     presymplectic: ClassVar[bool]
+
+    @attribute
+    @abstractmethod
+    def reason(self) -> str:
+        """Why this strategy was chosen."""
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         return (
