@@ -147,6 +147,17 @@ def test_order(name):
 
 
 @pytest.mark.parametrize("name", ["nodes", "Suzuki"])
+def test_multipliers_are_of_order_two_at_their_times(name):
+    """``lambda = p_z' = z''``, of each step, and of each substep of a composition at its own time."""
+    errors = []
+    for count in COUNTS:
+        path = integrate(PARTICLE, METHODS[name][0], START, 2.0 / count, int(count))
+        force = ALONG * SPEED * (1 + (HEIGHT + SPEED * path.stage_times) ** 2) ** -1.5
+        errors.append(np.max(np.abs(path.controls[..., 0] - force)))
+    assert slope(1 / COUNTS, np.array(errors), 1e-13) == pytest.approx(2, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["nodes", "Suzuki"])
 def test_nodes_satisfy_the_constraints(name):
     assert np.max(runs(name)[2]) <= 2e-15
 
