@@ -206,4 +206,4 @@ def test_ctrl_c_ends_a_long_run():
     assert out.startswith("[0.]")
     assert "KeyboardInterrupt: Trajectory(" in error
     assert process.returncode == -signal.SIGINT
-    assert float(out.split()[-1]) - began < 1.0
+    assert float(out.split()[-1]) - began < 3.0  # seconds: a fraction of one where nothing else runs

@@ -146,7 +146,7 @@ def test_an_entry_that_is_missing_renamed_added_or_double_is_refused(record, tmp
 
 def test_a_file_that_is_cut_anywhere_is_refused(record, tmp_path):
     path, content = saved(record[0], tmp_path)
-    for end in [*range(0, len(content), 97), len(content) - 1]:
+    for end in [*range(0, len(content), 197), len(content) - 1]:
         path.write_bytes(content[:end])
         require_refused(record[1], path)
 
@@ -155,7 +155,7 @@ def test_a_byte_that_flips_anywhere_is_refused_or_means_nothing(record, tmp_path
     """What is stored has a checksum; in the archive's tables some bytes, such as the dates, mean nothing to the record."""
     path, content = saved(record[0], tmp_path)
     refused = 0
-    for position in range(0, len(content), 89):
+    for position in range(0, len(content), 179):
         flipped = bytearray(content)
         flipped[position] ^= 1 << position % 8
         path.write_bytes(flipped)
@@ -165,7 +165,7 @@ def test_a_byte_that_flips_anywhere_is_refused_or_means_nothing(record, tmp_path
             refused += 1
         else:
             assert same(loaded, record[0])
-    assert refused > 0.5 * len(content) / 89
+    assert refused > 0.5 * len(content) / 179
 
 
 class Dangerous:
@@ -255,7 +255,7 @@ def test_a_batch_of_trajectories_is_saved_one_by_one(tmp_path):
         jax.jit(lambda path: path.save(tmp_path / "traced.npz"))(TRAJECTORY)
 
 
-@pytest.mark.parametrize("count", [1, 10, 1000])
+@pytest.mark.parametrize("count", [1, 10, 300])
 def test_a_record_prints_on_one_screen(count):
     """Whatever the number of nodes, of factors, and of groups among them."""
     many = tuple(np.zeros((count, 3, 3)) for _ in range(count))
