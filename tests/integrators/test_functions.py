@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
-from retrax.integrators.functions import ByData, by_data, reads_traced
+from retrax.integrators.functions import ByData, by_data, is_transformed, reads_traced
 from retrax.manifolds import Euclidean
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
@@ -114,3 +114,21 @@ def test_a_changed_parameter_changes_the_trajectory_and_is_differentiated():
     slope = (ends[1] - ends[0]) / 1e-3
     for derivative in (jax.grad(end), jax.jit(jax.grad(end))):
         assert slope == pytest.approx(float(derivative(1.0)), rel=1e-2)
+
+
+class Weighted:
+    """A callable object of a user's class, which is no pytree."""
+
+    def __init__(self, weight):
+        self.weight = weight
+
+    def __call__(self, q, p):
+        return self.weight * (p @ p) / 2
+
+
+def test_an_object_that_reads_a_traced_value_is_seen():
+    """``integrate`` then runs as one loop that can be differentiated."""
+    seen = []
+    jax.grad(lambda weight: seen.append(is_transformed(Weighted(weight))) or weight)(1.0)
+    assert seen == [True]
+    assert not is_transformed(Weighted(1.0))
