@@ -12,7 +12,7 @@ from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
 from .numerics import coarse_differences, compiled, differences, require_double_precision
-from .report import Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
+from .report import THE_VALUE, Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
 from .sites import Site, given_sites, special_sites
 
 SEEDS = tuple(range(6))
@@ -104,7 +104,7 @@ class Facts(ABC):
         got: Any,
         expected: Any,
         limit: float | np.ndarray,
-        names: tuple[str, str] = ("the value", "the one expected"),
+        names: tuple[str, str] = (THE_VALUE, "the one expected"),
         hint: Hint | None = None,
     ) -> Comparison:
         """Largest difference, relative to ``1 +`` the largest entry expected, at each sample.

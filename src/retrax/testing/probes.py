@@ -20,6 +20,8 @@ def least_seen(violations: Callable[[np.ndarray], np.ndarray], x: np.ndarray, ba
     The violations are to first order a convex, homogeneous function of the displacement. It is 0 along one that all its slopes
     found so far are normal to, or its slope there is a new one: as many slopes as there are normals are enough.
     """
+    if not np.all(np.isfinite(basis)):
+        return np.nan, basis[0]
     normals = np.linalg.svd(basis, full_matrices=True)[2][basis.shape[0] :]
     count, size = len(normals), 1 + np.max(np.abs(x))
     bends = np.concatenate([np.zeros((1, count)), np.eye(count)])
@@ -46,7 +48,7 @@ def least_spread(sampler: Sampler, dimension: int) -> float:
     The median over some points; about 1 where points are spread evenly, 0 where they lie on a smaller manifold, as large as its
     curvature makes it over their distances. Lengths are measured in units of the points' own spread.
     """
-    cloud = np.stack([sampler.random(seed) for seed in range(1000, 1000 + 20 * (dimension + 2))])
+    cloud = np.stack([sampler.random(seed) for seed in range(1000, 1000 + 40 * (dimension + 2))])
     _, s, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
     kept = s > 1e-9 * max(s[0], 1e-300)
     if kept.sum() < dimension:
@@ -57,8 +59,9 @@ def least_spread(sampler: Sampler, dimension: int) -> float:
         steps = (cloud - x) @ scaled.T
         distances = np.linalg.norm(steps, axis=1)
         near = np.argsort(distances)[1 : 3 + 2 * dimension]
-        tangent = np.linalg.qr((sampler.at(x, seed)[1] @ scaled.T).T)[0]
-        along = steps[near] @ tangent
+        _, sizes, tangent = np.linalg.svd(np.nan_to_num(sampler.at(x, seed)[1] @ scaled.T), full_matrices=False)
+        along = steps[near] @ tangent.T
         along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-        found.append(dimension * np.linalg.eigvalsh(along.T @ along / len(along))[0])
+        reached = sizes[-1] > 1e-9 * sizes[0]  # else no point lies off the plane that a tangent vector leads out of
+        found.append(reached * dimension * np.linalg.eigvalsh(along.T @ along / len(along))[0])
     return float(np.median(found))

@@ -13,6 +13,7 @@ from ..manifolds import RetraxError
 from ..manifolds.numerics.errors import TRACEABLE
 
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
+THE_VALUE = "the value"
 # Folders of files that errors pass through on their way from what is checked.
 _INNER = ("/jax/", "/jax/_src/", "/equinox/", "/retrax/testing/", "/numerics/shapes.py")
 
@@ -140,7 +141,7 @@ def number(value: float) -> str:
 
 def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str) -> str:
     """Words where what came is a multiple of what was expected by another factor than 1; empty where it is none."""
-    square = np.sum(expected * expected)
+    square = np.sum(expected * expected) if expected.size > 1 or name != THE_VALUE else 0.0  # any two numbers are multiples
     factor = np.sum(got * expected) / square if square > 0 else np.nan
     if np.max(np.abs(got - factor * expected), initial=0.0) <= 1e-6 * np.sqrt(square) and abs(factor - 1) > 5e-4:
         return f"{name} is {factor:.3f} times {other}"

@@ -61,7 +61,12 @@ def special_points(manifold: Manifold) -> Iterator[Ambient]:
         for x in special_points(manifold.factor):
             yield jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (manifold.k, *leaf.shape)), x)
     else:
-        yield from (x for x in _candidates(manifold) if manifold.contains(x, ROUNDING))
+        yield from (x for x in _candidates(manifold) if manifold.contains(x, ROUNDING) and not _is_negative(manifold, x))
+
+
+def _is_negative(manifold: Manifold, x: Ambient) -> bool:
+    """Whether a violation is a negative number, as of an equation without its absolute value: ``contains`` lets it pass."""
+    return any(value < -ROUNDING for value in manifold.violations(x).values())
 
 
 def _candidates(manifold: Manifold) -> Iterator[Any]:

@@ -217,7 +217,7 @@ def equations_see_normal_displacements(facts: ManifoldFacts) -> Comparison | Ina
             "try violations that have every equation, with its absolute value and not its square"
         )
 
-    what = "the violation at x + t n over t, for the smaller of two t, relative to that for the larger one,"
+    what = "the violation at x + t n over t, for a short t relative to a longer one,"
     return facts.bound(what, f, f["seen"], SEEN, "at least", hint)
 
 
