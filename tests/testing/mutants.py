@@ -261,8 +261,8 @@ def pushed(x, v, xi):
 
 
 def saturated(x, v):
-    """Great circles that end at length 1."""
-    return EXPONENTIAL(x, v / jnp.sqrt(jnp.maximum(1.0, v @ v)))
+    """Great circles that end at length 3/2."""
+    return EXPONENTIAL(x, v / jnp.sqrt(jnp.maximum(1.0, v @ v / 2.25)))
 
 
 def through_the_centre(x, y):
@@ -331,7 +331,7 @@ MUTANTS: dict[str, Mutant] = {
     "a second derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(flat_at_zero)),
     "derivatives that are rounding at `|v| = 1e-6`": Mutant(check_retraction, MutantRetraction(cancelling)),
     "a derivative that is NaN at the identity only": Mutant(check_retraction, ThroughEigenvalues()),
-    "an inverse of a map that is constant along `v` for `|v| > 1`": Mutant(
+    "an inverse of a map that is constant along `v` for `|v| > 3/2`": Mutant(
         check_retraction, MutantInverse(saturated, EXPONENTIAL.preimage, jnp.pi)
     ),
     "an inverse of points outside the image": Mutant(check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)),

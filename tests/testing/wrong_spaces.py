@@ -6,10 +6,23 @@ from typing import Any, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from retrax.manifolds import SE, SO, SU, HomogeneousSpace, Manifold, MatrixLieGroup, Metric, Sphere, Stiefel, TangentBundle
+from retrax.manifolds import (
+    SE,
+    SO,
+    SU,
+    HomogeneousSpace,
+    Manifold,
+    MatrixLieGroup,
+    Metric,
+    Sphere,
+    Stiefel,
+    Submanifold,
+    TangentBundle,
+)
 from retrax.manifolds.numerics import ambient as vec
 
 SPHERE, ROTATIONS, FRAMES = Sphere(2), SO(3), Stiefel(4, 2)
+TWO_EQUATIONS = Submanifold(Sphere(3), lambda x: x[:1] - x[1:2] * x[2] - 0.25)
 
 
 @final
@@ -126,8 +139,13 @@ def _largest(a):
     return jnp.max(jnp.abs(a))
 
 
-def _product_of_violations(x):
-    return {"product": jnp.prod(jnp.stack(list(TangentBundle(SPHERE).violations(x).values())))}
+def _together(combine):
+    """The two violations of the tangent bundle of the sphere as one number."""
+    return lambda x: {"both": combine(jnp.stack(list(TangentBundle(SPHERE).violations(x).values())))}
+
+
+def _one_of_two(x):
+    return {"norm": jnp.abs(jnp.sum(x * x) - 1)}
 
 
 # The equations of each are there, but for what its name says.
@@ -135,7 +153,9 @@ VIOLATIONS: dict[str, Manifold] = {
     "violations without `det = 1`": MutantManifold(SU(2), violations=lambda x: {"gram": _largest(_gram(x))}),
     "violations of the diagonal alone": MutantManifold(FRAMES, violations=lambda x: {"gram": _largest(jnp.diagonal(_gram(x)))}),
     "violations added up with their signs": MutantManifold(FRAMES, violations=lambda x: {"gram": jnp.abs(jnp.sum(_gram(x)))}),
-    "violations multiplied with each other": MutantManifold(TangentBundle(SPHERE), violations=_product_of_violations),
+    "violations of the first of two equations": MutantManifold(TWO_EQUATIONS, violations=_one_of_two),
+    "violations of which the smaller counts": MutantManifold(TangentBundle(SPHERE), violations=_together(jnp.min)),
+    "violations multiplied with each other": MutantManifold(TangentBundle(SPHERE), violations=_together(jnp.prod)),
     "violations without the absolute value": MutantManifold(SPHERE, violations=lambda x: {"|x|^2 - 1": x @ x - 1}),
     "violations that are squared": MutantManifold(SPHERE, violations=lambda x: {"squared": (x @ x - 1) ** 2}),
     "violations without the last row": MutantManifold(SE(2), violations=lambda x: {"gram": _largest(_gram(x[:2, :2]))}),

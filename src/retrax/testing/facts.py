@@ -109,13 +109,13 @@ class Facts(ABC):
     ) -> Comparison:
         """Largest difference, relative to ``1 +`` the largest entry expected, at each sample.
 
-        ``names`` are those of the two, for the words on one that is a multiple of the other; ``hint`` has words where it is none.
+        ``names`` are those of the two, for the words on one that is a multiple of the other; ``hint`` has more words.
         """
         got, expected = np.asarray(got), np.broadcast_to(expected, np.shape(got))
         size = 1 + largest_entries(expected)
 
         def words(k: int) -> str:
-            return multiple(got[k], expected[k], *names) or (hint(k) if hint else "")
+            return "; ".join(filter(None, (multiple(got[k], expected[k], *names), hint(k) if hint else "")))
 
         return self.bound(what, at, largest_entries(got - expected) / size, limit, hint=words)
 

@@ -15,7 +15,7 @@ from ..manifolds.numerics.errors import TRACEABLE
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
 THE_VALUE = "the value"
 # Folders of files that errors pass through on their way from what is checked.
-_INNER = ("/jax/", "/jax/_src/", "/equinox/", "/retrax/testing/", "/numerics/shapes.py")
+_INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
 
 Batch = dict[str, Any]  # arrays whose first axis counts the samples
 Hint = Callable[[int], str]  # words on one sample: what it looks like, what to try; empty if there is nothing to say
@@ -85,6 +85,7 @@ class Outcome:
     status: str
     words: str
     where: str = ""
+    same_as: str = ""  # the check that met the same error first
 
 
 @dataclass(frozen=True)
@@ -107,11 +108,16 @@ class Report:
         lines = [
             f"{' '.join(self.subject.split())}: " + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         ]
+        again = [outcome.check.name for outcome in outcomes if outcome.same_as]
         for outcome in outcomes:
+            if outcome.same_as:
+                continue
             lines.append(f"  {outcome.status:<14} {outcome.check.name}: {outcome.words}")
             if outcome.status == "fails":
                 lines += [f"{'':<16} the fact: {outcome.check.fact}"]
                 lines += [f"{'':<16} {outcome.where}"] if outcome.where else []
+        if again:
+            lines.append(f"  {'fails':<14} for the same error: {', '.join(again)}")
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -123,7 +129,8 @@ def judge(check: Check, facts: Any) -> Outcome:
     try:
         found = check.measure(facts)
     except Exception as error:
-        return Outcome(check, "fails", f"it could not be measured: {_in_words(error, check, facts)}")
+        words, first = _in_words(error, check, facts)
+        return Outcome(check, "fails", f"it could not be measured: {words}", same_as=first)
     if isinstance(found, Inapplicable):
         return Outcome(check, "not applicable", found.reason)
     k = found.worst
@@ -148,16 +155,16 @@ def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str) -> st
     return ""
 
 
-def _in_words(error: Exception, check: Check, facts: Any) -> str:
-    """An error with its first line and the place that it comes from; the same one once for each object."""
+def _in_words(error: Exception, check: Check, facts: Any) -> tuple[str, str]:
+    """An error with its first line and the place that it comes from, and the check that met the same one before, if any did."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not any(part in f.filename for part in _INNER)]
     where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     line = next(iter(str(error).strip().splitlines()), "no message")
     first = facts.errors.setdefault((type(error), where or line), check.name)
     if first != check.name:
-        return f"the {type(error).__name__}{where} of {first}"
+        return f"the {type(error).__name__}{where} of {first}", first
     advice = f"; {TRACEABLE}" if isinstance(error, jax.errors.JAXTypeError) else ""
-    return f"{type(error).__name__}{where}: {line}{advice}"
+    return f"{type(error).__name__}{where}: {line}{advice}", ""
 
 
 def _place(at: Batch, k: int) -> str:

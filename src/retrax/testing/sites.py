@@ -43,7 +43,7 @@ def given_sites(manifold: Manifold, points: Iterable[Ambient]) -> list[Site]:
 def special_sites(manifold: Manifold) -> list[Site]:
     """Sites of the first special points of a manifold."""
     points = islice(special_points(manifold), SPECIAL)
-    return [Site("a special point", i, np.asarray(flat(x)), special=True) for i, x in enumerate(points)]
+    return [Site("a special point that contains accepts", i, np.asarray(flat(x)), special=True) for i, x in enumerate(points)]
 
 
 def special_points(manifold: Manifold) -> Iterator[Ambient]:

@@ -34,12 +34,12 @@ def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
     condition = conditioning(push)
     limit = np.minimum(facts.tolerance * condition * np.maximum(1.0, largest_entries(f["value"])), WORST_INVERSE)
 
-    def singular(k: int) -> str:
-        if condition[k] < SINGULAR:
-            return ""
-        return f"D_v R is singular there, its condition is {number(condition[k])}; try a domain that ends before"
+    def hint(k: int) -> str:
+        singular = f", and D_v R is singular there, its condition is {number(condition[k])}" if condition[k] > SINGULAR else ""
+        length = np.linalg.norm(f["v"][k])
+        return f"the domain has this v, {number(length)} long{singular}; try one that ends before" if length > 0 else ""
 
-    return facts.compare("|R_x^-1(R(x, v)) - v|", f, f["back"], f["v"], limit, ("R_x^-1(R(x, v))", "v"), singular)
+    return facts.compare("|R_x^-1(R(x, v)) - v|", f, f["back"], f["v"], limit, ("R_x^-1(R(x, v))", "v"), hint)
 
 
 @fact

@@ -13,7 +13,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
 from ..numerics import NODES, ambient_size, compiled, flat, unflat
 from ..probes import least_seen, least_spread
-from ..report import Batch, Comparison, Inapplicable, Report, entries, fact
+from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, number
 from ..sites import Site
 
 # Distances at which errors of first and second order are told apart, and what a second derivative may be there.
@@ -160,7 +160,16 @@ def projection_is_symmetric(facts: ManifoldFacts) -> Comparison:
     """The projection is orthogonal: ``<P a, b> = <a, P b>``."""
     f = facts.measure(_projection, "points")
     transposed = np.swapaxes(f["projector"], 1, 2)
-    return facts.compare("|P - P'|", f, f["projector"], transposed, facts.tolerance)
+
+    def hint(k: int) -> str:
+        p = f["projector"][k]
+        if not np.allclose(p @ p, p, atol=1e-6):
+            return ""
+        return (
+            "P projects along vectors that are not normal, as one that is orthogonal for another metric does; try that of <a, b>"
+        )
+
+    return facts.compare("|P - P'|", f, f["projector"], transposed, facts.tolerance, hint=hint)
 
 
 @fact
@@ -168,7 +177,11 @@ def tangent_spaces_have_the_dimension(facts: ManifoldFacts) -> Comparison:
     """The trace of the projection, which is its rank, is the manifold's dimension."""
     f = facts.measure(_projection, "points")
     rank = np.trace(f["projector"], axis1=1, axis2=2)
-    return facts.bound("|trace P - dimension|", f, np.abs(rank - facts.manifold.dimension), 1e-6)
+
+    def hint(k: int) -> str:
+        return f"the trace is {number(rank[k])} and the dimension is {facts.manifold.dimension}"
+
+    return facts.bound("|trace P - dimension|", f, np.abs(rank - facts.manifold.dimension), 1e-6, hint=hint)
 
 
 @fact

@@ -12,7 +12,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import MidpointRetraction, Retraction
 from ..draws import DomainEdge, direction
 from ..facts import SEEDS, TOLERANCE, Facts, Sample
-from ..numerics import NODES, Vector, compiled, flat, unflat
+from ..numerics import NODES, Vector, compiled, differences, flat, unflat
 from ..report import Batch
 from ..sites import Site
 
@@ -141,12 +141,15 @@ class RetractionFacts(Facts):
         return {"slope": slope, "values": middles[1:] @ sample["c"][:, None], "to x": to_x, "to y": to_y}
 
     def _curve(self, sample: Sample) -> Sample:
-        """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)`` along ``b``, the first at these two."""
+        """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)``, these two first, and their directions."""
         move, x, w = self._edge.move, sample["x"], sample["w"]
         y = move(x, sample["v"])
         b = direction(np.random.default_rng(1), self.sampler.at(y, 1)[1])
         times = sample["step"] * np.concatenate([[0.0], NODES])
-        return {"b": b, "xs": np.stack([move(x, t * w) for t in times]), "ys": np.stack([move(y, t * b) for t in times])}
+        xs, ys = (np.stack([move(z, t * u) for t in times]) for z, u in ((x, w), (y, b)))
+        # Where the retraction is wrong to first order the curves have other directions than w and b.
+        along_x, along_y = (differences(points[1:], sample["step"]) for points in (xs, ys))
+        return {"xs": xs, "ys": ys, "along x": along_x, "along y": along_y}
 
     def _inverse_slope(self, sample: Sample) -> jax.Array:
         back = unflat(self.manifold)
@@ -165,4 +168,4 @@ class RetractionFacts(Facts):
 
 def _paired(pulled: tuple[Vector, Vector], sample: Sample) -> jax.Array:
     """Derivative along the curves from that by both points, of shape ``(1,)``."""
-    return jnp.atleast_1d(pulled[0] @ sample["w"] + pulled[1] @ sample["b"])
+    return jnp.atleast_1d(pulled[0] @ sample["along x"] + pulled[1] @ sample["along y"])
