@@ -329,9 +329,9 @@ MUTANTS: dict[str, Mutant] = {
     "a derivative that is NaN at `v = 0` only": Mutant(check_retraction, MutantRetraction(nan_at_zero)),
     "a derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(constant_at_zero)),
     "a second derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(flat_at_zero)),
-    "derivatives that are rounding at `|v| = 1e-6`": Mutant(check_retraction, MutantRetraction(cancelling)),
+    "derivatives that are rounding at the length 1e-6": Mutant(check_retraction, MutantRetraction(cancelling)),
     "a derivative that is NaN at the identity only": Mutant(check_retraction, ThroughEigenvalues()),
-    "an inverse of a map that is constant along `v` for `|v| > 3/2`": Mutant(
+    "an inverse of a map that is constant along `v` from the length 3/2 on": Mutant(
         check_retraction, MutantInverse(saturated, EXPONENTIAL.preimage, jnp.pi)
     ),
     "an inverse of points outside the image": Mutant(check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)),

@@ -82,9 +82,7 @@ def test_the_error_says_which_fact_fails_by_how_much_and_where():
     with pytest.raises(ConformanceError, match=rf"1 fails\n.*{name}: .* is {words}\n.*the fact: ") as caught:
         check_retraction(Longer(SPHERE), only=name, seeds=(3, 5))
     assert "Id" in str(caught.value)
-    assert any(
-        f"at {place}, x = [" in str(caught.value) for place in ("seed 3", "seed 5", "a special point that contains accepts")
-    )
+    assert any(f"at {place}, x = [" in str(caught.value) for place in ("seed 3", "seed 5", "a special point"))
     assert [outcome.check.name for outcome in caught.value.report.failures] == [name]
 
 

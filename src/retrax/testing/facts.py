@@ -11,7 +11,7 @@ import numpy as np
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
-from .numerics import coarse_differences, compiled, differences, require_double_precision
+from .numerics import coarse_differences, compiled, differences, require_double_precision, violation_kernel
 from .report import THE_VALUE, Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
 from .sites import Site, given_sites, special_sites
 
@@ -54,13 +54,14 @@ class Facts(ABC):
         self._measured: dict[tuple[str, str], Batch] = {}
         self._broken: dict[str, Exception] = {}
         self.errors: dict[tuple, str] = {}  # those raised on the way, with the check that met each first
+        self.violation = violation_kernel(manifold)
         self._given = given_sites(manifold, points)
 
     @cached_property
     def sites(self) -> tuple[Site, ...]:
         """The points at which samples are drawn."""
         drawn = [Site(f"seed {seed}", seed, np.asarray(self.sampler.random(seed))) for seed in self.seeds]
-        return (*drawn, *special_sites(self.manifold), *self._given)
+        return (*drawn, *special_sites(self.manifold, self.violation), *self._given)
 
     def fraction(self, site: Site) -> float:
         """A number in ``(0, 1]`` that grows from site to site, for lengths that differ."""

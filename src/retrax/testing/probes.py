@@ -13,7 +13,7 @@ FLAT = 1e-4  # rates are compared with this fraction of the largest: where nothi
 NEIGHBOURHOODS = 8
 
 
-def least_seen(violations: Callable[[np.ndarray], np.ndarray], x: np.ndarray, basis: np.ndarray) -> tuple[float, np.ndarray]:
+def least_seen(violation: Callable[[np.ndarray], np.ndarray], x: np.ndarray, basis: np.ndarray) -> tuple[float, np.ndarray]:
     """How much the equations see of the normal displacement that they see least of, and the unit normal vector along it.
 
     About 1 where the violations grow in proportion to the displacement, about ``SHORT / LONG`` where they grow as its square.
@@ -29,7 +29,7 @@ def least_seen(violations: Callable[[np.ndarray], np.ndarray], x: np.ndarray, ba
     n = np.ones(count) / np.sqrt(count)
     for _ in range(count + 1):
         moved = np.concatenate([SHORT * (n + BEND * bends), LONG * n[None], -SHORT * n[None], -LONG * n[None]])
-        found = violations(x + size * moved @ normals)
+        found = np.stack([violation(y) for y in x + size * moved @ normals])
         seen, far = found[[0, -2]] / (SHORT * size), found[[-3, -1]] / (LONG * size)
         rates.append(np.stack([seen, far]))
         tried.append(n)

@@ -1,6 +1,6 @@
 """Points at which an object is checked: those of its user, and those at which formulas often fail."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any
@@ -13,7 +13,9 @@ from ..manifolds import InvalidInputError, Manifold, MatrixLieGroup, Power, Prod
 from ..manifolds.bundles import VectorBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from .numerics import flat
+from .numerics import flat, violation_kernel
+
+Violation = Callable[[np.ndarray], np.ndarray]
 
 SPECIAL = 2  # most special points of one manifold: each is one more sample of every kind
 ROUNDING = 1e-12
@@ -40,16 +42,16 @@ def given_sites(manifold: Manifold, points: Iterable[Ambient]) -> list[Site]:
     return sites
 
 
-def special_sites(manifold: Manifold) -> list[Site]:
-    """Sites of the first special points of a manifold."""
-    points = islice(special_points(manifold), SPECIAL)
-    return [Site("a special point that contains accepts", i, np.asarray(flat(x)), special=True) for i, x in enumerate(points)]
+def special_sites(manifold: Manifold, violation: Violation) -> list[Site]:
+    """Sites of the first special points of a manifold; ``violation`` is the kernel of its equations."""
+    points = islice(special_points(manifold, violation), SPECIAL)
+    return [Site("a special point", i, np.asarray(flat(x)), special=True) for i, x in enumerate(points)]
 
 
-def special_points(manifold: Manifold) -> Iterator[Ambient]:
+def special_points(manifold: Manifold, violation: Violation | None = None) -> Iterator[Ambient]:
     """Points with zeros, ones and equal entries, where angles, roots, singular values and their derivatives are not defined.
 
-    The identity, zero, poles, barycentres: those of a few arrays that ``contains`` takes for points.
+    The identity, zero, poles, barycentres: those of a few arrays that satisfy the manifold's equations.
     """
     if isinstance(manifold, Product):
         parts = [list(islice(special_points(factor), SPECIAL)) for factor in manifold.factors]
@@ -60,20 +62,16 @@ def special_points(manifold: Manifold) -> Iterator[Ambient]:
     elif isinstance(manifold, Power):
         for x in special_points(manifold.factor):
             yield jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (manifold.k, *leaf.shape)), x)
+    elif isinstance(manifold, MatrixLieGroup):
+        yield manifold.identity
     else:
-        yield from (x for x in _candidates(manifold) if manifold.contains(x, ROUNDING) and not _is_negative(manifold, x))
-
-
-def _is_negative(manifold: Manifold, x: Ambient) -> bool:
-    """Whether a violation is a negative number, as of an equation without its absolute value: ``contains`` lets it pass."""
-    return any(value < -ROUNDING for value in manifold.violations(x).values())
+        # A violation without its absolute value is negative inside: such a point is none.
+        violation = violation or violation_kernel(manifold)
+        yield from (x for x in _candidates(manifold) if violation(np.asarray(flat(x)))[1] <= ROUNDING)
 
 
 def _candidates(manifold: Manifold) -> Iterator[Any]:
     """Zero, the identity, unit vectors, diagonal projectors and equal entries, where points are single arrays."""
-    if isinstance(manifold, MatrixLieGroup):
-        yield manifold.identity
-        return
     leaf, *others = jax.tree.leaves(manifold.ambient)
     if others:
         return

@@ -11,7 +11,7 @@ from ...manifolds import HomogeneousSpace, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
-from ..numerics import NODES, ambient_size, compiled, flat, unflat
+from ..numerics import NODES, ambient_size, flat, unflat
 from ..probes import least_seen, least_spread
 from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, number
 from ..sites import Site
@@ -41,7 +41,6 @@ class ManifoldFacts(Facts):
     ) -> None:
         super().__init__(manifold, seeds, points, tolerance)
         self.kernels[self._displace.__name__] = self._displace  # made of compiled parts
-        self._violations = compiled(jax.vmap(lambda y: max_violation(manifold, unflat(manifold)(y))))
 
     def draw(self, kind: str, site: Site) -> Sample:
         """The point with a random tangent vector, the basis there, and unit ambient vectors ``a`` and ``d``."""
@@ -54,7 +53,7 @@ class ManifoldFacts(Facts):
         return self.measure(self._displace, "points")
 
     def _displace(self, sample: Sample) -> Sample:
-        seen, normal = least_seen(self._violations, sample["x"], sample["basis"])
+        seen, normal = least_seen(lambda y: self.violation(y)[0], sample["x"], sample["basis"])
         return {"seen": seen, "normal": normal}
 
 

@@ -22,6 +22,7 @@ LONGEST, MODERATE = 10.0, 1.0
 STEP = 2e-3
 REACH = 0.1
 NEAR = 0.3
+OFF = 1e-8  # violation of the equations, relative to the size of a point, beyond which it is not taken for one
 BEYOND = (1.01, 1.5)  # multiples of a vector to the edge that lead where a point may have no inverse
 
 
@@ -108,7 +109,7 @@ class RetractionFacts(Facts):
     def _leave(self, sample: Sample) -> Sample:
         x, beyond = sample["x"], sample["edge"] * sample["u"]
         far = [-x, *(site.x for site in self.sites), *(self._edge.move(x, s * beyond) for s in BEYOND)]
-        far = [y for y in far if np.all(np.isfinite(y)) and self.manifold.contains(self.sampler.unflat(y))]
+        far = [y for y in far if self.violation(y)[1] <= OFF * (1 + np.max(np.abs(y)))]
         found = [self._edge.preimage(x, y) for y in far]
         misses = [self._miss(x, y, v) for y, v in zip(far, found, strict=True)]
         worst = int(np.argmax(misses))
