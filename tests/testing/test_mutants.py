@@ -58,6 +58,11 @@ QUICK = (
     "a derivative",
     "a map that claims",
     "a lift with the sign of `p` flipped",
+    "violations",
+    "random points",
+    "a momentum",
+    "a metric with twice the energy",
+    "an inverse of points outside the image",
 )
 
 

@@ -173,6 +173,8 @@ def test_facts_are_measured_at_the_points_of_the_user():
         (Euclidean(2), [np.zeros(2), np.array([1.0, 0.0])]),
         (Sphere(2), [np.eye(3)[0], np.eye(3)[2]]),
         (SPD(2), [np.eye(2)]),
+        (SPD(3), [np.eye(3)]),
+        (Euclidean(0), [np.zeros(0)]),
         (Stiefel(3, 2), [np.eye(3, 2)]),
         (Simplex(2), [np.full(3, 1 / 3)]),
         (SO(3) * Euclidean(2), [(np.eye(3), np.zeros(2)), (np.eye(3), np.array([1.0, 0.0]))]),

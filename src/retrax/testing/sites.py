@@ -18,7 +18,7 @@ from .numerics import flat, violation_kernel
 Violation = Callable[[np.ndarray], np.ndarray]
 
 SPECIAL = 2  # most special points of one manifold: each is one more sample of every kind
-ROUNDING = 1e-12
+ROUNDING, BESIDE = 1e-12, 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,20 +65,30 @@ def special_points(manifold: Manifold, violation: Violation | None = None) -> It
     elif isinstance(manifold, MatrixLieGroup):
         yield manifold.identity
     else:
-        # A violation without its absolute value is negative inside: such a point is none.
         violation = violation or violation_kernel(manifold)
-        yield from (x for x in _candidates(manifold) if violation(np.asarray(flat(x)))[1] <= ROUNDING)
+        yield from (x for x in _candidates(manifold) if _is_inside(np.asarray(flat(x)), violation))
+
+
+def _is_inside(x: np.ndarray, violation: Violation) -> bool:
+    """Whether a flat point satisfies the equations, and is not on the edge of an inequality: beside it they are nearly satisfied.
+
+    A violation without its absolute value is negative inside: such a point is not one either.
+    """
+    aside = BESIDE * np.random.default_rng(0).standard_normal(x.size)
+    return violation(x)[1] <= ROUNDING and all(violation(y)[1] <= 1e3 * BESIDE for y in (x - aside, x + aside))
 
 
 def _candidates(manifold: Manifold) -> Iterator[Any]:
-    """Zero, the identity, unit vectors, diagonal projectors and equal entries, where points are single arrays."""
+    """Zero, the identity, unit vectors, diagonal projectors, and vectors of equal entries, where points are single arrays."""
     leaf, *others = jax.tree.leaves(manifold.ambient)
     if others:
         return
-    wrapped = jax.tree.structure(manifold.ambient)
+    zero = np.zeros(leaf.shape)
     units = np.eye(*leaf.shape) if leaf.ndim == 2 else np.eye(leaf.size, 1)
-    arrays = [np.zeros(leaf.shape)]
-    for rank in range(1, 1 + min(units.shape)):
-        arrays.append(np.where(np.arange(units.shape[1]) < rank, units, 0.0).reshape(leaf.shape))
-    arrays += [arrays[1].reshape(-1)[::-1].reshape(leaf.shape), np.full(leaf.shape, 1 / max(leaf.size, 1))]
-    yield from (jax.tree.unflatten(wrapped, [jnp.asarray(a, leaf.dtype)]) for a in arrays)
+    arrays = [
+        np.where(np.arange(units.shape[1]) < rank, units, 0.0).reshape(leaf.shape) for rank in range(1, 1 + min(units.shape))
+    ]
+    arrays += [a.reshape(-1)[::-1].reshape(leaf.shape) for a in arrays[:1]]
+    arrays += [zero + 1 / max(leaf.size, 1)] * (leaf.ndim == 1 and leaf.size > 0)
+    wrapped = jax.tree.structure(manifold.ambient)
+    yield from (jax.tree.unflatten(wrapped, [jnp.asarray(a, leaf.dtype)]) for a in (zero, *arrays))
