@@ -143,12 +143,12 @@ class RetractionFacts(Facts):
 
     def _curve(self, sample: Sample) -> Sample:
         """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)``, these two first, and their directions."""
-        move, x, w = self._edge.move, sample["x"], sample["w"]
-        y = move(x, sample["v"])
-        b = direction(np.random.default_rng(1), self.sampler.at(y, 1)[1])
+        move, x, frame = self._edge.move, sample["x"], sample["frame"]
+        b = direction(np.random.default_rng(1), frame)
         times = sample["step"] * np.concatenate([[0.0], NODES])
-        xs, ys = (np.stack([move(z, t * u) for t in times]) for z, u in ((x, w), (y, b)))
-        # Where the retraction is wrong to first order the curves have other directions than w and b.
+        # Both from x: beside y, which may be near an end of the manifold, steps may have to be shorter.
+        xs, ys = (np.stack([move(x, v + t * u) for t in times]) for v, u in ((0 * b, sample["w"]), (sample["v"], b)))
+        # Where the retraction is wrong to first order the curves have other directions than w and D_v R b.
         along_x, along_y = (differences(points[1:], sample["step"]) for points in (xs, ys))
         return {"xs": xs, "ys": ys, "along x": along_x, "along y": along_y}
 
