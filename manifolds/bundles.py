@@ -4,7 +4,7 @@ A covector is stored as its tangent representative, so as subsets of the ambient
 ``{(x, v) : x in Q, v in T_xQ}``. They differ in what lives on them: the canonical forms belong to ``T*Q``.
 """
 
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import jax
 import jax.numpy as jnp
@@ -83,6 +83,13 @@ class TangentBundle(VectorBundle):
 @final
 class CotangentBundle(VectorBundle):
     """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``."""
+
+    one_point: ClassVar = {
+        **VectorBundle.one_point,
+        "one_form": ("a point", "a tangent vector"),
+        "two_form": ("a point", "a tangent vector", "a second tangent vector"),
+        "sharp": ("a point", "a covector"),
+    }
 
     def one_form(self, z: Pair, a: Pair) -> Array:
         """Canonical one-form ``theta = p dq`` at ``z = (q, p)`` on a tangent vector ``a = (dq, dp)``."""

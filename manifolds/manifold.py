@@ -3,7 +3,7 @@
 import re
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array, Bool
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
+from .numerics.shapes import check_shapes
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
@@ -34,8 +35,20 @@ class Manifold(eqx.Module):
 
     Points, tangent vectors and covectors are ambient arrays (pytrees for products) of one shape. Covectors pair with
     vectors by the sum of products of entries; a covector is stored as its tangent representative.
-    Methods act on one point; batches are ``jax.vmap``.
+    Methods act on one point; batches are ``jax.vmap``: those named in ``one_point`` refuse arrays of other shapes.
     """
+
+    one_point: ClassVar[dict[str, tuple[str, ...]]] = {
+        "projection": ("a point", "an ambient vector"),
+        "basis": ("a point",),
+        "restore": ("a point",),
+        "violations": ("a point",),
+    }
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let the methods of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        super().__init_subclass__(**options)
+        check_shapes(cls, cls.one_point, lambda manifold: manifold)
 
     @attribute
     @abstractmethod
@@ -144,6 +157,8 @@ class HomogeneousSpace(Manifold):
     The action's generators give the momentum map ``J_i(q, p) = <p, xi_i(q)>``, conserved by every Hamiltonian that the
     action leaves invariant.
     """
+
+    one_point: ClassVar = {**Manifold.one_point, "generators": ("a point",), "momentum": ("a point", "a covector")}
 
     @abstractmethod
     def generators(self, x: Ambient) -> Frame:

@@ -1,7 +1,7 @@
 """Riemannian metrics: inner products of the tangent spaces, and the energies of their geodesics."""
 
 from abc import abstractmethod
-from typing import final
+from typing import Any, ClassVar, final
 
 import equinox as eqx
 from jaxtyping import Array
@@ -10,6 +10,7 @@ from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient
 from .numerics.attribute import attribute
+from .numerics.shapes import check_shapes
 
 
 class Metric(eqx.Module):
@@ -22,6 +23,16 @@ class Metric(eqx.Module):
     @abstractmethod
     def manifold(self) -> Manifold:
         """The manifold on which this is a metric."""
+
+    one_point: ClassVar[dict[str, tuple[str, ...]]] = {
+        "inner_product": ("a point", "a tangent vector", "a second tangent vector"),
+        "kinetic_energy": ("a point", "a covector"),
+    }
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Let the methods of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        super().__init_subclass__(**options)
+        check_shapes(cls, cls.one_point, lambda metric: metric.manifold)
 
     @abstractmethod
     def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:

@@ -6,7 +6,8 @@ import jax
 
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from .retraction import Retraction, require_shapes
+from ..manifolds.numerics.shapes import require_shapes
+from .retraction import Retraction
 
 
 class DifferentiatedRetraction(Retraction):

@@ -1,6 +1,5 @@
 """The abstract retraction, with the inverse and the domain that follow from its values."""
 
-import functools
 import inspect
 from abc import abstractmethod
 from collections.abc import Callable
@@ -17,6 +16,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root, known_root
+from ..manifolds.numerics.shapes import check_shapes, require_shapes
 
 EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
 
@@ -36,8 +36,7 @@ class Retraction(eqx.Module):
     def __init_subclass__(cls, **options: Any) -> None:
         """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
         super().__init_subclass__(**options)
-        if "__call__" in vars(cls):
-            cls.__call__ = _at_one_point(cls.__call__)
+        check_shapes(cls, {"__call__": ("a point", "a tangent vector")}, lambda retraction: retraction.manifold)
 
     def __check_init__(self) -> None:
         """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their annotations."""
@@ -93,25 +92,6 @@ class Retraction(eqx.Module):
                     f"use: {miss}; take a nearer point, or a retraction with a larger image"
                 )
         return v
-
-
-def _at_one_point(method: Callable) -> Callable:
-    """The method ``R(x, v)`` of a retraction with a check of the shapes of its arguments."""
-
-    @functools.wraps(method)
-    def checked(self: Retraction, x: Ambient, v: Ambient) -> Ambient:
-        require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
-        return method(self, x, v)
-
-    return checked
-
-
-def require_shapes(manifold: Manifold, given: dict[str, Ambient]) -> None:
-    """Raise ``InvalidInputError`` unless what is given, by what it is called, has the shapes of an ambient vector."""
-    for role, a in given.items():
-        wrong = manifold.describe_shapes(a, role)
-        if wrong:
-            raise InvalidInputError(f"{wrong}; a retraction takes one point and one vector, jax.vmap makes it take batches")
 
 
 def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambient | None = None) -> Ambient:

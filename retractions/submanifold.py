@@ -2,11 +2,12 @@
 
 from typing import final
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifolds import InvalidInputError, Submanifold
-from ..manifolds.manifold import same_manifold
+from ..manifolds.manifold import default_tolerance, same_manifold, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.root import find_root
@@ -19,7 +20,8 @@ class Orthographic(Retraction):
 
     ``R_M`` is a retraction of the parent manifold and ``n_i`` are the gradients of the equations at ``x``: the step is
     corrected along the normals where it starts [Absil, Malick, "Projection-like retractions on matrix manifolds", 2012].
-    Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``.
+    Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``, NaN where ``R`` does not
+    lead back.
     """
 
     manifold: Submanifold
@@ -44,4 +46,6 @@ class Orthographic(Retraction):
         return nan_unless(found, reached(root))
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:
-        return self.manifold.projection(x, self.parent.preimage(x, y))
+        v = self.manifold.projection(x, self.parent.preimage(x, y))
+        # Far away the multipliers that lead to y are not those that Newton's method finds.
+        return nan_unless(same_point(self(x, jax.lax.stop_gradient(v)), y, default_tolerance()), v)

@@ -1,7 +1,7 @@
 """The abstract matrix Lie group: a manifold and a group from a basis of its Lie algebra."""
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -30,6 +30,18 @@ class MatrixLieGroup(HomogeneousSpace):
     ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` have derived defaults; a
     class that knows closed forms writes them in their place.
     """
+
+    one_point: ClassVar = {
+        **HomogeneousSpace.one_point,
+        "algebra_part": ("a matrix",),
+        "vee": ("a matrix",),
+        "left_trivialise": ("a point", "a tangent vector"),
+        "body": ("a point", "a covector"),
+        "covector": ("a point",),
+        "Ad": ("a point",),
+        "compose": ("a point", "a second point"),
+        "inverse": ("a point",),
+    }
 
     @attribute
     @abstractmethod

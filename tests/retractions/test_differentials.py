@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.retractions import DifferentiatedRetraction
-from retrax.testing.checks.retraction import flat_retraction
+from retrax.testing.checks.derivatives import flat_retraction
 
 from tests.support.cases import RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, compiled, draw_point, draw_tangent, flat, unflat

@@ -343,3 +343,20 @@ def test_the_frobenius_exponential_is_that_of_the_group_where_it_acts_by_unitary
 def test_the_frobenius_exponential_is_refused_where_its_formula_leaves_the_group():
     with pytest.raises(UnknownRetractionError, match="does not hold the adjoint"):
         FrobeniusExponential(SE(2))
+
+
+@pytest.mark.parametrize("stretch", [1.0 + 1e-6, 1.01, 1.5, 4.0])
+def test_the_logarithm_is_nan_or_leads_back_on_the_way_through_a_half_turn(stretch):
+    """Rotations by ``t`` times ``diag(s, 1/s)``: where the trace is below -2 it is not an exponential."""
+    group = SL(2)
+    t = jnp.pi * jnp.array([0.0, 0.3, 0.7, 0.9, 0.99, 0.9999, 1.0])
+    turns = jnp.stack([jnp.stack([jnp.cos(t), -jnp.sin(t)], -1), jnp.stack([jnp.sin(t), jnp.cos(t)], -1)], -2)
+    points = turns @ jnp.diag(jnp.array([stretch, 1 / stretch]))
+    exponential = Exponential(group)
+    back = jax.jit(jax.vmap(lambda y: exponential.preimage(group.identity, y)))(points)
+    there = jax.vmap(lambda v: exponential(group.identity, v))(back)
+    known = ~jnp.any(jnp.isnan(back), axis=(1, 2))
+    assert jnp.max(jnp.abs(there - points)[known]) < 1e-6
+    trace = jnp.trace(points, axis1=1, axis2=2)
+    assert jnp.all(known[trace > -2 + 1e-3])
+    assert not jnp.any(known[trace < -2])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.retractions.retraction import newton_preimage
-from retrax.testing.checks.retraction import flat_retraction
+from retrax.testing.checks.derivatives import flat_retraction
 
 from tests.support.cases import QUICK, REPRESENTATIVES, RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat

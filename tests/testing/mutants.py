@@ -5,8 +5,9 @@ from types import MappingProxyType
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from retrax.manifolds import SE, SO, Manifold, MatrixLieGroup, Sphere
+from retrax.manifolds import SO, SPD, LeftInvariantMetric
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import (
     QR,
@@ -19,6 +20,7 @@ from retrax.retractions import (
     MidpointRetraction,
     Projection,
     Retraction,
+    SPDSecondOrder,
     Theta,
 )
 from retrax.testing import (
@@ -27,57 +29,25 @@ from retrax.testing import (
     check_discretization_map,
     check_lie_group,
     check_manifold,
+    check_metric,
     check_retraction,
 )
 
-SPHERE = Sphere(2)
-EXPONENTIAL, PROJECTION = Exponential(SPHERE), Projection(SPHERE)
+from .wrong_spaces import (
+    METRICS,
+    ROTATIONS,
+    SPHERE,
+    VIOLATIONS,
+    MutantGroup,
+    MutantManifold,
+    MutantSpace,
+    oblique,
+    on_a_spiral,
+    on_the_equator,
+)
+
+EXPONENTIAL, PROJECTION, DEFINITE = Exponential(SPHERE), Projection(SPHERE), SPDSecondOrder(SPD(2))
 LIFT = CotangentLift(Midpoint(PROJECTION))
-
-
-@final
-class MutantSphere(Manifold):
-    """The sphere with a projection and a dimension of one's own."""
-
-    project: Callable = eqx.field(static=True, default=SPHERE.projection)
-    dimension: int = eqx.field(static=True, default=2)
-
-    @property
-    def ambient(self):
-        return SPHERE.ambient
-
-    def projection(self, x, a):
-        return self.project(x, a)
-
-    def basis(self, x):
-        return SPHERE.basis(x)
-
-    def restore(self, x):
-        return SPHERE.restore(x)
-
-    def violations(self, x):
-        return SPHERE.violations(x)
-
-    def random_point(self, key):
-        return SPHERE.random_point(key)
-
-
-@final
-class MutantGroup(MatrixLieGroup):
-    """Rigid motions of the plane, with the inverse of rotations."""
-
-    @property
-    def algebra(self):
-        return SE(2).algebra
-
-    def inverse(self, x):
-        return x.T
-
-
-def oblique(x, a):
-    """Projection on the tangent space along a direction that is not the normal."""
-    n = x + 0.1 * SPHERE.basis(x)[0]
-    return a - n * (x @ a) / (x @ n)
 
 
 @final
@@ -215,6 +185,48 @@ class MutantForms(MidpointRetraction):
         return x0
 
 
+@final
+class MutantMidpoint(MidpointRetraction):
+    """Great circles with a midpoint of one's own."""
+
+    middle: Callable = eqx.field(static=True)
+
+    @property
+    def manifold(self):
+        return SPHERE
+
+    def __call__(self, x, v):
+        return EXPONENTIAL(x, v)
+
+    def preimage(self, x, y):
+        return EXPONENTIAL.preimage(x, y)
+
+    def domain(self, x, v):
+        return EXPONENTIAL.domain(x, v)
+
+    def midpoint(self, x0, x1):
+        return self.middle(x0, x1)
+
+
+@final
+class ThroughEigenvalues(Retraction):
+    """``x + v + v x^-1 v / 2`` with ``x^-1`` from eigenvectors, which have no derivative where two eigenvalues are equal."""
+
+    @property
+    def manifold(self):
+        return DEFINITE.manifold
+
+    def __call__(self, x, v):
+        values, vectors = jnp.linalg.eigh(x)
+        return x + v + v @ (vectors / values) @ vectors.T @ v / 2
+
+    def preimage(self, x, y):
+        return DEFINITE.preimage(x, y)
+
+    def domain(self, x, v):
+        return DEFINITE.domain(x, v)
+
+
 class Mutant(NamedTuple):
     """Something wrong, and how it is checked."""
 
@@ -248,10 +260,48 @@ def pushed(x, v, xi):
     return PROJECTION.fibre_derivative(x, v, xi)
 
 
+def saturated(x, v):
+    """Great circles that end at length 3/2."""
+    return EXPONENTIAL(x, v / jnp.sqrt(jnp.maximum(1.0, v @ v / 2.25)))
+
+
+def through_the_centre(x, y):
+    """The inverse of the projection; of points behind the horizon, the vector that leads to their antipodes."""
+    return y / (x @ y) - x
+
+
+def held(function):
+    """A function of two points without its derivative by the first."""
+    return lambda x, y: function(jax.lax.stop_gradient(x), y)
+
+
+def cancelling(x, v):
+    """The projection of ``x + k v`` with ``k = 2 (1 - cos t) / t^2``, by a series below ``t = 1e-7`` only."""
+    s = v @ v
+    t = jnp.sqrt(jnp.where(s > 1e-14, s, 1.0))
+    return PROJECTION(x, jnp.where(s > 1e-14, 2 * (1 - jnp.cos(t)) / (t * t), 1 - s / 12) * v)
+
+
+def turned_from_the_right(x):
+    return x @ jax.scipy.linalg.expm(ROTATIONS.hat(jnp.array([0.3, -0.2, 0.5])))
+
+
 MUTANTS: dict[str, Mutant] = {
-    "a manifold whose projection is missing": Mutant(check_manifold, MutantSphere(lambda x, a: a)),
-    "a manifold whose projection is not symmetric": Mutant(check_manifold, MutantSphere(oblique)),
-    "a manifold with a wrong dimension": Mutant(check_manifold, MutantSphere(dimension=3)),
+    "a manifold whose projection is missing": Mutant(check_manifold, MutantManifold(SPHERE, projection=lambda x, a: a)),
+    "a manifold whose projection is not symmetric": Mutant(check_manifold, MutantManifold(SPHERE, projection=oblique)),
+    "a manifold with a wrong dimension": Mutant(check_manifold, MutantManifold(SPHERE, dimension=3)),
+    **{name: Mutant(check_manifold, manifold) for name, manifold in VIOLATIONS.items()},
+    "random points on the equator alone": Mutant(check_manifold, MutantManifold(SPHERE, random_point=on_the_equator)),
+    "random points on a spiral": Mutant(check_manifold, MutantManifold(SPHERE, random_point=on_a_spiral)),
+    "a momentum with another sign than the generators": Mutant(
+        check_manifold, MutantSpace(lambda x, p: -vec.components(SPHERE.generators(x), p))
+    ),
+    **{name: Mutant(check_metric, metric) for name, metric in METRICS.items()},
+    "a metric with an isometry that it has not": Mutant(
+        check_metric,
+        LeftInvariantMetric(ROTATIONS, [1.0, 2.0, 3.0]),
+        {"isometries": {"right": turned_from_the_right}},
+    ),
     "a Lie group whose inverse is the transpose": Mutant(check_lie_group, MutantGroup()),
     "`R(x, 1.01 v)`": Mutant(check_retraction, MutantRetraction(lambda x, v: PROJECTION(x, 1.01 * v))),
     "`R(x, -v)`": Mutant(check_retraction, MutantRetraction(lambda x, v: PROJECTION(x, -v))),
@@ -279,6 +329,16 @@ MUTANTS: dict[str, Mutant] = {
     "a derivative that is NaN at `v = 0` only": Mutant(check_retraction, MutantRetraction(nan_at_zero)),
     "a derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(constant_at_zero)),
     "a second derivative that is wrong at `v = 0` only": Mutant(check_retraction, MutantRetraction(flat_at_zero)),
+    "derivatives that are rounding at the length 1e-6": Mutant(check_retraction, MutantRetraction(cancelling)),
+    "a derivative that is NaN at the identity only": Mutant(check_retraction, ThroughEigenvalues()),
+    "an inverse of a map that is constant along `v` from the length 3/2 on": Mutant(
+        check_retraction, MutantInverse(saturated, EXPONENTIAL.preimage, jnp.pi)
+    ),
+    "an inverse of points outside the image": Mutant(check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)),
+    "an inverse without its derivative by the base point": Mutant(
+        check_retraction, MutantInverse(EXPONENTIAL, held(EXPONENTIAL.preimage), jnp.pi)
+    ),
+    "a midpoint without its derivative by the first point": Mutant(check_retraction, MutantMidpoint(held(EXPONENTIAL.midpoint))),
     "a chart, a pair and a midpoint that are not those of the values": Mutant(check_retraction, MutantForms()),
     "a map whose step is too long": Mutant(
         check_discretization_map, MutantMap(lambda x, v: (PROJECTION(x, -v / 2), PROJECTION(x, 0.6 * v)))

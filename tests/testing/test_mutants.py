@@ -12,6 +12,7 @@ from retrax.testing.checks import (
     DISCRETIZATION_CHECKS,
     LIE_GROUP_CHECKS,
     MANIFOLD_CHECKS,
+    METRIC_CHECKS,
     RETRACTION_CHECKS,
 )
 
@@ -21,6 +22,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 SUITES = {
     "manifold": MANIFOLD_CHECKS,
     "Lie group": LIE_GROUP_CHECKS[len(MANIFOLD_CHECKS) :],
+    "metric": METRIC_CHECKS,
     "retraction": RETRACTION_CHECKS,
     "discretization map": DISCRETIZATION_CHECKS,
     "cotangent lift": COTANGENT_LIFT_CHECKS,
@@ -56,6 +58,11 @@ QUICK = (
     "a derivative",
     "a map that claims",
     "a lift with the sign of `p` flipped",
+    "violations",
+    "random points",
+    "a momentum",
+    "a metric with twice the energy",
+    "an inverse of points outside the image",
 )
 
 

@@ -1,12 +1,27 @@
 """How checks are listed, run, skipped and reported."""
 
+import re
+from itertools import islice
 from typing import final
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import InvalidInputError, Manifold, Sphere
+from retrax.manifolds import (
+    SO,
+    SPD,
+    EmbeddedMetric,
+    Euclidean,
+    InvalidInputError,
+    Manifold,
+    Power,
+    Simplex,
+    Sphere,
+    Stiefel,
+    TangentBundle,
+)
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, Retraction
 from retrax.testing import (
     ConformanceError,
@@ -14,15 +29,17 @@ from retrax.testing import (
     check_discretization_map,
     check_lie_group,
     check_manifold,
+    check_metric,
     check_retraction,
     list_checks,
     parametrize_with_checks,
     strategies,
 )
+from retrax.testing.sites import special_points
 
 from tests.support.numerics import norm
 
-SPHERE = Sphere(2)
+SPHERE, EAST = Sphere(2), jnp.array([0.0, 0.6, 0.8])
 
 
 @final
@@ -41,7 +58,13 @@ def test_each_check_is_a_test(check):
 
 
 def test_checks_have_names_and_facts():
-    for subject in (SPHERE, Projection(SPHERE), Midpoint(Projection(SPHERE)), CotangentLift(Midpoint(Projection(SPHERE)))):
+    for subject in (
+        SPHERE,
+        EmbeddedMetric(SPHERE),
+        Projection(SPHERE),
+        Midpoint(Projection(SPHERE)),
+        CotangentLift(Midpoint(Projection(SPHERE))),
+    ):
         checks = list_checks(subject)
         assert len({check.name for check in checks}) == len(checks)
         assert all(check.fact for check in checks)
@@ -49,18 +72,17 @@ def test_checks_have_names_and_facts():
 
 
 def test_there_are_no_checks_of_other_things():
-    with pytest.raises(InvalidInputError, match=r"checks of manifolds, retractions, .* got 3"):
+    with pytest.raises(InvalidInputError, match=r"checks of manifolds, metrics, retractions, .* got 3"):
         list_checks(3)
 
 
 def test_the_error_says_which_fact_fails_by_how_much_and_where():
     name = "derivative_at_zero_is_the_identity"
-    with pytest.raises(
-        ConformanceError, match=rf"1 fails\n.*{name}: .* is 0\.0\d+, expected at most 1e-12\n.*the fact: "
-    ) as caught:
+    words = r"\S+, expected at most 1.0e-12; D_v R\(x, 0\) is 1.010 times the identity"
+    with pytest.raises(ConformanceError, match=rf"1 fails\n.*{name}: .* is {words}\n.*the fact: ") as caught:
         check_retraction(Longer(SPHERE), only=name, seeds=(3, 5))
     assert "Id" in str(caught.value)
-    assert "at seed 3, x = [" in str(caught.value) or "at seed 5, x = [" in str(caught.value)
+    assert any(f"at {place}, x = [" in str(caught.value) for place in ("seed 3", "seed 5", "a special point"))
     assert [outcome.check.name for outcome in caught.value.report.failures] == [name]
 
 
@@ -73,7 +95,7 @@ def test_a_report_is_a_table_of_all_outcomes():
     assert "skipped" in lines[1]
     assert "random_points_differ: one is enough" in lines[1]
     assert "holds" in lines[2]
-    assert "expected at most 1e-12" in lines[2]
+    assert "expected at most 1.0e-12" in lines[2]
     assert report.failures == ()
 
 
@@ -85,8 +107,87 @@ def test_an_error_on_the_way_is_a_fact_that_does_not_hold():
         def __call__(self, x, v):
             raise ZeroDivisionError("no such thing")
 
-    report = check_retraction(Broken(SPHERE), only="zero_goes_to_the_base_point", throw=False)
-    assert "ZeroDivisionError: no such thing" in report.failures[0].words
+    report = check_retraction(Broken(SPHERE), throw=False)
+    assert re.search(r"ZeroDivisionError at test_running_checks.py:\d+: no such thing$", report.failures[0].words)
+    assert str(report).count("no such thing") == 1
+    assert "for the same error: derivative_at_zero_is_the_identity, " in str(report)
+
+
+def test_what_jax_cannot_trace_is_said_once_with_what_to_try():
+    @final
+    class WithNumPy(Retraction):
+        manifold: Manifold
+
+        def __call__(self, x, v):
+            return x + v if np.linalg.norm(v) < 1 else x
+
+    words = str(check_retraction(WithNumPy(SPHERE), throw=False))
+    assert words.count("TracerArrayConversionError at test_running_checks.py:") == 1
+    assert "try functions written in jax.numpy" in words
+
+
+@final
+class Pinched(Manifold):
+    """The sphere with a projection that has no derivative at one point."""
+
+    @property
+    def dimension(self):
+        return 2
+
+    @property
+    def ambient(self):
+        return SPHERE.ambient
+
+    def projection(self, x, a):
+        return SPHERE.projection(x, a) + 0 * jnp.sqrt(jnp.sum((x - EAST) ** 2))
+
+    def basis(self, x):
+        return SPHERE.basis(x)
+
+    def restore(self, x):
+        return SPHERE.restore(x)
+
+    def violations(self, x):
+        return SPHERE.violations(x)
+
+    def random_point(self, key):
+        return SPHERE.random_point(key)
+
+
+def test_facts_are_measured_at_the_points_of_the_user():
+    name = "derivative_of_the_projection_is_that_of_differences"
+    manifold = Pinched()
+    assert not check_manifold(manifold, only=name).failures
+    with pytest.raises(ConformanceError, match=rf"{name}: .* is nan, .*\n.*\n.*at points\[1\], x = \[0.  0.6 0.8\]"):
+        check_manifold(manifold, only=name, points=[jnp.array([0.8, 0.6, 0.0]), EAST])
+    with pytest.raises(
+        InvalidInputError, match=r"points\[0\] is not a point: .* where \(2,\) came; try a list of points of Sphere"
+    ):
+        check_retraction(Projection(SPHERE), points=[jnp.ones(2)])
+
+
+@pytest.mark.parametrize(
+    ("manifold", "points"),
+    [
+        (SO(3), [np.eye(3)]),
+        (Euclidean(2), [np.zeros(2), np.array([1.0, 0.0])]),
+        (Sphere(2), [np.eye(3)[0], np.eye(3)[2]]),
+        (SPD(2), [np.eye(2)]),
+        (SPD(3), [np.eye(3)]),
+        (Euclidean(0), [np.zeros(0)]),
+        (Stiefel(3, 2), [np.eye(3, 2)]),
+        (Simplex(2), [np.full(3, 1 / 3)]),
+        (SO(3) * Euclidean(2), [(np.eye(3), np.zeros(2)), (np.eye(3), np.array([1.0, 0.0]))]),
+        (Power(Sphere(2), 2), [np.stack([np.eye(3)[0]] * 2), np.stack([np.eye(3)[2]] * 2)]),
+        (TangentBundle(SO(2)), [(np.eye(2), np.zeros((2, 2)))]),
+    ],
+    ids=str,
+)
+def test_special_points_are_the_identity_zero_poles_and_barycentres(manifold, points):
+    found = list(islice(special_points(manifold), 2))
+    assert len(found) == len(points)
+    for x, expected in zip(found, points, strict=True):
+        assert all(np.allclose(a, b) for a, b in zip(jax.tree.leaves(x), jax.tree.leaves(expected), strict=True))
 
 
 @pytest.mark.parametrize("option", [{"only": "no_such_check"}, {"skip": {"no_such_check": "why"}}], ids=["only", "skip"])
@@ -116,6 +217,7 @@ def test_what_cannot_be_checked_is_refused():
         (check_lie_group, Sphere(2), "MatrixLieGroup"),
         (check_discretization_map, Sphere(2), "DiscretizationMap"),
         (check_cotangent_lift, Exponential(Sphere(2)), "DiscretizationMap"),
+        (check_metric, Sphere(2), "Metric"),
     ],
 )
 def test_the_checks_of_one_kind_refuse_another(check, subject, kind):

@@ -16,7 +16,7 @@ _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
 
 
 def logarithm(a: Matrix) -> Matrix:
-    """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN or infinite on it.
+    """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN on it and within rounding of it.
 
     Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10. The
     rounding of the roots comes 2^5-fold: a step of Newton's method takes it away.
@@ -26,7 +26,9 @@ def logarithm(a: Matrix) -> Matrix:
     log = 2.0**_HALVINGS * gregory(root)
     step = jax.lax.stop_gradient(_newton_step(log, a))
     # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d.
-    return log + jnp.where(jnp.max(jnp.abs(step)) < tolerance(a, 0.5), step, 0.0)
+    error = jnp.max(jnp.abs(step))
+    log = log + jnp.where(error < tolerance(a, 0.5), step, 0.0)
+    return jnp.where(error < tolerance(a, 0.25), log, jnp.nan)
 
 
 def _newton_step(log: Matrix, a: Matrix) -> Matrix:

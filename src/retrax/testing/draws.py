@@ -27,10 +27,12 @@ class Sampler:
     def __init__(self, manifold: Manifold) -> None:
         self.manifold, self.unflat = manifold, unflat(manifold)
 
-        def point(seed: jax.Array) -> tuple[Vector, Vector, jax.Array]:
-            first, second = jax.random.split(jax.random.key(seed))
-            x = manifold.random_point(first)
-            return flat(x), flat(manifold.random_tangent(second, x)), vec.flatten_frame(manifold.basis(x))
+        def point(seed: jax.Array) -> Vector:
+            return flat(manifold.random_point(jax.random.split(jax.random.key(seed))[0]))
+
+        def at(x: Vector, seed: jax.Array) -> tuple[Vector, jax.Array]:
+            key, y = jax.random.split(jax.random.key(seed))[1], self.unflat(x)
+            return flat(manifold.random_tangent(key, y)), vec.flatten_frame(manifold.basis(y))
 
         def nearest(a: Vector) -> Vector:
             return jax.lax.fori_loop(0, RESTORING_STEPS, lambda _, a: flat(manifold.restore(self.unflat(a))), a)
@@ -38,11 +40,13 @@ class Sampler:
         def frame(x: Vector, v: Vector) -> jax.Array:
             return vec.flatten_frame(TangentBundle(manifold).spanning_frame((self.unflat(x), self.unflat(v))))
 
-        self._point, self._nearest, self._frame = compiled(point), compiled(nearest), compiled(frame)
+        self.random, self.at = compiled(point), compiled(at)
+        self._nearest, self._frame = compiled(nearest), compiled(frame)
 
     def point(self, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A random point, a random tangent vector there, and the orthonormal basis of the tangent space, by rows."""
-        return self._point(seed)
+        x = self.random(seed)
+        return x, *self.at(x, seed)
 
     def near(self, x: np.ndarray, rng: np.random.Generator, distance: float) -> np.ndarray:
         """A point of the manifold about this far from ``x``, reached through the ambient space."""

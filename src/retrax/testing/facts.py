@@ -2,15 +2,18 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from functools import cached_property
 from typing import Any
 
 import jax
 import numpy as np
 
 from ..manifolds import InvalidInputError, Manifold
+from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
-from .numerics import coarse_differences, compiled, differences, require_double_precision
-from .report import Batch, Check, Comparison, ConformanceError, Outcome, Report, judge
+from .numerics import coarse_differences, compiled, differences, require_double_precision, violation_kernel
+from .report import THE_VALUE, Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
+from .sites import Site, given_sites, special_sites
 
 SEEDS = tuple(range(6))
 TOLERANCE = 1e-12
@@ -23,6 +26,7 @@ Sample = dict[str, Any]  # names of flat arrays and numbers
 class Facts(ABC):
     """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads it.
 
+    It is run at a random point for each seed, at points where formulas often fail, as the identity, and at the ``points`` given.
     ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size.
     """
 
@@ -30,7 +34,7 @@ class Facts(ABC):
     subject: Any
     manifold: Manifold
 
-    def __init__(self, subject: Any, seeds: Iterable[int], tolerance: float) -> None:
+    def __init__(self, subject: Any, seeds: Iterable[int], points: Iterable[Ambient], tolerance: float) -> None:
         require_double_precision()
         if not isinstance(subject, self.kind):
             raise InvalidInputError(f"these are the checks of a {self.kind.__name__}, got {subject!r}; see list_checks(object)")
@@ -48,15 +52,29 @@ class Facts(ABC):
         self.kernels: dict[str, Callable] = {}
         self._samples: dict[str, list[Sample]] = {}
         self._measured: dict[tuple[str, str], Batch] = {}
+        self._broken: dict[str, Exception] = {}
+        self.errors: dict[tuple, str] = {}  # those raised on the way, with the check that met each first
+        self.violation = violation_kernel(manifold)
+        self._given = given_sites(manifold, points)
+
+    @cached_property
+    def sites(self) -> tuple[Site, ...]:
+        """The points at which samples are drawn."""
+        drawn = [Site(f"seed {seed}", seed, np.asarray(self.sampler.random(seed))) for seed in self.seeds]
+        return (*drawn, *special_sites(self.manifold, self.violation), *self._given)
+
+    def fraction(self, site: Site) -> float:
+        """A number in ``(0, 1]`` that grows from site to site, for lengths that differ."""
+        return (1 + self.sites.index(site)) / len(self.sites)
 
     @abstractmethod
-    def draw(self, kind: str, seed: int) -> Sample:
-        """The sample of one kind and seed: named flat arrays, ``x`` among them."""
+    def draw(self, kind: str, site: Site) -> Sample:
+        """The sample of one kind and site: named flat arrays, ``x`` among them."""
 
     def samples(self, kind: str) -> list[Sample]:
-        """The samples of one kind, one for each seed."""
+        """The samples of one kind, one for each site."""
         if kind not in self._samples:
-            self._samples[kind] = [{"seed": seed, **self.draw(kind, seed)} for seed in self.seeds]
+            self._samples[kind] = [self.draw(kind, site) for site in self.sites]
         return self._samples[kind]
 
     def measure(self, kernel: Callable[..., dict], *kinds: str) -> Batch:
@@ -66,18 +84,41 @@ class Facts(ABC):
 
     def _measure_kind(self, kernel: Callable[..., dict], kind: str) -> Batch:
         name = kernel.__name__
+        if name in self._broken:
+            raise self._broken[name]
         if name not in self.kernels:
             self.kernels[name] = compiled(lambda sample: kernel(self.subject, sample))
         if (name, kind) not in self._measured:
-            rows = [{**sample, **self.kernels[name](sample)} for sample in self.samples(kind)]
-            self._measured[name, kind] = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+            try:
+                rows = [{**sample, **self.kernels[name](sample)} for sample in self.samples(kind)]
+            except Exception as error:
+                self._broken[name] = error
+                raise
+            found = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+            self._measured[name, kind] = {**found, "place": np.array([site.words for site in self.sites])}
         return self._measured[name, kind]
 
-    def compare(self, what: str, at: Batch, got: Any, expected: Any, limit: float | np.ndarray) -> Comparison:
-        """Largest difference, relative to ``1 +`` the largest entry expected, at each sample."""
+    def compare(
+        self,
+        what: str,
+        at: Batch,
+        got: Any,
+        expected: Any,
+        limit: float | np.ndarray,
+        names: tuple[str, str] = (THE_VALUE, "the one expected"),
+        hint: Hint | None = None,
+    ) -> Comparison:
+        """Largest difference, relative to ``1 +`` the largest entry expected, at each sample.
+
+        ``names`` are those of the two, for the words on one that is a multiple of the other; ``hint`` has more words.
+        """
         got, expected = np.asarray(got), np.broadcast_to(expected, np.shape(got))
         size = 1 + largest_entries(expected)
-        return self.bound(what, at, largest_entries(got - expected) / size, limit)
+
+        def words(k: int) -> str:
+            return "; ".join(filter(None, (multiple(got[k], expected[k], *names), hint(k) if hint else "")))
+
+        return self.bound(what, at, largest_entries(got - expected) / size, limit, hint=words)
 
     def compare_slopes(self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float) -> Comparison:
         """Derivatives against differences of ``values`` at ``step NODES``, which are as good as the coarser ones say."""
@@ -87,10 +128,12 @@ class Facts(ABC):
         limit = np.minimum(1e3 * self.tolerance + largest_entries(fine - coarse), WORST_DIFFERENCES)
         return self.compare(what, at, exact, fine, limit)
 
-    def bound(self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most") -> Comparison:
+    def bound(
+        self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most", hint: Hint | None = None
+    ) -> Comparison:
         """A measured number at each sample, with what it is expected to be ``at most`` or ``at least``."""
         measured = np.asarray(measured, float)
-        return Comparison(what, measured, np.broadcast_to(np.asarray(limit, float), measured.shape), at, side)
+        return Comparison(what, measured, np.broadcast_to(np.asarray(limit, float), measured.shape), at, side, hint)
 
 
 def largest_entries(a: np.ndarray) -> np.ndarray:

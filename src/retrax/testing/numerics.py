@@ -74,6 +74,17 @@ def unflat(manifold: Manifold) -> Callable[[Vector], Ambient]:
     return back
 
 
+def violation_kernel(manifold: Manifold) -> Callable[[np.ndarray], np.ndarray]:
+    """The largest violation of a manifold's equations at a flat point, 0 where there are none, and the largest absolute value."""
+    back = unflat(manifold)
+
+    def violation(y: Vector) -> jax.Array:
+        values = jnp.stack([jnp.zeros(()), *map(jnp.asarray, manifold.violations(back(y)).values())])
+        return jnp.stack([jnp.max(values), jnp.max(jnp.abs(values))])
+
+    return compiled(violation)
+
+
 def ambient_size(manifold: Manifold) -> int:
     """Real dimension of the ambient space."""
     return jax.eval_shape(flat, vec.zeros(manifold.ambient)).size

@@ -1,14 +1,24 @@
 """What a check is, what it measured, and the report in words."""
 
+import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
+import jax
 import numpy as np
 
 from ..manifolds import RetraxError
+from ..manifolds.numerics.errors import TRACEABLE
+
+NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
+THE_VALUE = "the value"
+# Folders of files that errors pass through on their way from what is checked.
+_INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
 
 Batch = dict[str, Any]  # arrays whose first axis counts the samples
+Hint = Callable[[int], str]  # words on one sample: what it looks like, what to try; empty if there is nothing to say
 
 
 class ConformanceError(RetraxError):
@@ -28,6 +38,7 @@ class Comparison:
     limit: np.ndarray
     at: Batch
     side: str = "at most"
+    hint: Hint | None = None
 
     @property
     def holds(self) -> np.ndarray:
@@ -74,6 +85,7 @@ class Outcome:
     status: str
     words: str
     where: str = ""
+    same_as: str = ""  # the check that met the same error first
 
 
 @dataclass(frozen=True)
@@ -96,11 +108,16 @@ class Report:
         lines = [
             f"{' '.join(self.subject.split())}: " + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         ]
+        again = [outcome.check.name for outcome in outcomes if outcome.same_as]
         for outcome in outcomes:
+            if outcome.same_as:
+                continue
             lines.append(f"  {outcome.status:<14} {outcome.check.name}: {outcome.words}")
             if outcome.status == "fails":
                 lines += [f"{'':<16} the fact: {outcome.check.fact}"]
                 lines += [f"{'':<16} {outcome.where}"] if outcome.where else []
+        if again:
+            lines.append(f"  {'fails':<14} for the same error: {', '.join(again)}")
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -112,17 +129,49 @@ def judge(check: Check, facts: Any) -> Outcome:
     try:
         found = check.measure(facts)
     except Exception as error:
-        return Outcome(check, "fails", f"it could not be measured: {type(error).__name__}: {error}")
+        words, first = _in_words(error, check, facts)
+        return Outcome(check, "fails", f"it could not be measured: {words}", same_as=first)
     if isinstance(found, Inapplicable):
         return Outcome(check, "not applicable", found.reason)
     k = found.worst
-    words = f"{found.what} is {found.measured[k]:.3g}, expected {found.side} {found.limit[k]:.3g}"
-    return Outcome(check, "holds" if found.holds.all() else "fails", words, f"at {_place(found.at, k)}")
+    words = f"{found.what} is {number(found.measured[k])}, expected {found.side} {number(found.limit[k])}"
+    if found.holds.all():
+        return Outcome(check, "holds", words, f"at {_place(found.at, k)}")
+    hint = NAN if np.isnan(found.measured[k]) else found.hint(k) if found.hint else ""
+    return Outcome(check, "fails", words + (f"; {hint}" if hint else ""), f"at {_place(found.at, k)}")
+
+
+def number(value: float) -> str:
+    """A number as reports show it: two digits of what is small or large, three of what is neither."""
+    return f"{value:.3g}" if value == 0 or 1e-2 <= abs(value) < 1e4 or not np.isfinite(value) else f"{value:.1e}"
+
+
+def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str) -> str:
+    """Words where what came is a multiple of what was expected by another factor than 1; empty where it is none."""
+    square = np.sum(expected * expected) if expected.size > 1 or name != THE_VALUE else 0.0  # any two numbers are multiples
+    factor = np.sum(got * expected) / square if square > 0 else np.nan
+    if np.max(np.abs(got - factor * expected), initial=0.0) <= 1e-6 * np.sqrt(square) and abs(factor - 1) > 5e-4:
+        return f"{name} is {factor:.3f} times {other}"
+    return ""
+
+
+def _in_words(error: Exception, check: Check, facts: Any) -> tuple[str, str]:
+    """An error with its first line and the place that it comes from, and the check that met the same one before, if any did."""
+    frames = [f for f in traceback.extract_tb(error.__traceback__) if not any(part in f.filename for part in _INNER)]
+    where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    line = next(iter(str(error).strip().splitlines()), "no message")
+    first = facts.errors.setdefault((type(error), where or line), check.name)
+    if first != check.name:
+        return f"the {type(error).__name__}{where} of {first}", first
+    advice = f"; {TRACEABLE}" if isinstance(error, jax.errors.JAXTypeError) else ""
+    return f"{type(error).__name__}{where}: {line}{advice}", ""
 
 
 def _place(at: Batch, k: int) -> str:
-    """Seed, point and tangent vector of one sample, with its entries in flat real coordinates."""
-    shown = [
-        f"{name} = {np.array2string(at[name][k], precision=4, threshold=20, max_line_width=10**6)}" for name in "xv" if name in at
-    ]
-    return ", ".join([f"seed {at['seed'][k]}", *shown])
+    """Where one sample is, its point and its tangent vector, with their entries in flat real coordinates."""
+    return ", ".join([str(at["place"][k]), *(f"{name} = {entries(at[name][k])}" for name in "xv" if name in at)])
+
+
+def entries(a: np.ndarray) -> str:
+    """The entries of a vector on one line, the first and the last of many."""
+    return np.array2string(a, precision=4, threshold=20, max_line_width=10**6)

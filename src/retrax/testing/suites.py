@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import cache
 from typing import Any, NamedTuple
 
-from ..manifolds import CotangentBundle, InvalidInputError, Manifold, MatrixLieGroup
+from ..manifolds import CotangentBundle, InvalidInputError, Manifold, MatrixLieGroup, Metric
 from ..retractions import DiscretizationMap, Retraction
 from . import checks as kit
 from .facts import Facts, refuse_unknown
@@ -19,19 +19,21 @@ class Suite(NamedTuple):
 
 
 def suite_for(subject: Any) -> Suite:
-    """The suite for a manifold, a retraction, a discretization map or a cotangent lift."""
+    """The suite for a manifold, a metric, a retraction, a discretization map or a cotangent lift."""
     if isinstance(subject, DiscretizationMap):
         if isinstance(subject.manifold, CotangentBundle):
             return Suite(kit.CotangentLiftFacts, kit.COTANGENT_LIFT_CHECKS)
         return Suite(kit.DiscretizationFacts, kit.DISCRETIZATION_CHECKS)
     if isinstance(subject, Retraction):
         return Suite(kit.RetractionFacts, kit.RETRACTION_CHECKS)
+    if isinstance(subject, Metric):
+        return Suite(kit.MetricFacts, kit.METRIC_CHECKS)
     if isinstance(subject, MatrixLieGroup):
         return Suite(kit.LieGroupFacts, kit.LIE_GROUP_CHECKS)
     if isinstance(subject, Manifold):
         return Suite(kit.ManifoldFacts, kit.MANIFOLD_CHECKS)
     raise InvalidInputError(
-        f"there are checks of manifolds, retractions, discretization maps and cotangent lifts, got {subject!r}"
+        f"there are checks of manifolds, metrics, retractions, discretization maps and cotangent lifts, got {subject!r}"
     )
 
 

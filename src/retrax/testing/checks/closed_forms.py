@@ -6,6 +6,9 @@ from ...retractions import MidpointRetraction, Retraction
 from ..facts import Facts, Sample
 from ..numerics import flat, unflat
 from ..report import Comparison, Inapplicable, fact
+from .retraction_facts import RetractionFacts
+
+NO_MIDPOINT = "no midpoint is claimed"
 
 
 def _closed_forms(retraction: Retraction, sample: Sample) -> dict:
@@ -19,15 +22,6 @@ def _closed_forms(retraction: Retraction, sample: Sample) -> dict:
     }
 
 
-def _halves(retraction: MidpointRetraction, sample: Sample) -> dict:
-    """Tangent vectors at the midpoint of ``x`` and ``R(x, v)`` that lead to the two."""
-    back = unflat(retraction.manifold)
-    x = back(sample["x"])
-    y = retraction(x, back(sample["v"]))
-    m = retraction.midpoint(x, y)
-    return {"to x": flat(retraction.preimage(m, x)), "to y": flat(retraction.preimage(m, y))}
-
-
 @fact
 def closed_forms_are_the_retraction_itself(facts: Facts) -> Comparison | Inapplicable:
     """``chart(x, frame(x), c) = R(x, sum_k c_k E_k)`` and ``both_ways(x, v) = (R(x, -v), R(x, v))``, which integrators call."""
@@ -39,9 +33,18 @@ def closed_forms_are_the_retraction_itself(facts: Facts) -> Comparison | Inappli
 
 
 @fact
-def midpoint_lies_midway(facts: Facts) -> Comparison | Inapplicable:
+def midpoint_lies_midway(facts: RetractionFacts) -> Comparison | Inapplicable:
     """The midpoint ``m`` of two points has ``R_m^-1(x0) = -R_m^-1(x1)``."""
     if not isinstance(facts.subject, MidpointRetraction):
-        return Inapplicable("no midpoint is claimed")
-    f = facts.measure(_halves, "inside")
+        return Inapplicable(NO_MIDPOINT)
+    f = facts.midpoints_nearby()
     return facts.compare("|R_m^-1(x0) + R_m^-1(x1)|", f, f["to x"] + f["to y"], 0.0, 10 * facts.tolerance)
+
+
+@fact
+def midpoint_has_the_derivatives_of_its_differences(facts: RetractionFacts) -> Comparison | Inapplicable:
+    """Reverse mode through the midpoint, by both points, agrees with differences of its values."""
+    if not isinstance(facts.subject, MidpointRetraction):
+        return Inapplicable(NO_MIDPOINT)
+    f = facts.midpoints_nearby()
+    return facts.compare_slopes("|D midpoint - differences|", f, f["slope"], f["values"], f["step"])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...manifolds import CotangentBundle, HomogeneousSpace, InvalidInputError
+from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CotangentLift, DiscretizationMap
 from ..facts import SEEDS, TOLERANCE, Sample, examine
 from ..numerics import Vector, flat, unflat
@@ -27,9 +28,10 @@ class CotangentLiftFacts(DiscretizationFacts):
         symmetric: bool = False,
         reach: float = REACH,
         seeds: Iterable[int] = SEEDS,
+        points: Iterable[Ambient] = (),
         tolerance: float = TOLERANCE,
     ) -> None:
-        super().__init__(lift, symmetric=symmetric, reach=reach, seeds=seeds, tolerance=tolerance)
+        super().__init__(lift, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance)
         if not isinstance(self.manifold, CotangentBundle):
             raise InvalidInputError(
                 f"a cotangent lift acts on a cotangent bundle, got one on {self.manifold}; try CotangentLift(map)"
@@ -125,6 +127,7 @@ def check_cotangent_lift(
     symmetric: bool = False,
     reach: float = REACH,
     seeds: Iterable[int] = SEEDS,
+    points: Iterable[Ambient] = (),
     tolerance: float = TOLERANCE,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
@@ -133,9 +136,10 @@ def check_cotangent_lift(
     """Measure whether a discretization map of a cotangent bundle is one, and symplectic.
 
     ``equivariant``: whether the map on the base is claimed to commute with the group that acts there, so that momenta are
-    conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``tolerance``, ``only``, ``skip``,
-    ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold, unless
-    ``throw`` is false.
+    conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``points``, ``tolerance``, ``only``,
+    ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold,
+    unless ``throw`` is false.
     """
-    options = {"equivariant": equivariant, "symmetric": symmetric, "reach": reach, "seeds": seeds, "tolerance": tolerance}
-    return examine(CotangentLiftFacts(lift, **options), COTANGENT_LIFT_CHECKS, only, skip, throw)
+    claims = {"equivariant": equivariant, "symmetric": symmetric, "reach": reach}
+    facts = CotangentLiftFacts(lift, **claims, seeds=seeds, points=points, tolerance=tolerance)
+    return examine(facts, COTANGENT_LIFT_CHECKS, only, skip, throw)

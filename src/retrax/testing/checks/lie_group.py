@@ -8,9 +8,11 @@ import numpy as np
 
 from ...manifolds import MatrixLieGroup
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
 from ..facts import SEEDS, TOLERANCE, Sample, examine, largest_entries
 from ..numerics import flat, unflat
 from ..report import Comparison, Report, fact
+from ..sites import Site
 from .manifold import MANIFOLD_CHECKS, ManifoldFacts, max_violation
 
 
@@ -20,15 +22,22 @@ class LieGroupFacts(ManifoldFacts):
     kind = MatrixLieGroup
     subject: MatrixLieGroup
 
-    def __init__(self, group: MatrixLieGroup, *, seeds: Iterable[int] = SEEDS, tolerance: float = TOLERANCE) -> None:
-        super().__init__(group, seeds=seeds, tolerance=tolerance)
+    def __init__(
+        self,
+        group: MatrixLieGroup,
+        *,
+        seeds: Iterable[int] = SEEDS,
+        points: Iterable[Ambient] = (),
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        super().__init__(group, seeds=seeds, points=points, tolerance=tolerance)
 
-    def draw(self, kind: str, seed: int) -> Sample:
+    def draw(self, kind: str, site: Site) -> Sample:
         """Elements ``x``, ``y``, ``z``, a covector ``p`` at ``x``, coordinates ``b``, ``c`` of elements of the algebra."""
-        rng = np.random.default_rng(seed)
-        y, z = (self.sampler.point(int(other))[0] for other in rng.integers(2**31, size=2))
+        rng = np.random.default_rng(site.seed)
+        y, z = (self.sampler.random(int(other)) for other in rng.integers(2**31, size=2))
         b, c = rng.standard_normal((2, self.manifold.dimension)) / np.sqrt(max(self.manifold.dimension, 1))
-        drawn = super().draw(kind, seed)
+        drawn = super().draw(kind, site)
         return {**drawn, "y": y, "z": z, "p": drawn["v"], "b": b, "c": c}
 
 
@@ -205,6 +214,7 @@ def check_lie_group(
     group: MatrixLieGroup,
     *,
     seeds: Iterable[int] = SEEDS,
+    points: Iterable[Ambient] = (),
     tolerance: float = TOLERANCE,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
@@ -212,7 +222,7 @@ def check_lie_group(
 ) -> Report:
     """Measure whether an object keeps the promises of ``MatrixLieGroup``, those of ``Manifold`` among them.
 
-    ``seeds``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
+    ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
     ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
     """
-    return examine(LieGroupFacts(group, seeds=seeds, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw)
+    return examine(LieGroupFacts(group, seeds=seeds, points=points, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw)
