@@ -3,17 +3,14 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
-from ...manifolds.manifold import default_tolerance
-from ...manifolds.numerics import ambient as vec
 from ..retraction import comes_back, nan_unless
 from ..rounding import EDGE
 from .functions import general, rigid_motions, rotations, unitary
-from .group_map import SymmetricGroupRetraction
+from .group_map import SymmetricGroupRetraction, on_group
 
 Matrix = Shaped[Array, "n n"]
 
@@ -59,14 +56,14 @@ class GroupExponential(SymmetricGroupRetraction):
 
     On SO, U and SU they are the geodesics of the bi-invariant metric, on other groups not in general those of a metric.
     Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU all
-    angles of ``A`` below pi and no two, but those of one plane, within ``2 pi sqrt(eps)`` of a full turn apart; elsewhere where
+    angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart; elsewhere where
     the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off the group.
     """
 
     manifold: MatrixLieGroup
 
     def group_map(self, a: Matrix) -> Matrix:
-        return _on_group(self.manifold, _functions(self.manifold).exponential(a))
+        return on_group(self.manifold, _functions(self.manifold).exponential(a))
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         return self.manifold.algebra_part(_functions(self.manifold).logarithm(b))
@@ -105,7 +102,7 @@ class GroupCayley(SymmetricGroupRetraction):
         return group.lie_algebra.closed_under_cubes
 
     def group_map(self, a: Matrix) -> Matrix:
-        return _on_group(self.manifold, _functions(self.manifold).cayley(a))
+        return on_group(self.manifold, _functions(self.manifold).cayley(a))
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         a = self.manifold.algebra_part(_functions(self.manifold).cayley_inverse(b))
@@ -117,13 +114,6 @@ class GroupCayley(SymmetricGroupRetraction):
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)
-
-
-def _on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
-    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere, as far out on SL(n)."""
-    if type(group) in _CLOSED_FORMS:
-        return g
-    return nan_unless(vec.size(group.violations(jax.lax.stop_gradient(g))) <= default_tolerance(), g)
 
 
 def _invertible(a: Matrix) -> Bool[Array, ""]:

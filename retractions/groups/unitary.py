@@ -20,7 +20,7 @@ class UPolar(SymmetricGroupRetraction):
     """``R(x, v)`` = unitary polar factor of ``x + v``: the nearest unitary matrix.
 
     Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: every tangent vector
-    shorter than ``1 / sqrt(eps)``.
+    shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: U

@@ -127,7 +127,7 @@ class GrassmannPolar(_RotatedProjector):
     """Projector on the image of ``(x + v) x``: the polar and the QR retraction of frames, which span the same subspace.
 
     It turns by an angle ``t`` from a singular value ``tan t``. Inverse ``(y - x)(x + y - I)^-1 (2x - I)``; its image is
-    where all principal angles are below pi/2, its domain every tangent vector shorter than ``1 / sqrt(eps)``.
+    where all principal angles are below pi/2, its domain every tangent vector shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: Grassmann

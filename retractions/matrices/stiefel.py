@@ -37,7 +37,7 @@ class StiefelPolar(DifferentiatedRetraction):
 
     Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is positive
     definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector shorter than
-    ``1 / sqrt(eps)`` [Kaneko, Fiori, Tanaka 2013].
+    ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
     """
 
     manifold: Stiefel

@@ -27,8 +27,8 @@ class StiefelExponential(Retraction):
 
     Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
     derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
-    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``pi sqrt(eps)``; its
-    image the points nearer than pi.
+    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4 pi sqrt(eps)``;
+    its image the points nearer than pi.
     """
 
     manifold: Stiefel

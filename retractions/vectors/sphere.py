@@ -23,7 +23,7 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
     """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
 
     Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi`` but
-    for the last ``pi sqrt(eps)``.
+    for the last ``4 pi sqrt(eps)``.
     """
 
     manifold: Sphere
@@ -66,7 +66,7 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
     """Nearest point: ``R(x, v) = (x + v) / |x + v|``.
 
     Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain every tangent vector
-    shorter than ``1 / sqrt(eps)``.
+    shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: Sphere

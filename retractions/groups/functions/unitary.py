@@ -83,9 +83,10 @@ def unitary_logarithm(a: Matrix) -> Matrix:
     sine = vectors.conj().T @ ((a - adjoint) / 2) @ vectors
     sine = (sine - sine.conj().T) / 2
     sines = jnp.linalg.norm(sine, axis=1)
-    ratios = jnp.where(sines > 0, jnp.arctan2(sines, jnp.abs(cosines)) / jnp.where(sines > 0, sines, 1.0), 1.0)
-    arcsine = (ratios[:, None] + ratios) / 2 * sine
     far = cosines < _widest_gap(cosines)
+    angles = jnp.arctan2(sines, jnp.where(far, -cosines, cosines))
+    ratios = jnp.where(sines > 0, angles / jnp.where(sines > 0, sines, 1.0), 1.0)
+    arcsine = (ratios[:, None] + ratios) / 2 * sine
     sign, known = _sign_of_block(sine, far)
     log = jnp.where(far[:, None] & far, jnp.pi * sign - arcsine, jnp.where(far[:, None] | far, 0.0, arcsine))
     known &= vec.size(sines**2 + cosines**2 - 1) < tolerance(cosines, _UNITARITY)
