@@ -109,7 +109,7 @@ class SPDLogEuclidean(MidpointRetraction):
     manifold: SPD
 
     def __call__(self, x: Array, v: Array) -> Array:
-        return _in_cone(sym_exp(self._logarithm_of_value(x, v)))
+        return _in_cone(symmetric(sym_exp(self._logarithm_of_value(x, v))))
 
     def _logarithm_of_value(self, x: Array, v: Array) -> Array:
         log, rate = jax.jvp(spd_log, (x,), (v,))
@@ -123,4 +123,4 @@ class SPDLogEuclidean(MidpointRetraction):
         return _spread_is_known(self._logarithm_of_value(x, v)) & comes_back(self, x, v)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
-        return sym_exp((spd_log(x0) + spd_log(x1)) / 2)
+        return symmetric(sym_exp((spd_log(x0) + spd_log(x1)) / 2))
