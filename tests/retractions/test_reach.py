@@ -4,6 +4,7 @@ A tangent vector is in the domain where the inverse gives it back to more than h
 is a point of the manifold to rounding, or not finite.
 """
 
+import time
 from contextlib import nullcontext
 from functools import lru_cache, partial
 
@@ -11,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.manifolds import SPD
+from retrax.manifolds import SPD, Stiefel
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.frames import qr_factor
 from retrax.manifolds.numerics.matrices import exponential
-from retrax.retractions import Exponential, Retraction, SPDLogEuclidean
+from retrax.retractions import Exponential, Retraction, SPDLogEuclidean, StiefelCanonicalExponential
 from retrax.retractions.groups.functions import unitary
 from retrax.testing.numerics import compiled
 
@@ -155,3 +156,12 @@ def test_a_definite_matrix_stays_one_however_far_its_eigenvalues_spread(family, 
     assert np.all(known[inside])
     assert not np.any(known[spreads > -np.log(eps)])
     assert all(np.all(value[known] <= 0) for value in off.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [(5, 1), (4, 2)])
+def test_the_canonical_logarithm_of_frames_compiles_in_seconds(size):
+    inverse, frame = StiefelCanonicalExponential(Stiefel(*size)).inverse, jax.ShapeDtypeStruct(size, float)
+    lowered, start = jax.jit(inverse).lower(frame, frame), time.process_time()
+    lowered.compile()
+    assert time.process_time() - start < 10
