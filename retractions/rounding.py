@@ -5,6 +5,7 @@ is to ``sqrt(eps)`` relative to ``1 + |v|``. Each retraction says in its own ter
 the point, or has the round trip say it.
 """
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
@@ -24,4 +25,4 @@ def length(v: Shaped[Array, "..."]) -> Array:
 
 def is_seen_beside(v: Shaped[Array, "..."]) -> Bool[Array, ""]:
     """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than ``1 / (EDGE eps)``."""
-    return length(v) * EDGE * jnp.finfo(v.dtype).eps < 1
+    return length(jax.lax.stop_gradient(v)) * EDGE * jnp.finfo(v.dtype).eps < 1
