@@ -63,14 +63,13 @@ class GroupRetraction(Retraction):
 
 
 def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
-    """``g`` where it satisfies the group's equations to half of its digits, NaN elsewhere, as far out on SL(n).
+    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det is lost.
 
     Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as they are.
     """
     if isinstance(group, SO | SE | U | SU):
         return g
-    fixed = jax.lax.stop_gradient(g)
-    return nan_unless(vec.size(group.violations(fixed)) <= default_tolerance() * (1 + vec.size(fixed)), g)
+    return nan_unless(vec.size(group.violations(jax.lax.stop_gradient(g))) <= default_tolerance(), g)
 
 
 class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
