@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .manifold import Manifold, default_tolerance, real
+from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.root import solve_small
@@ -76,7 +77,7 @@ class LevelSet(Manifold):
     def violations(self, x: Array) -> dict[str, Array]:
         singular = jnp.linalg.svd(self.jacobian(x), compute_uv=False)
         lost = jnp.sum(singular <= default_tolerance() * singular[0])
-        return {"max |constraint|": jnp.max(jnp.abs(self.equations(x))), "rank lost by the constraint's Jacobian": lost}
+        return {"max |constraint|": vec.size(self.equations(x)), "rank lost by the constraint's Jacobian": lost}
 
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""
@@ -92,7 +93,7 @@ def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Arr
     """The first of 20 draws that satisfies the manifold's equations; an error if none does."""
 
     def off(x: Ambient) -> Array:
-        return ~(jnp.max(jnp.stack(jax.tree.leaves(manifold.violations(x)))) <= default_tolerance())
+        return ~(vec.size(manifold.violations(x)) <= default_tolerance())
 
     def again(state: tuple[Array, Ambient, Array]) -> tuple[Array, Ambient, Array]:
         key, sub = jax.random.split(state[0])

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from .manifold import Manifold
+from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError
 from .numerics.sizes import are_whole
@@ -51,7 +52,7 @@ class Power(Manifold):
 
     def violations(self, x: Ambient) -> dict[str, Array]:
         found = jax.vmap(self.factor.violations)(x)
-        return {f"in the worst copy: {words}": jnp.max(values) for words, values in found.items()}
+        return {f"in the worst copy: {words}": vec.size(values) for words, values in found.items()}
 
     def random_point(self, key: Array) -> Ambient:
         return jax.vmap(self.factor.random_point)(jax.random.split(key, self.k))

@@ -91,7 +91,7 @@ class Submanifold(Manifold):
         return jax.lax.scan(step, (x, jnp.array(True)), length=GAUSS_NEWTON_STEPS)[0][0]
 
     def violations(self, x: Ambient) -> dict[str, Array]:
-        values = jnp.max(jnp.abs(self.equations(x)), initial=0.0)
+        values = vec.size(self.equations(x))
         return {**self.parent.violations(x), "max |equation|": values}
 
     def random_point(self, key: Array) -> Ambient:

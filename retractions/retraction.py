@@ -18,14 +18,13 @@ from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root, known_root
 from ..manifolds.numerics.shapes import check_shapes, require_shapes
 
-EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
-
 
 class Retraction(eqx.Module):
     """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
 
-    Subclass it with ``manifold`` and ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a
-    round trip); a class that knows closed forms writes them in their place.
+    However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with ``manifold`` and
+    ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a round trip); a class that knows closed
+    forms writes them in their place.
     """
 
     @attribute
@@ -70,9 +69,11 @@ class Retraction(eqx.Module):
         return newton_preimage(self, x, y)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
-        """Whether ``v`` lies where ``R_x`` is known to be inverted by ``preimage``."""
-        back = self.preimage(x, self(x, v))
-        return same_point(back, v, default_tolerance())
+        """Whether ``preimage`` inverts ``R_x`` at ``v`` to more than half of the digits: ``sqrt(eps)`` relative to ``1 + |v|``.
+
+        Closed forms end where ``R_x`` ceases to be injective, or where rounding of ``R(x, v)`` leaves less of ``v``.
+        """
+        return comes_back(self, x, v)
 
     def inverse(self, x: Ambient, y: Ambient) -> Ambient:
         """Inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
@@ -92,6 +93,11 @@ class Retraction(eqx.Module):
                     f"use: {miss}; take a nearer point, or a retraction with a larger image"
                 )
         return v
+
+
+def comes_back(retraction: Retraction, x: Ambient, v: Ambient) -> Bool[Array, ""]:
+    """Whether the inverse finds ``v`` from ``R(x, v)`` to more than half of the digits."""
+    return same_point(retraction.preimage(x, retraction(x, v)), v, default_tolerance())
 
 
 def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambient | None = None) -> Ambient:

@@ -59,11 +59,16 @@ def invariant_dimension(found: Invariants, n: int, is_complex: bool) -> int:
 def equations(found: Invariants, x: Array) -> Array:
     """The equations ``x b = b``, ``c x = c``, ``x^H J x = J``, ``x K x^H = K``, ``det x = 1`` as one real vector."""
     adjoint = x.conj().T
+    # In the precision of x: a constant of numpy keeps that in which a process has used it first.
+    tensors = found.vectors.T, found.covectors, found.forms, found.coforms
+    vectors, covectors, forms, coforms = (
+        jnp.asarray(a, jnp.result_type(x.dtype, jnp.complex64) if np.iscomplexobj(a) else x.dtype) for a in tensors
+    )
     parts = (
-        x @ found.vectors.T - found.vectors.T,
-        found.covectors @ x - found.covectors,
-        adjoint @ found.forms @ x - found.forms,
-        x @ found.coforms @ adjoint - found.coforms,
+        x @ vectors - vectors,
+        covectors @ x - covectors,
+        adjoint @ forms @ x - forms,
+        x @ coforms @ adjoint - coforms,
         jnp.atleast_1d(jnp.linalg.det(x) - 1) if found.volume else jnp.zeros(0, x.dtype),
     )
     flat = jnp.concatenate([jnp.ravel(part) for part in parts])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ..manifold import default_tolerance
 from ..metric import Metric
 from ..numerics.ambient import is_traced
 from ..numerics.errors import InvalidInputError
@@ -34,7 +35,8 @@ class LeftInvariantMetric(Metric):
         if not is_traced(self.inertia):
             matrix = np.asarray(self.inertia)
             matrix = np.diag(matrix) if matrix.ndim == 1 else matrix
-            if not (np.allclose(matrix, matrix.T, rtol=1e-6) and np.all(np.linalg.eigvalsh(matrix) > 0)):
+            symmetric = np.max(np.abs(matrix - matrix.T)) <= default_tolerance() * np.max(np.abs(matrix))
+            if not (symmetric and np.all(np.linalg.eigvalsh(matrix) > 0)):
                 raise InvalidInputError(f"the inertia must be symmetric and positive definite, got {matrix.tolist()}")
 
     def inner_product(self, x: Array, v: Array, w: Array) -> Array:

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..numerics import ambient as vec
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
 from .special_orthogonal import nearly_orthogonal, random_rotation, rotation_violations, skew_basis
@@ -61,7 +62,7 @@ class SE(MatrixLieGroup):
         return homogeneous(nearly_orthogonal(rotation), translation, 1.0)
 
     def violations(self, x: Array) -> dict[str, Array]:
-        last = jnp.max(jnp.abs(x[-1] - jnp.eye(self.n + 1, dtype=x.dtype)[-1]))
+        last = vec.size(x[-1] - jnp.eye(self.n + 1, dtype=x.dtype)[-1])
         return {**rotation_violations("R", self.parts(x)[0]), "max |last row - (0, ..., 0, 1)|": last}
 
     def random_point(self, key: Array) -> Array:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ..numerics import ambient as vec
 from ..numerics.frames import qr_factor
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
@@ -87,7 +88,7 @@ def nearly_orthogonal(x: Array) -> Array:
 
 def rotation_violations(name: str, x: Array) -> dict[str, Array]:
     """The equations of rotations in words, and how much ``x`` violates them."""
-    gram = jnp.max(jnp.abs(x.T @ x - jnp.eye(x.shape[0], dtype=x.dtype)))
+    gram = vec.size(x.T @ x - jnp.eye(x.shape[0], dtype=x.dtype))
     return {f"max |{name}'{name} - I|": gram, f"|det {name} - 1|": jnp.abs(jnp.linalg.det(x) - 1)}
 
 

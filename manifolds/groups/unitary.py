@@ -38,7 +38,7 @@ def _skew_hermitian_part(a: Array) -> Array:
 
 
 def _gram_violation(x: Array) -> dict[str, Array]:
-    return {"max |x^H x - I|": jnp.max(jnp.abs(x.conj().T @ x - jnp.eye(x.shape[0], dtype=x.dtype)))}
+    return {"max |x^H x - I|": vec.size(x.conj().T @ x - jnp.eye(x.shape[0], dtype=x.dtype))}
 
 
 def _random_unitary(key: Array, n: int) -> Array:

@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from ..groups import skew_basis
 from ..manifold import HomogeneousSpace, real
+from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import adapted_frame, qr_factor
 from ..numerics.sizes import are_whole, plain
@@ -64,8 +65,8 @@ class Grassmann(HomogeneousSpace):
 
     def violations(self, x: Array) -> dict[str, Array]:
         return {
-            "max |x - x'|": jnp.max(jnp.abs(x - x.T)),
-            "max |x^2 - x|": jnp.max(jnp.abs(x @ x - x)),
+            "max |x - x'|": vec.size(x - x.T),
+            "max |x^2 - x|": vec.size(x @ x - x),
             f"|tr x - {self.p}|": jnp.abs(jnp.trace(x) - self.p),
         }
 

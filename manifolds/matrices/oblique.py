@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifold import HomogeneousSpace, real
+from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
 from ..numerics.sizes import are_whole, plain
 from ..vectors import Sphere
@@ -53,7 +54,7 @@ class Oblique(HomogeneousSpace):
         return jax.vmap(self.column.restore, 1, 1)(x)
 
     def violations(self, x: Array) -> dict[str, Array]:
-        return {"max ||column|^2 - 1|": jnp.max(jnp.abs(jnp.sum(x * x, 0) - 1))}
+        return {"max ||column|^2 - 1|": vec.size(jnp.sum(x * x, 0) - 1)}
 
     def generators(self, x: Array) -> Array:
         return self.place(jax.vmap(self.column.generators, 1)(x))

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace, real
 from ..metric import Metric
+from ..numerics import ambient as vec
 from ..numerics.matrices import symmetric
 from ..numerics.sizes import plain, require_size
 
@@ -55,7 +56,7 @@ class SPD(HomogeneousSpace):
 
     def violations(self, x: Array) -> dict[str, Array]:
         negative = jnp.sum(jnp.linalg.eigvalsh(symmetric(x)) <= 0)
-        return {"max |x - x'|": jnp.max(jnp.abs(x - x.T)), "number of eigenvalues not positive": negative}
+        return {"max |x - x'|": vec.size(x - x.T), "number of eigenvalues not positive": negative}
 
     def generators(self, x: Array) -> Array:
         units = jnp.eye(self.n**2, dtype=x.dtype).reshape(-1, self.n, self.n)

@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ..groups import skew_basis
 from ..manifold import HomogeneousSpace, real
 from ..metric import Metric
+from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import complement, qr_factor
 from ..numerics.sizes import are_whole, plain
@@ -63,7 +64,7 @@ class Stiefel(HomogeneousSpace):
         return x @ (3 * jnp.eye(self.p, dtype=x.dtype) - x.T @ x) / 2
 
     def violations(self, x: Array) -> dict[str, Array]:
-        return {"max |x'x - I|": jnp.max(jnp.abs(x.T @ x - jnp.eye(self.p, dtype=x.dtype)))}
+        return {"max |x'x - I|": vec.size(x.T @ x - jnp.eye(self.p, dtype=x.dtype))}
 
     def generators(self, x: Array) -> Array:
         return jnp.asarray(skew_basis(self.n), x.dtype) @ x

@@ -92,9 +92,14 @@ def normal(key: Array, ambient: PyTree) -> Ambient:
 
 
 def size(a: Ambient) -> Array:
-    """Largest absolute entry ``max |a_i|``."""
-    leaves = [jnp.max(jnp.abs(leaf)) for leaf in jax.tree.leaves(a) if leaf.size]
-    return jnp.max(jnp.stack(leaves)) if leaves else jnp.zeros(())
+    """Largest absolute entry ``max |a_i|``; NaN if any entry is."""
+    leaves = [leaf for leaf in jax.tree.leaves(a) if leaf.size]
+    if not leaves:
+        return jnp.zeros(())
+    largest = jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in leaves]))
+    # Maxima of some thousand arrays at once pass over entries that are NaN (XLA 0.10 on processors).
+    unknown = jnp.any(jnp.stack([jnp.any(jnp.isnan(leaf)) for leaf in leaves]))
+    return jnp.where(unknown, jnp.nan, largest)
 
 
 def combine(frame: Frame, coordinates: Coordinates) -> Ambient:

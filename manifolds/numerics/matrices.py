@@ -8,7 +8,9 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Shaped
 
+from . import ambient as vec
 from . import series
+from .newton import tolerance
 
 Matrix = Shaped[Array, "n n"]
 
@@ -55,10 +57,15 @@ def _spd_sqrt_jvp(rounding: float, primals: tuple[Matrix], tangents: tuple[Matri
 
 
 def exponential(a: Matrix) -> Matrix:
-    """Exponential of a square matrix by scaling and squaring of a Pade approximant [Higham 2005]."""
-    norm = jax.lax.stop_gradient(jnp.max(jnp.sum(jnp.abs(a), axis=0)))
+    """Exponential of a square matrix by scaling and squaring of a Pade approximant [Higham 2005].
+
+    NaN where a rounding of ``a`` changes it in more than half of its digits, and at norms above ``9e4``.
+    """
+    norm = vec.size(jnp.sum(jnp.abs(jax.lax.stop_gradient(a)), axis=0))
     halvings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(norm, _PADE_RADIUS) / _PADE_RADIUS)), 0, _SQUARINGS)
-    a = a * 2.0**-halvings
+    # Rounding of a changes the exponential by eps |a|; every squaring doubles rounding, which comes to the same.
+    known = norm <= min(_PADE_RADIUS * 2.0**_SQUARINGS, 1 / tolerance(a, 0.5))
+    a = jnp.where(known, a * 2.0**-halvings, jnp.nan)
     eye, square = jnp.eye(a.shape[0], dtype=a.dtype), a @ a
     fourth = square @ square
     sixth = fourth @ square

@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from . import ambient as vec
+
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
@@ -61,7 +63,7 @@ def _chords(
 
     def chord(s: _Iteration) -> _Iteration:
         d = solve(residual(s.c))
-        step = jnp.max(jnp.abs(d))
+        step = vec.size(d)
         ratio = step / s.step
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))

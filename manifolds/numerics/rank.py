@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-RANK_TOLERANCE = 1e-7  # smallest singular value that counts, relative to the largest
+RANK_POWER = 0.45  # of eps: smallest singular value that counts, relative to the largest: 9e-8, in single precision 8e-4
 
 
 class Rank(NamedTuple):
@@ -23,7 +23,7 @@ def numerical_rank(matrix: np.ndarray, unit: float = 0.0) -> Rank:
     if not matrix.size:
         return Rank(0, np.zeros(0), np.inf)
     values = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.sum(values > RANK_TOLERANCE * max(values[0], unit)))
+    rank = int(np.sum(values > np.finfo(values.dtype).eps ** RANK_POWER * max(values[0], unit)))
     dropped = values[rank] if rank < len(values) else 0.0
     return Rank(rank, values, float((values[rank - 1] if rank else unit) / dropped) if dropped else np.inf)
 

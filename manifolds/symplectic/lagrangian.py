@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..manifold import Manifold, default_tolerance
+from ..manifold import Manifold, default_tolerance, working_precision
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame, is_traced
 from ..numerics.errors import InvalidInputError, NotOnManifoldError
@@ -22,7 +22,7 @@ from ..product import Product
 from .forms import coordinates, difference, pullback_form
 from .presymplectic import PresymplecticManifold
 
-ISOTROPY = 1e-9  # largest value of the form on unit tangent vectors, relative to its largest on all of them
+ISOTROPY = 0.575  # power of eps: largest value of the form on unit tangent vectors, relative to its largest on all: 1e-9
 
 
 @final
@@ -74,17 +74,21 @@ class LagrangianVerdict:
         return self.rank // 2 + self.shared
 
     def __bool__(self) -> bool:
-        return self.isotropy <= ISOTROPY and self.dimension == self.required
+        return self.isotropy <= _isotropy_tolerance() and self.dimension == self.required
 
     @property
     def reason(self) -> str:
         """The verdict in words."""
-        if not self.isotropy <= ISOTROPY:
-            return f"not isotropic: the pulled back form is {self.isotropy:.1e} (relative), expected at most {ISOTROPY:.0e}"
+        if not self.isotropy <= (limit := _isotropy_tolerance()):
+            return f"not isotropic: the pulled back form is {self.isotropy:.1e} (relative), expected at most {limit:.0e}"
         formula = f"rank / 2 + dim(TL and ker) = {self.rank} / 2 + {self.shared} = {self.required}"
         if self.dimension != self.required:
             return f"isotropic of dimension {self.dimension}, expected {formula}"
         return f"Lagrangian: isotropic to {self.isotropy:.1e}, dimension {self.dimension} = {formula}"
+
+
+def _isotropy_tolerance() -> float:
+    return float(np.finfo(working_precision()).eps ** ISOTROPY)
 
 
 def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:

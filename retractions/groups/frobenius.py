@@ -11,7 +11,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.root import approach_root
 from ..retraction import miss, newton_preimage
 from .functions import general, unitary
-from .group_map import GroupRetraction
+from .group_map import GroupRetraction, on_group
 
 Matrix = Shaped[Array, "n n"]
 
@@ -23,8 +23,9 @@ class FrobeniusExponential(GroupRetraction):
     The body velocity ``u`` solves the Euler-Poincare equation ``u' = [u^H, u]``, by ``u = exp(-tK) A exp(tK)`` with
     ``K = A - A^H`` [Andruchow, Larotonda, Recht, Varela, "The left invariant metric in the general linear group", 2014]. Raises
     ``UnknownRetractionError`` on groups whose algebra does not hold ``A^H`` with ``A``, such as SE(n). On SO, U and SU it is
-    ``GroupExponential``, which has a logarithm in closed form. The inverse is Levenberg-Marquardt's and Newton's method from the
-    logarithms of the polar factors: on SL(2) and SL(3) it comes back for ``|A| < 4``.
+    ``GroupExponential``, which has a logarithm in closed form. NaN where rounding leads off the group. The inverse is
+    Levenberg-Marquardt's and Newton's method from the logarithms of the polar factors: on SL(2) and SL(3) it comes back for
+    ``|A| < 4``.
     """
 
     manifold: MatrixLieGroup
@@ -45,7 +46,7 @@ class FrobeniusExponential(GroupRetraction):
     def group_map(self, a: Matrix) -> Matrix:
         adjoint = a.conj().T
         stretch, turn = jax.vmap(general.exponential)(jnp.stack([adjoint, a - adjoint]))
-        return stretch @ turn
+        return on_group(self.manifold, stretch @ turn)
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         eye = jnp.eye(b.shape[0], dtype=b.dtype)

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Shaped
 
-from ...manifolds import InvalidInputError, MatrixLieGroup
+from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
 from ...manifolds.manifold import default_tolerance, same_point
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.attribute import attribute
@@ -60,6 +60,16 @@ class GroupRetraction(Retraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         return x @ self.group_map_inverse(self.manifold.inverse(x) @ y)
+
+
+def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
+    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det is lost.
+
+    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as they are.
+    """
+    if isinstance(group, SO | SE | U | SU):
+        return g
+    return nan_unless(vec.size(group.violations(jax.lax.stop_gradient(g))) <= default_tolerance(), g)
 
 
 class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):

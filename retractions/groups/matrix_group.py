@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
-from ..retraction import EDGE, nan_unless
+from ..retraction import comes_back, nan_unless
+from ..rounding import EDGE
 from .functions import general, rigid_motions, rotations, unitary
-from .group_map import SymmetricGroupRetraction
+from .group_map import SymmetricGroupRetraction, on_group
 
 Matrix = Shaped[Array, "n n"]
 
@@ -55,19 +56,21 @@ class GroupExponential(SymmetricGroupRetraction):
 
     On SO, U and SU they are the geodesics of the bi-invariant metric, on other groups not in general those of a metric.
     Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU all
-    angles of ``A`` below pi, elsewhere where the logarithm comes back to 1e-11, up to about 1e-4 from a half turn.
+    angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart; elsewhere where
+    the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off the group.
     """
 
     manifold: MatrixLieGroup
 
     def group_map(self, a: Matrix) -> Matrix:
-        return _functions(self.manifold).exponential(a)
+        return on_group(self.manifold, _functions(self.manifold).exponential(a))
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         return self.manifold.algebra_part(_functions(self.manifold).logarithm(b))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return _functions(self.manifold).injective(self.manifold.left_trivialise(x, v))
+        inside = _functions(self.manifold).injective(self.manifold.left_trivialise(x, v))
+        return inside & (jnp.array(True) if type(self.manifold) in _CLOSED_FORMS else comes_back(self, x, v))
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)
@@ -80,7 +83,8 @@ class GroupCayley(SymmetricGroupRetraction):
     These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n > 2:
     there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``; its
     image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE, U, SU(2)
-    and unitriangular groups, elsewhere all multiples of an ``A`` but a few.
+    and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half of the digits of ``A`` come back.
+    NaN where rounding leads off the group.
     """
 
     manifold: MatrixLieGroup
@@ -98,7 +102,7 @@ class GroupCayley(SymmetricGroupRetraction):
         return group.lie_algebra.closed_under_cubes
 
     def group_map(self, a: Matrix) -> Matrix:
-        return _functions(self.manifold).cayley(a)
+        return on_group(self.manifold, _functions(self.manifold).cayley(a))
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
         a = self.manifold.algebra_part(_functions(self.manifold).cayley_inverse(b))
@@ -106,7 +110,7 @@ class GroupCayley(SymmetricGroupRetraction):
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         a = self.manifold.left_trivialise(x, v)
-        return _invertible(jnp.eye(a.shape[0], dtype=a.dtype) - a / 2)
+        return _invertible(jnp.eye(a.shape[0], dtype=a.dtype) - a / 2) & comes_back(self, x, v)
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)

@@ -10,7 +10,8 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import SO
 from ..differential import DifferentiatedRetraction
-from ..retraction import nan_unless
+from ..retraction import comes_back, nan_unless
+from ..rounding import is_seen_beside, keeps_half_the_digits, length
 from .functions import rotations, unitary
 from .group_map import GroupRetraction, SymmetricGroupRetraction
 
@@ -32,7 +33,8 @@ class _SymmetricRotation(SymmetricGroupRetraction):
 class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, x Omega) = x (I - Omega/2)^-1 (I + Omega/2)``.
 
-    Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega``.
+    Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega`` shorter
+    than ``1 / (4 sqrt(eps))``, than the root of that where n = 2, 3.
     Differentiated, ``x h A h`` for ``w = x A``, with ``h = (I - Omega/2)^-1``.
     """
 
@@ -56,19 +58,22 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
         return (jnp.eye(g.shape[0], dtype=g.dtype) + g) / 2
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        # Of angles near pi the inverse of a rotation in space sees the square of their distance from it.
+        size = length(v)
+        return keeps_half_the_digits(size * size if self.manifold.n <= 3 else size)
 
 
 @final
 class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, v)`` = orthogonal polar factor of ``x + v``: the nearest rotation.
 
-    Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega``.
+    Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega`` shorter than
+    ``1 / (4 sqrt(eps))``.
     Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A g``, where ``I + Omega = g s``.
     """
 
     def group_map(self, a: Array) -> Array:
-        return rotations.polar(a)
+        return nan_unless(is_seen_beside(a), rotations.polar(a))
 
     def group_map_inverse(self, b: Array) -> Array:
         return nan_unless(rotations.smallest_cosine(b) > 0, rotations.polar_inverse(b))
@@ -85,24 +90,25 @@ class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
         return x @ self.manifold.algebra_part(g @ t + t @ g.T)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return keeps_half_the_digits(length(v))
 
 
 @final
 class SOQR(GroupRetraction):
     """``R(x, v)`` = orthogonal factor of the QR factorisation of ``x + v`` with positive diagonal: first order.
 
-    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every ``Omega``.
+    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every ``Omega``
+    short enough for half of its digits to come back.
     """
 
     manifold: SO
 
     def group_map(self, a: Array) -> Array:
-        return unitary.qr_factor(a)
+        return nan_unless(is_seen_beside(a), unitary.qr_factor(a))
 
     def group_map_inverse(self, b: Array) -> Array:
         omega, triangle = unitary.qr_inverse(b)
         return nan_unless(jnp.all(jnp.diagonal(triangle) > 0), omega)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return comes_back(self, x, v)

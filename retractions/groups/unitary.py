@@ -9,7 +9,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import U
-from ..retraction import nan_unless
+from ..retraction import comes_back, nan_unless
+from ..rounding import is_seen_beside, keeps_half_the_digits, length
 from .functions import unitary
 from .group_map import GroupRetraction, SymmetricGroupRetraction
 
@@ -18,13 +19,14 @@ from .group_map import GroupRetraction, SymmetricGroupRetraction
 class UPolar(SymmetricGroupRetraction):
     """``R(x, v)`` = unitary polar factor of ``x + v``: the nearest unitary matrix.
 
-    Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: the whole tangent space.
+    Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: every tangent vector
+    shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: U
 
     def group_map(self, a: Array) -> Array:
-        return unitary.polar(a)
+        return nan_unless(is_seen_beside(a), unitary.polar(a))
 
     def group_map_inverse(self, b: Array) -> Array:
         return nan_unless(jnp.linalg.eigvalsh((b + b.conj().T) / 2)[0] > 0, unitary.polar_inverse(b))
@@ -33,24 +35,25 @@ class UPolar(SymmetricGroupRetraction):
         return unitary.square_root(b)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return keeps_half_the_digits(length(v))
 
 
 @final
 class UQR(GroupRetraction):
     """``R(x, v)`` = unitary factor of the QR factorisation of ``x + v`` with positive diagonal: first order.
 
-    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: the whole tangent space.
+    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every tangent vector
+    short enough for half of its digits to come back.
     """
 
     manifold: U
 
     def group_map(self, a: Array) -> Array:
-        return unitary.qr_factor(a)
+        return nan_unless(is_seen_beside(a), unitary.qr_factor(a))
 
     def group_map_inverse(self, b: Array) -> Array:
         skew, triangle = unitary.qr_inverse(b)
         return nan_unless(jnp.all(jnp.diagonal(triangle).real > 0), skew)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return comes_back(self, x, v)

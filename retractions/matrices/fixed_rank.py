@@ -7,7 +7,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import FixedRank
-from ..retraction import EDGE, Retraction, nan_unless
+from ...manifolds.manifold import default_tolerance
+from ..retraction import Retraction, comes_back, nan_unless
+from ..rounding import EDGE
 
 
 @final
@@ -26,7 +28,7 @@ class FixedRankProjection(Retraction):
     manifold: FixedRank
 
     def __call__(self, x: Array, v: Array) -> Array:
-        return self.manifold.restore(x + v)
+        return _of_rank(self.manifold.r, self.manifold.restore(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
         (c, d), (c_there, d_there) = self.manifold.projectors(x), self.manifold.projectors(y)
@@ -42,7 +44,8 @@ class FixedRankProjection(Retraction):
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         singular = jnp.linalg.svd(x + v, compute_uv=False)
         last, beyond = singular[self.manifold.r - 1], singular[self.manifold.r]
-        return (last - beyond > _rounding(singular[0])) & self._inclined(x, x + v)
+        apart = last - beyond > _rounding(singular[0])
+        return apart & self._inclined(x, x + v) & comes_back(self, x, v)
 
     def _inclined(self, x: Array, a: Array) -> Bool[Array, ""]:
         """Whether the leading columns, and rows, of ``a`` make angles below pi/2 with those of ``x``."""
@@ -57,6 +60,12 @@ def _carrier(here: Array, there: Array) -> Array:
     Its singular values are the cosines of the angles between them.
     """
     return jnp.eye(here.shape[0], dtype=here.dtype) - here - there + 2 * here @ there
+
+
+def _of_rank(r: int, y: Array) -> Array:
+    """``y`` where its first ``r`` singular values are told from rounding of its largest by half of the digits, NaN elsewhere."""
+    singular = jnp.linalg.svd(jax.lax.stop_gradient(y), compute_uv=False)
+    return nan_unless(singular[r - 1] > default_tolerance() * singular[0], y)
 
 
 def _rounding(size: Array) -> Array:
@@ -79,13 +88,13 @@ class FixedRankOrthographic(Retraction):
     def __call__(self, x: Array, v: Array) -> Array:
         u, w = self._bases(x)
         a = x + v
-        return a @ w @ jnp.linalg.solve(u.T @ a @ w, u.T @ a)
+        return _of_rank(self.manifold.r, a @ w @ jnp.linalg.solve(u.T @ a @ w, u.T @ a))
 
     def preimage(self, x: Array, y: Array) -> Array:
         return nan_unless(self._invertible(x, y, y), self.manifold.projection(x, y - x))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return self._invertible(x, x + v, self(x, v))
+        return self._invertible(x, x + v, self(x, v)) & comes_back(self, x, v)
 
     def _invertible(self, x: Array, a: Array, y: Array) -> Bool[Array, ""]:
         """Whether ``u'a w`` is, up to the rounding of ``y``."""

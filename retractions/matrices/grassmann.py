@@ -16,7 +16,8 @@ from ...manifolds import Grassmann
 from ...manifolds.numerics.frames import adapted_frame, polar_factor
 from ...manifolds.numerics.matrices import exponential
 from ..groups.functions import rotations
-from ..retraction import EDGE, MidpointRetraction, implicit_preimage, nan_unless
+from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
+from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
 
 
 class _RotatedProjector(MidpointRetraction):
@@ -38,8 +39,18 @@ class _RotatedProjector(MidpointRetraction):
         return (eye + (reflection + reflection.T) / 2) / 2
 
 
-def _largest(v: Array) -> Array:
-    return jnp.linalg.norm(v, 2)
+def _singular_values(v: Array) -> Array:
+    return jnp.linalg.svd(v, compute_uv=False)
+
+
+def _angles_are_told(angles: Array) -> Bool[Array, ""]:
+    """Whether principal angles, each of them twice and the largest first, are below pi/2, and no two near it together.
+
+    Rounding turns directions of the angles ``s`` and ``t`` into each other, magnified by ``pi / (pi - s - t)``.
+    """
+    turn = angles[0] + angles[2] if angles.size > 2 else 0 * angles[0]
+    below = jnp.pi / 2 - angles[0] > jnp.pi * EDGE * jnp.finfo(angles.dtype).eps
+    return below & keeps_half_the_digits(jnp.pi / (jnp.pi - turn))
 
 
 def _direct_rotation(x: Array, y: Array, p: int) -> tuple[Array, Array]:
@@ -89,7 +100,7 @@ class GrassmannExponential(_AlignedProjector):
         return rotations.logarithm(rotation)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return _largest(v) < jnp.pi / 2
+        return _angles_are_told(_singular_values(v))
 
 
 @final
@@ -108,7 +119,7 @@ class GrassmannCayley(_AlignedProjector):
         return rotations.cayley_inverse(rotation)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return _largest(v) < 2
+        return _angles_are_told(2 * jnp.arctan(_singular_values(v) / 2))
 
 
 @final
@@ -116,13 +127,13 @@ class GrassmannPolar(_RotatedProjector):
     """Projector on the image of ``(x + v) x``: the polar and the QR retraction of frames, which span the same subspace.
 
     It turns by an angle ``t`` from a singular value ``tan t``. Inverse ``(y - x)(x + y - I)^-1 (2x - I)``; its image is
-    where all principal angles are below pi/2, its domain the whole tangent space.
+    where all principal angles are below pi/2, its domain every tangent vector shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: Grassmann
 
     def rotation(self, omega: Array) -> Array:
-        return polar_factor(jnp.eye(omega.shape[0], dtype=omega.dtype) + omega)
+        return nan_unless(is_seen_beside(omega), polar_factor(jnp.eye(omega.shape[0], dtype=omega.dtype) + omega))
 
     def preimage(self, x: Array, y: Array) -> Array:
         eye = jnp.eye(x.shape[0], dtype=x.dtype)
@@ -132,4 +143,4 @@ class GrassmannPolar(_RotatedProjector):
         return nan_unless(inside, self.manifold.projection(x, v))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return keeps_half_the_digits(length(v))

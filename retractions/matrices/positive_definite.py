@@ -14,7 +14,8 @@ from jaxtyping import Array, Bool
 from ...manifolds import SPD
 from ...manifolds.numerics.matrices import spd_log, spd_sqrt, sym_exp, symmetric
 from ..differential import DifferentiatedRetraction
-from ..retraction import MidpointRetraction
+from ..retraction import MidpointRetraction, comes_back, nan_unless
+from ..rounding import EDGE, keeps_half_the_digits
 
 
 def _to_identity(factor: Array, a: Array) -> Array:
@@ -23,26 +24,41 @@ def _to_identity(factor: Array, a: Array) -> Array:
     return symmetric(solve_triangular(factor, half.T, lower=True))
 
 
+def _spread_is_known(logarithm: Array) -> Bool[Array, ""]:
+    """Whether the smallest eigenvalue of an exponential keeps half of its digits beside the rounding of the largest."""
+    values = jnp.linalg.eigvalsh(logarithm)
+    return keeps_half_the_digits(jnp.exp(values[-1] - values[0]))
+
+
+def _in_cone(y: Array) -> Array:
+    """``y`` where it is positive definite by more than its rounding, NaN elsewhere."""
+    fixed = jax.lax.stop_gradient(y)
+    rounding = EDGE * jnp.finfo(y.dtype).eps * jnp.trace(fixed)
+    factor = jnp.linalg.cholesky(fixed - rounding * jnp.eye(y.shape[0], dtype=y.dtype))
+    return nan_unless(jnp.all(jnp.isfinite(factor)), y)
+
+
 @final
 class SPDExponential(MidpointRetraction):
     """``R(x, v) = l exp(l^-1 v l^-T) l'``, the geodesics of ``AffineInvariantMetric``.
 
-    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold, its domain every tangent vector [Bhatia 2007, chapter 6] whose
-    exponential does not overflow.
+    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold [Bhatia 2007, chapter 6], its domain every tangent vector short
+    enough for half of its digits to come back: eigenvalues of ``l^-1 v l^-T`` at most about 16 apart, 6 in single precision.
+    Entries are NaN where an eigenvalue of the value is rounding of the largest, from about 34 apart, 14 in single precision.
     """
 
     manifold: SPD
 
     def __call__(self, x: Array, v: Array) -> Array:
         factor = jnp.linalg.cholesky(x)
-        return symmetric(factor @ sym_exp(_to_identity(factor, v)) @ factor.T)
+        return _in_cone(symmetric(factor @ sym_exp(_to_identity(factor, v)) @ factor.T))
 
     def preimage(self, x: Array, y: Array) -> Array:
         factor = jnp.linalg.cholesky(x)
         return symmetric(factor @ spd_log(_to_identity(factor, y)) @ factor.T)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(self(x, v)))
+        return _spread_is_known(_to_identity(jnp.linalg.cholesky(x), v)) & comes_back(self, x, v)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         factor = jnp.linalg.cholesky(x0)
@@ -53,16 +69,16 @@ class SPDExponential(MidpointRetraction):
 class SPDSecondOrder(DifferentiatedRetraction):
     """``R(x, v) = x + v + v x^-1 v / 2``, of second order for ``AffineInvariantMetric`` [Jeuris, Vandebril, Vandereycken 2012].
 
-    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``. Inverse
-    ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``. At the edge of the domain the image folds: there a
-    relative change ``e`` of ``y`` changes the inverse by ``sqrt(e)``.
+    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``; NaN where an eigenvalue is rounding of the
+    largest. Inverse ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``, by ``4 sqrt(eps)``. At the edge of
+    the domain the image folds: there a relative change ``e`` of ``y`` changes the inverse by ``sqrt(e)``.
     """
 
     manifold: SPD
 
     def __call__(self, x: Array, v: Array) -> Array:
         half = solve_triangular(jnp.linalg.cholesky(x), v, lower=True)
-        return symmetric(x + v + half.T @ half / 2)
+        return _in_cone(symmetric(x + v + half.T @ half / 2))
 
     def preimage(self, x: Array, y: Array) -> Array:
         factor = jnp.linalg.cholesky(x)
@@ -77,28 +93,34 @@ class SPDSecondOrder(DifferentiatedRetraction):
         return xi + symmetric(jnp.linalg.solve(x, v @ xi))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.linalg.eigvalsh(x + v)[0] > 0
+        stretches = 1 + jnp.linalg.eigvalsh(_to_identity(jnp.linalg.cholesky(x), v))
+        magnified = jnp.maximum(jnp.abs(stretches[-1]), 1) / stretches[0]
+        return (stretches[0] > 0) & keeps_half_the_digits(magnified) & jnp.all(jnp.isfinite(self(x, v)))
 
 
 @final
 class SPDLogEuclidean(MidpointRetraction):
     """``R(x, v) = exp(log x + D log(x)[v])``, the geodesics of the log-Euclidean metric [Arsigny, Fillard, Pennec, Ayache 2007].
 
-    Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector.
+    Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector short
+    enough for half of its digits to come back. Entries are NaN where an eigenvalue of the value is rounding of the largest.
     """
 
     manifold: SPD
 
     def __call__(self, x: Array, v: Array) -> Array:
+        return _in_cone(symmetric(sym_exp(self._logarithm_of_value(x, v))))
+
+    def _logarithm_of_value(self, x: Array, v: Array) -> Array:
         log, rate = jax.jvp(spd_log, (x,), (v,))
-        return sym_exp(symmetric(log + rate))
+        return symmetric(log + rate)
 
     def preimage(self, x: Array, y: Array) -> Array:
         log = spd_log(x)
         return symmetric(jax.jvp(sym_exp, (log,), (spd_log(y) - log,))[1])
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return _spread_is_known(self._logarithm_of_value(x, v)) & comes_back(self, x, v)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
-        return sym_exp((spd_log(x0) + spd_log(x1)) / 2)
+        return symmetric(sym_exp((spd_log(x0) + spd_log(x1)) / 2))

@@ -13,7 +13,8 @@ from ...manifolds import Stiefel
 from ...manifolds.numerics.frames import polar_factor, qr_factor
 from ...manifolds.numerics.matrices import lyapunov, symmetric, symmetric_factor, triangular_factor
 from ..differential import DifferentiatedRetraction
-from ..retraction import EDGE, nan_unless
+from ..retraction import comes_back, nan_unless
+from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
 
 
 def _right_divide(a: Array, b: Array) -> Array:
@@ -35,14 +36,14 @@ class StiefelPolar(DifferentiatedRetraction):
     """``R(x, v) = (x + v)(I + v'v)^(-1/2)``, the polar factor of ``x + v``: the nearest frame. Second order.
 
     Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is positive
-    definite, that is where all eigenvalues of ``a`` have positive real parts; its domain is the whole tangent space
-    [Kaneko, Fiori, Tanaka 2013].
+    definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector shorter than
+    ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
     """
 
     manifold: Stiefel
 
     def __call__(self, x: Array, v: Array) -> Array:
-        return polar_factor(x + v)
+        return nan_unless(is_seen_beside(v), polar_factor(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
         d = y - x
@@ -60,7 +61,7 @@ class StiefelPolar(DifferentiatedRetraction):
         return self.manifold.projection(x, y @ turn + _right_divide(xi - y @ (y.T @ xi), s))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return keeps_half_the_digits(length(v))
 
     def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
         """``y`` and the symmetric ``s`` of ``x + v = y s``."""
@@ -73,14 +74,14 @@ class StiefelQR(DifferentiatedRetraction):
     """``R(x, v)`` = orthonormal factor of the QR factorisation of ``x + v`` with positive diagonal. First order.
 
     Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the diagonal
-    of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain is the whole tangent space
-    [Kaneko, Fiori, Tanaka 2013].
+    of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain every tangent vector short enough
+    for half of its digits to come back [Kaneko, Fiori, Tanaka 2013].
     """
 
     manifold: Stiefel
 
     def __call__(self, x: Array, v: Array) -> Array:
-        return qr_factor(x + v)
+        return nan_unless(is_seen_beside(v), qr_factor(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
         d = y - x
@@ -102,7 +103,7 @@ class StiefelQR(DifferentiatedRetraction):
         return self.manifold.projection(x, _right_divide(turned, r.T))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return comes_back(self, x, v)
 
     def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
         """``y`` and the upper triangular ``r`` of ``x + v = y r``."""
@@ -120,7 +121,8 @@ class StiefelCayley(DifferentiatedRetraction):
         R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
 
     Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
-    eigenvalue -1, its domain the whole tangent space [Wen, Yin 2013; inverse after Zhu, Sato 2020].
+    eigenvalue -1, its domain every tangent vector short enough for half of its digits to come back [Wen, Yin 2013; inverse
+    after Zhu, Sato 2020].
     """
 
     manifold: Stiefel
@@ -150,7 +152,7 @@ class StiefelCayley(DifferentiatedRetraction):
         return across - x @ (x.T @ across) + x @ _skew(z) / 2
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return comes_back(self, x, v)
 
     def _sum(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
         """``R(x, v) + x``, ``k`` and ``s^-1``, from the QR factorisation of ``[I; k/2]``, whose Gram matrix is ``sym s``."""

@@ -7,12 +7,14 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Stiefel
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.frames import complement, polar_factor, qr_factor
 from ...manifolds.numerics.matrices import exponential
 from ...manifolds.numerics.newton import tolerance
 from ...manifolds.numerics.root import approach_root
 from ..groups.functions import rotations
 from ..retraction import Retraction, nan_unless, newton_preimage
+from ..rounding import keeps_half_the_digits, length
 
 _TURNS = 60  # of the second half of the frame in the canonical logarithm
 
@@ -25,7 +27,8 @@ class StiefelExponential(Retraction):
 
     Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
     derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
-    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024]; its image the points nearer than pi.
+    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4 pi sqrt(eps)``;
+    its image the points nearer than pi.
     """
 
     manifold: Stiefel
@@ -39,10 +42,11 @@ class StiefelExponential(Retraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         v = newton_preimage(self, x, y, start=self._near(*jax.lax.stop_gradient((x, y))))
-        return nan_unless(self.domain(x, v), v)
+        return nan_unless(length(v) < jnp.pi, v)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.sum(v * v) < jnp.pi**2
+        gap = jnp.pi - length(v)  # one column that turns by almost pi arrives from every direction: magnified by pi / gap
+        return (gap > 0) & keeps_half_the_digits(jnp.pi / gap)
 
     def _near(self, x: Array, y: Array) -> Array:
         """A tangent vector whose geodesic ends near ``y``: the direction of the chord, its length, then least squares."""
@@ -75,10 +79,14 @@ class StiefelCanonicalExponential(Retraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         v = newton_preimage(self, x, y, start=self._near(*jax.lax.stop_gradient((x, y))))
-        return nan_unless(self.domain(x, v), v)
+        # A little beyond the domain, whose last vectors rounding moves over its edge.
+        return nan_unless(self._squared_length(x, v) < 0.8 * jnp.pi**2 * (1 + tolerance(v, 0.5)), v)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.sum(v * v) - jnp.sum((x.T @ v) ** 2) / 2 < 0.8 * jnp.pi**2
+        return self._squared_length(x, v) < 0.8 * jnp.pi**2
+
+    def _squared_length(self, x: Array, v: Array) -> Array:
+        return jnp.sum(v * v) - jnp.sum((x.T @ v) ** 2) / 2
 
     def _near(self, x: Array, y: Array) -> Array:
         """The rotation of ``[x, q]`` that takes ``x`` to ``y`` and whose logarithm does not turn ``q`` in its own span."""
@@ -99,7 +107,7 @@ class StiefelCanonicalExponential(Retraction):
             return second @ rotations.exponential(-log[p:, p:]), log, count + 1
 
         def unfinished(state: tuple[Array, Array, Array]) -> Array:
-            return (state[2] < 1) | ((jnp.max(jnp.abs(state[1][p:, p:])) > close) & (state[2] < _TURNS))
+            return (state[2] < 1) | ((vec.size(state[1][p:, p:]) > close) & (state[2] < _TURNS))
 
         log = jax.lax.while_loop(unfinished, turn, (second, jnp.zeros((len(first),) * 2, x.dtype), jnp.zeros((), int)))[1]
         return x @ log[:p, :p] + q @ log[p:, :p]

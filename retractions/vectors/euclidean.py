@@ -31,7 +31,7 @@ class Addition(MidpointRetraction):
         return y - x
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.array(True)
+        return jnp.all(jnp.isfinite(x + v))
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return (x0 + x1) / 2

@@ -11,7 +11,8 @@ from jaxtyping import Array, Bool
 from ...manifolds import Hyperbolic
 from ...manifolds.numerics import series
 from ..differential import DifferentiatedRetraction
-from ..retraction import MidpointRetraction
+from ..retraction import MidpointRetraction, nan_unless
+from ..rounding import keeps_half_the_digits
 
 
 def _middle(manifold: Hyperbolic, x0: Array, x1: Array) -> Array:
@@ -24,7 +25,7 @@ class HyperbolicExponential(MidpointRetraction):
     """Geodesics of curvature -1: ``R(x, v) = cosh|v| x + (sinh|v| / |v|) v`` with the Lorentz length ``|v|``.
 
     Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every tangent
-    vector short enough for its value to be a number.
+    vector short enough for its value, and the square of that, to be a number; outside it entries are NaN.
     """
 
     manifold: Hyperbolic
@@ -32,16 +33,17 @@ class HyperbolicExponential(MidpointRetraction):
     def __call__(self, x: Array, v: Array) -> Array:
         u = self.manifold.at_apex(x, v)
         s = u @ u
-        return series.hyperbolic_cosine(s) * x + series.sinhc(s) * v
+        y = series.hyperbolic_cosine(s) * x + series.sinhc(s) * v
+        return nan_unless(jnp.isfinite(y @ y), y)
 
     def preimage(self, x: Array, y: Array) -> Array:
         _, u = self.manifold.seen_from(x, y)
         return self.manifold.from_apex(x, series.arsinhc(u @ u) * u)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        # The squares of its coordinates are to be numbers too.
+        # The squares of the value's coordinates are to be numbers too; the boost from x magnifies rounding by x_0^2.
         y = self(x, v)
-        return jnp.isfinite(y @ y)
+        return jnp.isfinite(y @ y) & keeps_half_the_digits(x[0] ** 2)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return _middle(self.manifold, x0, x1)
@@ -85,7 +87,7 @@ class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         u = self.manifold.at_apex(x, v)
-        return u @ u < 1
+        return (u @ u < 1) & keeps_half_the_digits(x[0] ** 2)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return _middle(self.manifold, x0, x1)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Simplex
-from ..retraction import Retraction
+from ..retraction import Retraction, nan_unless
 
 
 @final
@@ -16,18 +16,18 @@ class SimplexExponential(Retraction):
 
     They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one to
     second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent vector
-    whose value has no entry that underflows or has lost digits there (2e-308 in double precision).
+    whose value has no entry that underflows or has lost digits there (2e-308 in double precision); NaN outside it.
     """
 
     manifold: Simplex
 
     def __call__(self, x: Array, v: Array) -> Array:
-        return jax.nn.softmax(jnp.log(x) + v / x)
+        y = jax.nn.softmax(jnp.log(x) + v / x)
+        return nan_unless(jnp.all(y >= jnp.finfo(y.dtype).tiny), y)
 
     def preimage(self, x: Array, y: Array) -> Array:
         logs = jnp.log(y / x)
         return x * (logs - x @ logs)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        y = self(x, v)
-        return jnp.all(y >= jnp.finfo(y.dtype).tiny)
+        return jnp.all(jnp.isfinite(self(x, v)))

@@ -2,13 +2,16 @@
 
 from typing import final
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Sphere
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics import series
 from ..differential import DifferentiatedRetraction
 from ..retraction import MidpointRetraction, nan_unless
+from ..rounding import keeps_half_the_digits, length
 
 
 def _middle(x0: Array, x1: Array) -> Array:
@@ -19,7 +22,8 @@ def _middle(x0: Array, x1: Array) -> Array:
 class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
     """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
 
-    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi``.
+    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi`` but
+    for the last ``4 pi sqrt(eps)``.
     """
 
     manifold: Sphere
@@ -50,7 +54,8 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
         return sinc, sinc * x + (series.cosc(s) - series.sine_remainder(s)) * v
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return v @ v < jnp.pi**2
+        gap = jnp.pi - length(v)  # near the antipode rounding turns the direction: magnified by pi / gap
+        return (gap > 0) & keeps_half_the_digits(jnp.pi / gap)
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return _middle(x0, x1)
@@ -60,13 +65,15 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
 class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
     """Nearest point: ``R(x, v) = (x + v) / |x + v|``.
 
-    Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain the whole tangent space.
+    Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain every tangent vector
+    shorter than ``1 / (4 sqrt(eps))``.
     """
 
     manifold: Sphere
 
     def __call__(self, x: Array, v: Array) -> Array:
-        y = x + v
+        # Scaled, so that the square of a long vector is a number.
+        y = (x + v) / jax.lax.stop_gradient(jnp.maximum(vec.size(x + v), 1.0))
         return y / jnp.sqrt(y @ y)
 
     def preimage(self, x: Array, y: Array) -> Array:
@@ -83,7 +90,7 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
         return self.manifold.projection(x, xi - (y @ xi) * y) / jnp.sqrt((x + v) @ (x + v))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        return jnp.all(jnp.isfinite(v))
+        return keeps_half_the_digits(length(v))
 
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return _middle(x0, x1)

@@ -218,3 +218,14 @@ def test_a_frame_may_have_no_vectors():
     frame = jnp.zeros((0, 2)), jnp.zeros((0, 3, 3))
     assert vec.flatten_frame(frame).shape == (0, 11)
     assert [leaf.shape for leaf in vec.orthonormalise(frame)] == [(0, 2), (0, 3, 3)]
+
+
+@pytest.mark.parametrize("batch", [1, 100, 10_000])
+@pytest.mark.parametrize("shape", [(5,), (3, 3)])
+def test_the_size_of_what_is_not_a_number_is_none(batch, shape):
+    # Thousands of maxima at once are compiled otherwise than a few, and passed over the entries that are NaN.
+    a = np.arange(batch * np.prod(shape), dtype=float).reshape(batch, *shape)
+    size = jax.jit(jax.vmap(lambda a: vec.size({"a": a - 1.0, "b": jnp.zeros(2)})))
+    np.testing.assert_array_equal(size(a), np.max(np.abs(a - 1.0), axis=tuple(range(1, a.ndim))))
+    for broken in (np.full_like(a, np.nan), np.where(a % np.prod(shape) == 2, np.nan, a)):
+        assert np.all(np.isnan(size(broken)))

@@ -80,7 +80,7 @@ def test_inverse_is_checked_at_any_part_of_a_product():
 
 @given(seed=SEEDS, length=st.floats(0.0, 6.0))
 def test_the_domain_of_the_exponential_of_the_sphere_is_the_ball_of_radius_pi(seed, length):
-    assume(abs(length - np.pi) > 1e-12)
+    assume(abs(length - np.pi) > 4 * np.pi * 1.5e-8)  # where rounding leaves half of the digits of the direction
     x, _, basis = draw_point(Sphere(2), seed)
     v = draw_tangent(np.random.default_rng(seed), basis, length)
     assert bool(_domain("exponential-S2")(x, v)) == (length < np.pi)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
 from ....manifolds.manifold import same_point
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.matrices import exponential
 from ....manifolds.numerics.newton import tolerance
 
@@ -26,7 +27,7 @@ def logarithm(a: Matrix) -> Matrix:
     log = 2.0**_HALVINGS * gregory(root)
     step = jax.lax.stop_gradient(_newton_step(log, a))
     # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d.
-    error = jnp.max(jnp.abs(step))
+    error = vec.size(step)
     log = log + jnp.where(error < tolerance(a, 0.5), step, 0.0)
     return jnp.where(error < tolerance(a, 0.25), log, jnp.nan)
 

@@ -5,7 +5,7 @@ from jaxtyping import Array, Bool, Float
 
 from ....manifolds.groups.special_euclidean import blocks, homogeneous
 from ....manifolds.numerics import series
-from . import general, rotations
+from . import general, rotations, unitary
 
 Matrix = Float[Array, "n+1 n+1"]
 Block = Float[Array, "n n"]
@@ -48,8 +48,8 @@ def square_root(a: Matrix) -> Matrix:
 
 
 def injective(a: Matrix) -> Bool[Array, ""]:
-    """Whether all angles of a twist are below pi."""
-    return jnp.linalg.norm(blocks(a)[0], 2) < jnp.pi
+    """Whether the logarithm inverts the exponential at a twist: as at its rotation."""
+    return unitary.injective(blocks(a)[0])
 
 
 def cayley(a: Matrix) -> Matrix:

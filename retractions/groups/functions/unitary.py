@@ -5,18 +5,21 @@
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Shaped
+from jaxtyping import Array, Bool, Float, Shaped
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics import frames, series
 from ....manifolds.numerics.matrices import exponential as matrix_exponential
 from ....manifolds.numerics.matrices import triangular_factor
+from ....manifolds.numerics.newton import tolerance
+from ...rounding import EDGE, keeps_half_the_digits
 from .general import gregory
 
 Matrix = Shaped[Array, "n n"]
 
 _HALVINGS = 3
-_DEFECT = 1e-7  # of the squared angles, where rounding has mixed planes that are all close to a half turn
+_SCHULZ_STEPS = 3  # from an error of 0.2, that at EDGE, to rounding
+_UNITARITY = 0.45  # power of eps: what long products lose of it is far below
 
 
 def exponential(a: Matrix) -> Matrix:
@@ -52,31 +55,63 @@ def square_root(a: Matrix) -> Matrix:
 
 
 def injective(a: Matrix) -> Bool[Array, ""]:
-    """Whether all angles of a skew-Hermitian matrix are below pi."""
-    return jnp.linalg.norm(a, 2) < jnp.pi
+    """Whether the logarithm inverts the exponential at a skew-Hermitian matrix: angles below pi, and no two a full turn apart.
+
+    Rounding of ``exp a`` turns the eigenvectors of angles ``s`` and ``t`` into each other, magnified by
+    ``2 pi / (2 pi - |s - t|)``, but for those of one plane, ``t`` and ``-t`` of a real matrix.
+    """
+    angles = jnp.linalg.eigvalsh(1j * a)
+    first = 0 if jnp.iscomplexobj(a) else min(1, a.shape[0] - 1)
+    turn, largest = angles[-1] - angles[first], jnp.maximum(angles[-1], -angles[0])
+    below = jnp.pi - largest > jnp.pi * EDGE * a.shape[0] * jnp.finfo(a.dtype).eps
+    return below & keeps_half_the_digits(2 * jnp.pi / (2 * jnp.pi - turn))
 
 
 @jax.custom_jvp
 def unitary_logarithm(a: Matrix) -> Matrix:
     """Principal logarithm of an orthogonal or unitary matrix, from its Hermitian part ``C`` and skew-Hermitian part ``S``.
 
-    They commute. In eigenvectors of ``C``, with eigenvalues ``cos t_j``, row j of ``S`` has length ``sin t_j``, and the
-    logarithm is ``S`` with its entries times ``t / sin t``, the smaller of the two: between rows of different angles there
-    is only rounding, not to be magnified by the row that is close to a half turn. NaN at the eigenvalue -1, and where
-    several planes are so close to a half turn that rounding has mixed them.
+    They commute and have the eigenvalues ``cos t`` and ``i sin t``. Near the identity the logarithm is ``arcsin S``, near a half
+    turn ``pi sign S - arcsin S``. NaN at the eigenvalue -1, where the sign is unknown, and where ``a`` is not unitary.
 
-    The derivative is that of ``logarithm_by_roots``: eigenvectors have none at repeated eigenvalues.
+    Both are taken in eigenvectors of ``C``. Rounding mixes those of nearly equal cosines, which does no harm: ``arcsin S`` is
+    ``S`` times a smooth function of ``C``, and the sign is that of a whole block. The derivative is that of
+    ``logarithm_by_roots``: eigenvectors have none at repeated eigenvalues.
     """
     adjoint = a.conj().T
     cosines, vectors = jnp.linalg.eigh((a + adjoint) / 2)
     sine = vectors.conj().T @ ((a - adjoint) / 2) @ vectors
     sine = (sine - sine.conj().T) / 2
     sines = jnp.linalg.norm(sine, axis=1)
-    angles = jnp.arctan2(sines, cosines)
+    far = cosines < _widest_gap(cosines)
+    angles = jnp.arctan2(sines, jnp.where(far, -cosines, cosines))
     ratios = jnp.where(sines > 0, angles / jnp.where(sines > 0, sines, 1.0), 1.0)
-    log = jnp.minimum(ratios[:, None], ratios) * sine
-    defect = jnp.max(jnp.abs(log @ log.conj().T - jnp.diag(angles**2)))
-    return jnp.where(defect < _DEFECT, vectors @ log @ vectors.conj().T, jnp.nan)
+    arcsine = (ratios[:, None] + ratios) / 2 * sine
+    sign, known = _sign_of_block(sine, far)
+    log = jnp.where(far[:, None] & far, jnp.pi * sign - arcsine, jnp.where(far[:, None] | far, 0.0, arcsine))
+    known &= vec.size(sines**2 + cosines**2 - 1) < tolerance(cosines, _UNITARITY)
+    return jnp.where(known, vectors @ log @ vectors.conj().T, jnp.nan)
+
+
+def _widest_gap(cosines: Float[Array, " n"]) -> Array:
+    """The middle of the widest gap between cosines from -0.9 to 0: to both sides of it eigenvectors are not mixed."""
+    ends = jnp.concatenate([jnp.full(1, -0.9, cosines.dtype), jnp.clip(cosines, -0.9, 0.0), jnp.zeros(1, cosines.dtype)])
+    widest = jnp.argmax(jnp.diff(ends))
+    return (ends[widest] + ends[widest + 1]) / 2
+
+
+def _sign_of_block(s: Matrix, chosen: Bool[Array, " n"]) -> tuple[Matrix, Bool[Array, ""]]:
+    """``S (-S^2)^(-1/2)`` of the ``chosen`` rows and columns of a skew-Hermitian ``S``, zero elsewhere; and whether it is known.
+
+    It is the unitary polar factor. Newton and Schulz make it skew again, which that of a matrix of size ``d`` is to ``eps / d``.
+    """
+    block, eye = chosen[:, None] & chosen, jnp.diag(chosen.astype(s.dtype))
+    u, singular, w = jnp.linalg.svd(jnp.where(block, s, 0.0) + jnp.eye(s.shape[0], dtype=s.dtype) - eye)
+    sign = jnp.where(block, u @ w, 0.0)
+    sign = (sign - sign.conj().T) / 2
+    for _ in range(_SCHULZ_STEPS):
+        sign = sign @ (3 * eye + sign @ sign) / 2
+    return sign, singular[-1] > EDGE * s.shape[0] * jnp.finfo(s.dtype).eps
 
 
 @unitary_logarithm.defjvp
