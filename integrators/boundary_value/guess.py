@@ -11,8 +11,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, Retraction, default_retraction
 from ..compilation import call_compiled
-from ..initial_value.integrator import resting_control
-from ..problem import OptimalControlProblem
+from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 
 ASIDE = 0.05  # of the chord

@@ -14,8 +14,7 @@ from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
 from ..functions import by_data, require_concrete, same_by_data
-from ..initial_value.integrator import resting_control
-from ..problem import OptimalControlProblem
+from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
 from ..singular import Classification, SingularIntegrator, classify
 from ..stages import ControlStage
