@@ -18,6 +18,7 @@ from jaxtyping import Array
 from ..manifolds import InvalidInputError
 from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import is_jitting, is_traced
+from .results import warn_of_coarse_values
 
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 PLAIN = bool | int | float | complex | str | bytes | None
@@ -69,7 +70,16 @@ def real_number(name: str, value: Any) -> Array:
         raise InvalidInputError(f"{name} must return a real number, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
     if np.shape(value) != ():
         raise InvalidInputError(f"{name} must return a scalar, got an array of shape {np.shape(value)}; sum it or pick an entry")
-    return jnp.asarray(value, working_precision())
+    return in_precision(name, value, working_precision())
+
+
+def in_precision(name: str, value: Any, dtype: Any) -> Array:
+    """A number or an array from a user's function in a precision; with a warning if it was computed in a lower one."""
+    kind = getattr(value, "dtype", np.dtype(float))
+    # What is no tracer is a constant, and has no more digits.
+    if is_traced(value) and jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > jnp.finfo(dtype).eps:
+        warn_of_coarse_values(name, str(kind), str(dtype))
+    return jnp.asarray(value, dtype)
 
 
 def _stacked(value: Any) -> Any:

@@ -15,6 +15,10 @@ TIME = (
     "the functions of a problem have no explicit time; make a clock a state: a factor Euclidean(1) with the velocity "
     "jnp.ones(1), (q0, np.zeros(1)) as start and (q1, None) as end"
 )
+ENERGY_TIME = (
+    "a Hamiltonian has no explicit time; make a clock s a coordinate: a factor Euclidean(1) with covector e, and the energy "
+    "H(q, p, s) + e[0]"
+)
 HORIZON = (
     "the horizon is a given number; make a free one a state: a factor Euclidean(1) with the velocity jnp.zeros(1), whose entry s "
     "multiplies the dynamics and the running cost by exp(s), with horizon=1, None for this factor at both ends, and a guess"
@@ -25,10 +29,26 @@ BOUNDS = (
 )
 # Parts of names, in the order in which they are looked for.
 ASKED_FOR = {
-    BOUNDS: ("bound", "limit", "constraint", "_max", "_min", "max_u", "min_u", "umax", "umin", "lower", "upper", "inequal", "box"),
+    BOUNDS: (
+        "bound",
+        "limit",
+        "constraint",
+        "_max",
+        "_min",
+        "max_u",
+        "min_u",
+        "umax",
+        "umin",
+        "saturat",
+        "lower",
+        "upper",
+        "inequal",
+        "box",
+    ),
     HORIZON: ("free", "horizon", "final_time", "end_time", "duration", "tf", "t_f"),
     TIME: ("time", "clock", "t0", "t"),
 }
+CLOSE = 0.75  # of a name to another one that is a slip of the pen
 CLOCKS = frozenset({"t", "time", "tau"})
 
 
@@ -47,7 +67,7 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
         unknown = next((name for name in options if name not in names), None)
         if unknown is None:
             return function(*arguments, **options)
-        near = get_close_matches(unknown, names, 1)
+        near = get_close_matches(unknown, names, 1, CLOSE)
         hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
         what = function.__qualname__.removesuffix(".__init__")
         raise InvalidInputError(
@@ -73,5 +93,5 @@ def require_arguments(name: str, function: Any, expected: str) -> None:
         fits = False
     clock = CLOCKS.intersection(parameters) and len(parameters) > count
     if not fits or clock:
-        hint = f"; {TIME}" if clock else ""
+        hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock else ""
         raise InvalidInputError(f"{name} must be a function of {expected}, got one of ({', '.join(parameters)}){hint}")

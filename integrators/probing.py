@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 
 if TYPE_CHECKING:
@@ -60,6 +61,18 @@ def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: 
 def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
     """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
     return jnp.stack(problem.parts(q, problem.manifold.projection(q, covector), problem.steer(u, c)))
+
+
+def cost_rates(
+    problem: "OptimalControlProblem", points: Ambient, u: Ambient, directions: Array
+) -> tuple[Float[Array, "points controls"], Array]:
+    """The running cost at several points and controls around ``u``, and its largest derivatives by the point and the control."""
+
+    def at(q: Ambient, c: Array) -> tuple[Array, Array]:
+        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u, z[1])))((q, c))
+        return rate, vec.size(slopes)
+
+    return jax.vmap(lambda q: jax.vmap(lambda c: at(q, c))(directions))(points)
 
 
 def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
@@ -175,27 +188,30 @@ def bend(flat: Flat, found: AlongLine) -> Bend | None:
 
     A smooth function whose second derivative has a constant rank is affine along its null directions.
     """
-    rounding = ROUNDING * np.finfo(found.values.dtype).eps
     for part in range(len(PARTS)):
         for line in np.flatnonzero(flat.flat):
-            value, slope = (np.asarray(a[line, :, part], float) for a in found[:2])
             with np.errstate(all="ignore"):  # far along the line a function may overflow, and is not looked at there
-                turned, missed = slope - slope[0], value - value[0] - LADDER * slope[0]
-                bent = 10 * flat.curvatures[line, part] * np.abs(LADDER)
-                size = rounding * (np.abs(value) + np.abs(value[0]) + np.abs(LADDER * slope[0])) + bent * np.abs(LADDER)
-                off = _lasting(turned, bent + rounding * np.maximum(np.abs(slope), np.abs(slope[0])))
-                jumps = _lasting(missed, size) | _lasting(
-                    missed / np.where(LADDER, LADDER, 1.0), size / np.where(LADDER, abs(LADDER), 1.0)
-                )
+                turned, off, jumps = _departures(*(a[line, :, part] for a in found[:2]), flat.curvatures[line, part])
                 curves = np.abs(found.curvatures[..., part]) * np.maximum(np.abs(LADDER), np.min(REACH))
-                smooth = np.nanmax(curves, where=np.isfinite(curves), initial=0.0) > ACCOUNTS * np.max(
-                    np.abs(turned[off]), initial=0.0
-                )
-            if off.any() or jumps.any():
-                return Bend(
-                    part, int(line), int(np.argmax(off if off.any() else jumps)), not off.any(), bool(smooth) and off.any()
-                )
+            if off.any():
+                seen = np.max(curves, where=np.isfinite(curves), initial=0.0)
+                return Bend(part, int(line), int(np.argmax(off)), False, bool(seen > ACCOUNTS * np.max(np.abs(turned[off]))))
+            if jumps.any():
+                return Bend(part, int(line), int(np.argmax(jumps)), True, False)
     return None
+
+
+def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How a slope changes along a line, where by more than rounding, and where the value does so in another way."""
+    s, rounding = np.abs(LADDER), ROUNDING * np.finfo(value.dtype).eps
+    value, slope = value.astype(float), slope.astype(float)
+    turned, missed = slope - slope[0], value - value[0] - LADDER * slope[0]
+    bent = 10 * curvature * s
+    off = _lasting(turned, bent + rounding * np.maximum(np.abs(slope), np.abs(slope[0])))
+    # A slope that is a difference, as that of cos^2 + sin^2, is wrong by the rounding of the value.
+    steep = np.maximum(np.abs(slope[0]), np.abs(value[0]) / SPREAD)
+    size, far = rounding * (np.abs(value) + np.abs(value[0]) + s * steep) + bent * s, np.where(s > 0, s, 1.0)
+    return turned, off, _lasting(missed, size) | _lasting(missed / far, size / far)
 
 
 def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:

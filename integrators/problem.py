@@ -17,9 +17,9 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, default_retraction
 from .compilation import call_compiled
-from .functions import real_number
-from .options import known_options, require_arguments
-from .probing import CURVATURES, LADDER, SPREAD, Probed, along_lines, bend, flats, kink_words, probe
+from .functions import in_precision, real_number
+from .options import HORIZON, known_options, require_arguments
+from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
 
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
 
@@ -71,7 +71,7 @@ class OptimalControlProblem(eqx.Module):
         wrong = self.manifold.describe_mismatch(jax.eval_shape(lambda: v), "the value of dynamics, a tangent vector")
         if wrong:
             raise InvalidInputError(wrong)
-        return jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), self.manifold.ambient, v)
+        return jax.tree.map(lambda s, a: in_precision("dynamics", a, s.dtype), self.manifold.ambient, v)
 
     def steer(self, u: Ambient, c: Array) -> Ambient:
         """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``u``."""
@@ -128,6 +128,22 @@ class OptimalControlProblem(eqx.Module):
         """Raise if ``d2H/du2`` has null directions along which ``dH/du`` is not constant, as that of ``|u|``."""
         u, (directions, covectors) = resting_control(self.controls), self._directions()
         self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
+
+    def require_cost(self, q: Ambient) -> None:
+        """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
+        directions, _ = self._directions()
+        keys = jax.random.split(jax.random.key(0), CURVATURES)
+        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
+        points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
+        costs, slopes = call_compiled(cost_rates, self, points, resting_control(self.controls), directions)[0]
+        rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
+        if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
+            return
+        raise InvalidInputError(
+            f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and no terminal cost of a "
+            "free end is given: over a fixed horizon every curve from start to end costs the same, and none is the solution; "
+            f"expected a cost of states or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
+        )
 
     def _probed(self, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> Probed:
         """The functions at ``(q, u)`` and around, in NumPy arrays; raises if they fail there."""

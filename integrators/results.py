@@ -51,6 +51,16 @@ def warn_if_single_precision(dtype: str) -> None:
         )
 
 
+@cache
+def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
+    """Warn once if a user's function computes in a lower precision than everything else."""
+    warnings.warn(
+        f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not be met to "
+        f"the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
+        stacklevel=3,
+    )
+
+
 def warn_about_precision() -> None:
     """Warn once if JAX computes in single precision."""
     warn_if_single_precision(str(working_precision()))

@@ -116,7 +116,8 @@ class Manifold(eqx.Module):
     def describe_shapes(self, a: Ambient, role: str) -> str:
         """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do not."""
         if jax.tree.structure(self.ambient) != jax.tree.structure(a):
-            hint = "; a list is no array, try numpy.array" if isinstance(a, list) else ""
+            numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
+            hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
             return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:

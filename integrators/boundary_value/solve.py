@@ -1,5 +1,6 @@
 """The boundary-value problem: from a problem and its boundary conditions to a solution."""
 
+from numbers import Number
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -14,6 +15,7 @@ from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
 from ..functions import by_data, require_concrete, same_by_data
+from ..options import HORIZON, known_options
 from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
 from ..singular import Classification, SingularIntegrator, classify
@@ -29,6 +31,7 @@ from .solution import Checks, Solution, Statistics
 DEFAULT_TOLERANCE_POWER = 0.7
 
 
+@known_options
 def solve(
     problem: OptimalControlProblem,
     discretization: DiscretizationMap,
@@ -68,6 +71,8 @@ def solve(
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
     known = first.point if guess is None else jax.tree.map(lambda leaf: leaf[0], guess.states)
     regular = problem.check(known, resting_control(problem.controls))
+    if problem.terminal_cost is None or all(part.fixed for part in last.parts):
+        problem.require_cost(known)
     c = classify(problem) if classification is None and not regular else classification
     _check_method(problem, discretization, c, integrator)
     if c is not None and not c.regular:
@@ -116,7 +121,8 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
         )
     problem.check_discretization(discretization)
     if not (is_finite_number(horizon) and horizon > 0):
-        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
         if not is_count(count):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")

@@ -86,7 +86,8 @@ def check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
         traced = isinstance(error, jax.errors.JAXTypeError)
         reason, hint = ("JAX cannot trace it", TRACEABLE) if traced else (str(error), "index what is there")
         shapes = [jax.tree.map(np.shape, a) for a in (q, p)]
-        raise InvalidInputError(f"the Hamiltonian fails at (q, p) of shapes {shapes[0]} and {shapes[1]}: {reason}; {hint}") from error
+        at = f"(q, p) of shapes {shapes[0]} and {shapes[1]}"
+        raise InvalidInputError(f"the Hamiltonian fails at {at}: {reason}; {hint}") from error
 
 
 def _require_lift(lift: object) -> None:
