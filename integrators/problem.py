@@ -131,7 +131,7 @@ class OptimalControlProblem(eqx.Module):
 
     def require_cost(self, q: Ambient) -> None:
         """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
-        directions, _ = self._directions()
+        directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
         keys = jax.random.split(jax.random.key(0), CURVATURES)
         points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
         points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
@@ -141,7 +141,7 @@ class OptimalControlProblem(eqx.Module):
             return
         raise InvalidInputError(
             f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and no terminal cost of a "
-            "free end is given: over a fixed horizon every curve from start to end costs the same, and none is the solution; "
+            "free end is given: over a fixed horizon all curves from start to end then cost the same, and none is the solution; "
             f"expected a cost of states or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
         )
 

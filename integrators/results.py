@@ -37,6 +37,10 @@ class Result(eqx.Enumeration):
         "stationary and does not vanish. On P_f they contradict each other; free the components that are missed, where the "
         "optimum has an impulse or a bang arc, or give a guess if the problem has several extremals."
     )
+    claim_broken = (
+        "A trajectory was found that is no extremal: one of its conditions does not hold where it is evaluated; check that the "
+        "functions of the problem are smooth in the controls, or try more steps."
+    )
     not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
 
 

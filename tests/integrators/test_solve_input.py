@@ -85,7 +85,10 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
         ({"end": -END}, r"end: not on SO.*det x - 1.* is 2, expected at most"),
         ({"end": np.eye(2)}, r"end: .*shape \(3, 3\) where \(2, 2\) came"),
         ({"start": np.nan * END}, r"start: .*NaN"),
-        ({"end": END.tolist()}, r"end: .*structure array\[3,3\], got \[\[float.*a list or a tuple is no array, try jax.numpy.array"),
+        (
+            {"end": END.tolist()},
+            r"end: .*structure array\[3,3\], got \[\[float.*a list or a tuple is no array, try jax.numpy.array",
+        ),
         ({"end": (END,)}, r"end: .*structure array\[3,3\], got \(array\[3,3\],\)"),
         ({"end": Rotation.identity()}, r"end: .*shape \(3, 3\) where Rotation came; try its as_matrix\(\)"),
         ({"end": END + 1e-6}, r"end: not on SO\(3\).*; restore\(x\) brings"),
