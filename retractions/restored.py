@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 
 from ..manifolds import Manifold
-from ..manifolds.manifold import default_tolerance
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.newton import tolerance
 from .retraction import Retraction, nan_unless
 
-NEWTON_STEPS = 8  # quadratically convergent: from a tenth to rounding in four
+NEWTON_STEPS = 10  # quadratically convergent: from a tenth to rounding in four
+ON_IT = 0.75  # power of the machine epsilon: violations of a point that they led to
 
 
 @final
@@ -27,5 +28,5 @@ class Restored(Retraction):
 
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
         y, _ = jax.lax.scan(lambda y, _: (self.manifold.restore(y), None), vec.add(x, v), length=NEWTON_STEPS)
-        violations = [jnp.zeros(()), *self.manifold.violations(y).values()]
-        return nan_unless(jnp.max(jnp.stack(violations)) <= default_tolerance(), y)
+        worst = jnp.max(jnp.stack([jnp.zeros(()), *self.manifold.violations(y).values()]))
+        return nan_unless(worst <= tolerance(worst, ON_IT) * (1 + vec.size(y)), y)

@@ -135,7 +135,7 @@ def stationarity(given: OptimalControlProblem, solution: Any) -> float:
     return float(jnp.max(jnp.abs(slopes[:, 0] - slopes[:, 1])) / jnp.max(jnp.abs(slopes)))
 
 
-@pytest.mark.parametrize("price", [mixed, smoothed])
+@pytest.mark.parametrize("price", [mixed, pytest.param(smoothed, marks=pytest.mark.slow)])
 def test_a_success_is_stationary_at_the_controls_it_returns(price):
     """Through the weights at which Newton's method no longer gets past the kink, and the widths that it can follow."""
     found = []
@@ -147,6 +147,7 @@ def test_a_success_is_stationary_at_the_controls_it_returns(price):
     assert len(set(found)) == 2, "the sweep passes through the decision"
 
 
+@pytest.mark.slow
 def test_a_smoothed_kink_is_followed_to_the_width_that_is_wanted():
     """What the message advises: each solution is the guess of the next."""
     guess = None
