@@ -55,11 +55,13 @@ class OptimalControlProblem(eqx.Module):
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost, self.terminal_cost = dynamics, running_cost, terminal_cost
-        self.controls = Euclidean(controls) if isinstance(controls, int) else controls
+        self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
         self.abnormal = abnormal
         for name, value in (("manifold", self.manifold), ("controls", self.controls)):
             if not isinstance(value, Manifold):
                 raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
+        if not isinstance(abnormal, bool | np.bool_):
+            raise InvalidInputError(f"abnormal must be True or False, got {abnormal!r}")
         require_arguments("dynamics", dynamics, "(q, u)")
         require_arguments("running_cost", running_cost, "(q, u)")
         if terminal_cost is not None:

@@ -118,6 +118,7 @@ class Manifold(eqx.Module):
         if jax.tree.structure(self.ambient) != jax.tree.structure(a):
             numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
             hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
+            hint = "; the parts of a point are a tuple" if isinstance(a, list) and isinstance(self.ambient, tuple) else hint
             return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:

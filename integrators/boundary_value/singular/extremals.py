@@ -171,6 +171,17 @@ def _outcome() -> Callable[..., _Outcome]:
     return compiled(outcome, quickly=True)
 
 
+def _judged(
+    request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome, stage_times: np.ndarray
+) -> tuple[bool, str]:
+    """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
+    if found.result != Result.successful:
+        return False, Result[found.result]
+    broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
+    broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
+    return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
+
+
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
@@ -188,12 +199,7 @@ def _record(
     )
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
     stage_times = times[:-1] + request.discretization.theta * float(request.h)
-    success, result = found.result == Result.successful, Result[found.result]
-    if success:
-        claims = outcome.stationarity, float(outcome.residual)
-        broken = broken_claim(request.problem, method, stage_times, *claims)
-        broken = broken or broken_end(request.conditions, found.ends, states, costates)
-        success, result = not broken, f"{Result[Result.claim_broken]} {broken}" if broken else result
+    success, result = _judged(request, method, found, outcome, stage_times)
     return Solution(
         times=times,
         states=states,
@@ -207,7 +213,7 @@ def _record(
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
         cost=float(outcome.cost),
-        success=bool(success),
+        success=success,
         result=result,
         checks=Checks.of(
             diagnostics,
