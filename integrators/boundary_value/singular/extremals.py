@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -171,12 +171,11 @@ def _outcome() -> Callable[..., _Outcome]:
     return compiled(outcome, quickly=True)
 
 
-def _judged(
-    request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome, stage_times: np.ndarray
-) -> tuple[bool, str]:
+def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:
     """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
     if found.result != Result.successful:
         return False, Result[found.result]
+    stage_times = float(request.h) * (np.arange(request.steps) + request.discretization.theta)
     broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
     return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
@@ -185,8 +184,7 @@ def _judged(
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
-    diagnostics: Any = outcome.diagnostics
-    (states, costates), controls = outcome.nodes, outcome.controls
+    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, cast(Any, outcome.diagnostics)
     arc = SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,
@@ -198,13 +196,12 @@ def _record(
         second_order=second_order(request.problem, jax.tree.map(lambda leaf: leaf[:-1], outcome.nodes), controls),
     )
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
-    stage_times = times[:-1] + request.discretization.theta * float(request.h)
-    success, result = _judged(request, method, found, outcome, stage_times)
+    success, result = _judged(request, method, found, outcome)
     return Solution(
         times=times,
         states=states,
         costates=costates,
-        stage_times=stage_times,
+        stage_times=times[:-1] + request.discretization.theta * float(request.h),
         stage_states=outcome.stage_states,
         stage_costates=diagnostics.stage_costates,
         controls=controls,
