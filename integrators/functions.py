@@ -1,4 +1,4 @@
-"""Functions that users write, compared by what they compute: their code and the data that it reads.
+"""Functions that users write: the number that they return; compared by what they compute, their code and its data.
 
 Compiled code is found again by the functions it was made from. JAX compares these by identity and takes what they read, a
 parameter in a closure or a global, for constant: a changed parameter would be ignored, a lambda written anew compiled again.
@@ -13,9 +13,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jaxtyping import Array
 
 from ..manifolds import InvalidInputError
+from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import is_jitting, is_traced
+from .results import warn_of_coarse_values
 
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 PLAIN = bool | int | float | complex | str | bytes | None
@@ -47,6 +50,44 @@ class ByData:
 
     def __repr__(self) -> str:
         return repr(self.function)
+
+
+def real_number(name: str, value: Any) -> Array:
+    """What a user's function returned, as one real number in the precision in use; raises if it is something else."""
+    got = "nothing; did it forget to return?" if value is None else f"{value!r}"
+    if isinstance(value, np.ndarray | np.generic | jax.Array | list | tuple):
+        value = _stacked(value)
+    kind = getattr(value, "dtype", None)
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        kind = np.dtype(float)
+    elif isinstance(value, complex):
+        kind = np.dtype(complex)
+    if kind is None:
+        raise InvalidInputError(f"{name} must return a real number, got {got}")
+    if jnp.issubdtype(kind, jnp.complexfloating):
+        raise InvalidInputError(f"{name} must return a real number, got a complex one; try jnp.real(...) of it, or vdot and abs")
+    if not jnp.issubdtype(kind, jnp.number):
+        raise InvalidInputError(f"{name} must return a real number, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
+    if np.shape(value) != ():
+        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {np.shape(value)}; sum it or pick an entry")
+    return in_precision(name, value, working_precision())
+
+
+def in_precision(name: str, value: Any, dtype: Any) -> Array:
+    """A number or an array from a user's function in a precision; with a warning if it was computed in a lower one."""
+    kind = getattr(value, "dtype", np.dtype(float))
+    # What is no tracer is a constant, and has no more digits.
+    if is_traced(value) and jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > jnp.finfo(dtype).eps:
+        warn_of_coarse_values(name, str(kind), str(dtype))
+    return jnp.asarray(value, dtype)
+
+
+def _stacked(value: Any) -> Any:
+    """A list of numbers as an array, and None where it is something else."""
+    try:
+        return jnp.asarray(value)
+    except (TypeError, ValueError):
+        return None
 
 
 def by_data(tree: Any) -> Any:

@@ -1,7 +1,8 @@
 """Optimal control problems and Pontryagin's Hamiltonian."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from itertools import pairwise
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -9,21 +10,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError
+from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, RetraxError
 from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, default_retraction
 from .compilation import call_compiled
+from .functions import in_precision, real_number
+from .options import HORIZON, known_options, require_arguments
+from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
+
+FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
 TerminalCost = Callable[[Any], Any]
-
-CURVATURES = 3  # random controls and covectors at which d2H/du2 is looked at
-SPREAD = 0.3  # size of the coordinates of these controls around the resting one
-ROUNDING_POWER, SINGULAR_POWER = 0.9, 0.67  # of the machine epsilon: rows that are zero, smallest singular value of the others
 
 
 @final
@@ -41,6 +43,7 @@ class OptimalControlProblem(eqx.Module):
     terminal_cost: TerminalCost | None
     abnormal: bool = eqx.field(static=True)
 
+    @known_options
     def __init__(
         self,
         manifold: Manifold,
@@ -52,16 +55,17 @@ class OptimalControlProblem(eqx.Module):
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost, self.terminal_cost = dynamics, running_cost, terminal_cost
-        self.controls = Euclidean(controls) if isinstance(controls, int) else controls
+        self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
         self.abnormal = abnormal
         for name, value in (("manifold", self.manifold), ("controls", self.controls)):
             if not isinstance(value, Manifold):
                 raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
-        functions = {"dynamics": dynamics, "running_cost": running_cost, "terminal_cost": terminal_cost or (lambda q: 0.0)}
-        for name, value in functions.items():
-            if not callable(value):
-                of = "q" if name == "terminal_cost" else "(q, u)"
-                raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
+        if not isinstance(abnormal, bool | np.bool_):
+            raise InvalidInputError(f"abnormal must be True or False, got {abnormal!r}")
+        require_arguments("dynamics", dynamics, "(q, u)")
+        require_arguments("running_cost", running_cost, "(q, u)")
+        if terminal_cost is not None:
+            require_arguments("terminal_cost", terminal_cost, "q")
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
@@ -69,7 +73,7 @@ class OptimalControlProblem(eqx.Module):
         wrong = self.manifold.describe_mismatch(jax.eval_shape(lambda: v), "the value of dynamics, a tangent vector")
         if wrong:
             raise InvalidInputError(wrong)
-        return v
+        return jax.tree.map(lambda s, a: in_precision("dynamics", a, s.dtype), self.manifold.ambient, v)
 
     def steer(self, u: Ambient, c: Array) -> Ambient:
         """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``u``."""
@@ -83,15 +87,20 @@ class OptimalControlProblem(eqx.Module):
 
     def cost_rate(self, q: Ambient, u: Ambient) -> Array:
         """``p_0 F(q, u)``: the running cost, zero in the abnormal case."""
-        return jnp.zeros(()) if self.abnormal else _scalar("running_cost", self.running_cost(q, u))
+        return jnp.zeros(()) if self.abnormal else real_number("running_cost", self.running_cost(q, u))
 
     def final_cost(self, q: Ambient) -> Array:
         """Terminal cost ``Phi(q)``, zero if there is none."""
-        return jnp.zeros(()) if self.terminal_cost is None else _scalar("terminal_cost", self.terminal_cost(q))
+        return jnp.zeros(()) if self.terminal_cost is None else real_number("terminal_cost", self.terminal_cost(q))
+
+    def parts(self, q: Ambient, p: Ambient, u: Ambient) -> tuple[Array, Array]:
+        """The power ``<p, X(q, u)>`` and the cost rate ``p_0 F(q, u)``."""
+        return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
 
     def hamiltonian(self, q: Ambient, p: Ambient, u: Ambient) -> Array:
         """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
-        return vec.pairing(p, self.velocity(q, u)) - self.cost_rate(q, u)
+        power, rate = self.parts(q, p, u)
+        return power - rate
 
     def check_discretization(self, discretization: DiscretizationMap) -> None:
         """Raise if a discretization map acts on another manifold than this problem."""
@@ -103,15 +112,11 @@ class OptimalControlProblem(eqx.Module):
     def check(self, q: Ambient, u: Ambient) -> bool:
         """Whether the problem is regular; raises if its functions return something of the wrong kind at ``(q, u)``.
 
-        Regular: ``d2H/du2`` is invertible at one of a few random controls and covectors at ``q``.
+        Regular: ``d2H/du2`` is invertible at one of a few random controls and covectors at ``q``. Raises too where it is not,
+        and the functions have a kink in the controls.
         """
-        try:
-            found, *_ = call_compiled(_probe, self, q, u, *self._directions())
-        except InvalidInputError:
-            raise
-        except (TypeError, ValueError, IndexError) as error:
-            raise InvalidInputError(self._failure(error, q, u)) from error
-        probed = jax.tree.map(np.asarray, found)
+        directions, covectors = self._directions()
+        probed = self._probed(q, u, directions, covectors)
         self._require_finite(probed, q)
         normal, size = np.max(probed.normals), np.max(probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
@@ -119,9 +124,58 @@ class OptimalControlProblem(eqx.Module):
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
-        return any(_invertible(curvature) for curvature in probed.curvatures)
+        return self._is_regular(probed, q, u, directions, covectors)
 
-    def _require_finite(self, probed: "_Probed", q: Ambient) -> None:
+    def require_no_kink(self, q: Ambient) -> None:
+        """Raise if ``d2H/du2`` has null directions along which ``dH/du`` is not constant, as that of ``|u|``."""
+        u, (directions, covectors) = resting_control(self.controls), self._directions()
+        self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
+
+    def require_cost(self, q: Ambient) -> None:
+        """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
+        directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
+        keys = jax.random.split(jax.random.key(0), CURVATURES)
+        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
+        points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
+        costs, slopes = call_compiled(cost_rates, self, points, resting_control(self.controls), directions)[0]
+        rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
+        if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
+            return
+        raise InvalidInputError(
+            f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and no terminal cost of a "
+            "free end is given: over a fixed horizon all curves from start to end then cost the same, and none is the solution; "
+            f"expected a cost of states or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
+        )
+
+    def _probed(self, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> Probed:
+        """The functions at ``(q, u)`` and around, in NumPy arrays; raises if they fail there."""
+        try:
+            found, *_ = call_compiled(probe, self, q, u, directions, covectors)
+        except RetraxError:
+            raise
+        except FAILURES as error:
+            raise InvalidInputError(self._failure(error, q, u)) from error
+        return jax.tree.map(np.asarray, found)
+
+    def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
+        """Whether a second derivative by the controls is invertible; raises if it is not because of a kink."""
+        found = flats(probed, directions)
+        if not all(found):
+            return True
+        every = [flat for ways in found for flat in ways]
+        bases, ways = (np.stack([getattr(flat, name) for flat in every]) for name in ("bases", "direction"))
+        given = jax.tree.map(lambda leaf: leaf[np.array([flat.sample for flat in every])], covectors)
+        ladder = LADDER.astype(directions.dtype)
+        along = jax.device_get(call_compiled(along_lines, self, q, u, given, bases, ways, ladder)[0])
+        bends = [bend(flat, jax.tree.map(lambda leaf, k=k: leaf[k], along)) for k, flat in enumerate(every)]
+        for flat, bent, slopes in zip(every, bends, along.slopes, strict=True):
+            if bent is not None and not bent.smooth:
+                there = [self.steer(u, flat.bases[bent.line] + t * flat.direction) for t in (0.0, LADDER[bent.place])]
+                raise InvalidInputError(kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there))
+        counts = np.cumsum([0, *map(len, found)])
+        return any(all(bent is not None for bent in bends[a:b]) for a, b in pairwise(counts))
+
+    def _require_finite(self, probed: Probed, q: Ambient) -> None:
         """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
         first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
         u, size = jax.tree.map(lambda leaf: leaf[first], probed.controls), probed.sizes[first]
@@ -130,7 +184,7 @@ class OptimalControlProblem(eqx.Module):
                 f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
                 f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
             )
-        if not np.all(np.isfinite(probed.slopes)):
+        if not np.all(np.isfinite(probed.slopes[0])):
             raise InvalidInputError(
                 f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
                 "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
@@ -158,52 +212,15 @@ class OptimalControlProblem(eqx.Module):
     def _has_velocity(self, *arguments: Ambient) -> bool:
         try:
             jax.eval_shape(self.velocity, *arguments)
-        except (TypeError, ValueError, IndexError):
+        except FAILURES:
             return False
         return True
 
 
-class _Probed(NamedTuple):
-    """What the functions of a problem give at a point: with the control asked for, and with another."""
-
-    controls: Ambient
-    normals: Array  # size of the normal part of the velocity, with each control
-    sizes: Array  # size of the velocity, with each control
-    costs: tuple[Array, Array]  # running and terminal, with the first control
-    slopes: Array  # dH/du at the first control, for several covectors
-    curvatures: Array  # d2H/du2, for several controls and covectors
-
-
-def _probe(problem: OptimalControlProblem, q: Ambient, u: Ambient, directions: Ambient, covectors: Ambient) -> _Probed:
-    """The functions at ``(q, u)``; curvatures at controls in ``directions`` from ``u``.
-
-    The covectors are projections of ``covectors``.
-    """
-    controls = jax.tree.map(lambda *leaves: jnp.stack(leaves), u, problem.steer(u, directions[0]))
-    normals, sizes = jax.vmap(lambda control: problem.normal_size(q, control))(controls)
-    costs = problem.cost_rate(q, u), problem.final_cost(q)
-
-    def hamiltonian(c: Array, covector: Ambient) -> Array:
-        return problem.hamiltonian(q, problem.manifold.projection(q, covector), problem.steer(u, c))
-
-    slopes = jax.vmap(lambda covector: jax.grad(hamiltonian)(jnp.zeros_like(directions[0]), covector))(covectors)
-    curvatures = jax.vmap(jax.hessian(hamiltonian))(directions, covectors)
-    return _Probed(controls, normals, sizes, costs, slopes, curvatures)
-
-
-def _invertible(curvature: np.ndarray) -> bool:
-    """Whether a symmetric matrix, in units of its rows, is invertible to rounding; so is one that is not finite."""
-    if not np.all(np.isfinite(curvature)) or not curvature.size:
-        return True
-    rows, rounding = np.max(np.abs(curvature), axis=1), np.finfo(curvature.dtype).eps
-    if np.min(rows) <= rounding**ROUNDING_POWER * np.max(rows):
-        return False
-    values = np.linalg.svd(curvature / np.sqrt(np.outer(rows, rows)), compute_uv=False)
-    return bool(values[-1] > rounding**SINGULAR_POWER)
-
-
-def _scalar(name: str, value: Any) -> Array:
-    value = jnp.asarray(value)
-    if value.shape != ():
-        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {value.shape}; sum it or pick an entry")
-    return value
+def resting_control(controls: Manifold) -> Ambient:
+    """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
+    return (
+        np.zeros(controls.shape, working_precision())
+        if isinstance(controls, Euclidean)
+        else controls.random_point(jax.random.key(0))
+    )

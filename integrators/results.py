@@ -37,6 +37,10 @@ class Result(eqx.Enumeration):
         "stationary and does not vanish. On P_f they contradict each other; free the components that are missed, where the "
         "optimum has an impulse or a bang arc, or give a guess if the problem has several extremals."
     )
+    claim_broken = (
+        "A trajectory was found that is no extremal: one of its conditions does not hold where it is evaluated; check that the "
+        "functions of the problem are smooth in the controls, or try more steps."
+    )
     not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
 
 
@@ -49,6 +53,16 @@ def warn_if_single_precision(dtype: str) -> None:
             'jax.config.update("jax_enable_x64", True) before the first array is made',
             stacklevel=3,
         )
+
+
+@cache
+def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
+    """Warn once if a user's function computes in a lower precision than everything else."""
+    warnings.warn(
+        f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not be met to "
+        f"the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
+        stacklevel=3,
+    )
 
 
 def warn_about_precision() -> None:

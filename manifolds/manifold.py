@@ -118,7 +118,7 @@ class Manifold(eqx.Module):
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
         """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does not."""
-        wrong = self.describe_shapes(a, role)
+        wrong = self.describe_shapes(a, role) or self._describe_kinds(a, role)
         if wrong:
             return wrong
         known = [leaf for leaf in jax.tree.leaves(a) if not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))]
@@ -129,13 +129,25 @@ class Manifold(eqx.Module):
     def describe_shapes(self, a: Ambient, role: str) -> str:
         """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do not."""
         if jax.tree.structure(self.ambient) != jax.tree.structure(a):
-            hint = "; a list is no array, try numpy.array" if isinstance(a, list) else ""
+            numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
+            hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
+            hint = "; the parts of a point are a tuple" if isinstance(a, list) and isinstance(self.ambient, tuple) else hint
             return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
                 return f"{role} of {self} has shape {shape.shape} where {came} came{hint}"
+        return ""
+
+    def _describe_kinds(self, a: Ambient, role: str) -> str:
+        """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there are none."""
+        for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
+            kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
+            if not jnp.issubdtype(kind, jnp.number):
+                return f"{role} of {self} has numbers as entries, got an array of {kind}"
+            if jnp.issubdtype(kind, jnp.complexfloating) and not jnp.issubdtype(expected.dtype, jnp.complexfloating):
+                return f"{role} of {self} has real entries, got complex ones; try jnp.real of it where the rest is rounding"
         return ""
 
     def __str__(self) -> str:

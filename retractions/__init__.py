@@ -43,6 +43,7 @@ from .matrices import (
     StiefelQR,
 )
 from .measured_order import MeasuredOrder, order
+from .restored import Restored
 from .retraction import MidpointRetraction, Retraction
 from .submanifold import Orthographic
 from .vectors import (
@@ -88,6 +89,7 @@ __all__ = [
     "PowerRetraction",
     "ProductRetraction",
     "Projection",
+    "Restored",
     "Retraction",
     "RetractionFamily",
     "SEDecoupled",

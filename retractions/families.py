@@ -50,6 +50,7 @@ from .matrices import (
     StiefelPolar,
     StiefelQR,
 )
+from .restored import Restored
 from .retraction import Retraction
 from .submanifold import Orthographic
 from .vectors import (
@@ -158,10 +159,13 @@ FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 
 
 def default_retraction(manifold: Manifold) -> Retraction:
-    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold; factor by factor on products."""
+    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, or ``Restored`` where none is.
+
+    Factor by factor on products.
+    """
     if isinstance(manifold, Product):
         return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))
     if isinstance(manifold, Power):
         return PowerRetraction(default_retraction(manifold.factor), manifold.k)
-    family = next((family for family in FAMILIES if family.knows(manifold)), Exponential)
+    family = next((family for family in FAMILIES if family.knows(manifold)), Restored)
     return family(manifold)

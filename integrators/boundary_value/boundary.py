@@ -13,7 +13,7 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Produc
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
 from ..compilation import call_compiled
-from ..initial_value.integrator import resting_control
+from ..problem import resting_control
 
 
 class Part(NamedTuple):

@@ -7,15 +7,16 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds import DomainError
+from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, Retraction, default_retraction
 from ..compilation import call_compiled
-from ..initial_value.integrator import resting_control
-from ..problem import OptimalControlProblem
+from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 
 ASIDE = 0.05  # of the chord
+UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
 
 class Guess(NamedTuple):
@@ -35,14 +36,16 @@ class Guess(NamedTuple):
 def default_guess(
     problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
 ) -> Guess:
-    """Guess along the curve of the manifold's default retraction from start to end, or, outside its image, a walk to the end.
+    """Guess along the curve of a retraction from start to end, or, outside its image, a walk to the end.
 
-    Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out in a direction that is
-    random but always the same: there are several ways round, and this is one of them. Controls rest, costates are zero.
-    Raises ``DomainError`` if no curve arrives near the end.
+    The retraction is the discretization's own; where its curve does not arrive, or in very unequal steps, the default one of the
+    manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out
+    in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
+    costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    retraction, theta = default_retraction(problem.manifold), discretization.theta
-    for curve in (_curve, _walk):
+    given, theta = discretization.retraction, discretization.theta
+    tries = [(_curve, given), (_curve, default_retraction(problem.manifold)), (_walk, given)]
+    for curve, retraction in tries:
         (guess, arrived), *_ = call_compiled(curve, problem, retraction, theta, start, end, steps)
         if arrived:
             return guess
@@ -54,10 +57,18 @@ def default_guess(
 def _curve(
     problem: OptimalControlProblem, retraction: Retraction, theta: ArrayLike, start: Ambient, end: Ambient, steps: int
 ) -> tuple[Guess, Array]:
-    """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether there is such a ``v``."""
+    """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether they arrive, in even steps."""
     v = retraction.preimage(start, end)
     states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))((jnp.arange(steps) + theta) / steps)
-    return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v))
+    even = [_is_even(leaf.reshape(steps, -1)) for leaf in jax.tree.leaves(states)]
+    return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v)) & jnp.all(jnp.stack(even))
+
+
+def _is_even(points: Array) -> Array:
+    """Whether the largest step between points, shape ``(steps, entries)``, is no more than ``UNEVEN`` mean ones."""
+    lengths = jnp.linalg.norm(points[1:] - points[:-1], axis=1)
+    rounding = default_tolerance() * jnp.max(jnp.abs(points), initial=0.0)
+    return jnp.max(lengths, initial=0.0) <= UNEVEN * jnp.sum(lengths) / max(len(lengths), 1) + rounding
 
 
 def _walk(

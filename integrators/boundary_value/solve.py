@@ -1,5 +1,6 @@
 """The boundary-value problem: from a problem and its boundary conditions to a solution."""
 
+from numbers import Number
 from typing import Any, NamedTuple, cast
 
 import equinox as eqx
@@ -14,13 +15,13 @@ from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
 from ..functions import by_data, require_concrete, same_by_data
-from ..initial_value.integrator import resting_control
-from ..problem import OptimalControlProblem
+from ..options import HORIZON, known_options
+from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
 from ..singular import Classification, SingularIntegrator, classify
 from ..stages import ControlStage
 from .assembly import DiscreteTrajectory, Iterate
-from .boundary import boundary_conditions, require_known_ends
+from .boundary import NodeCondition, boundary_conditions, require_known_ends
 from .diagnostics import Diagnostics, diagnose
 from .globalisation import solve_kkt
 from .guess import Guess, default_guess
@@ -28,8 +29,10 @@ from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Checks, Solution, Statistics
 
 DEFAULT_TOLERANCE_POWER = 0.7
+MOST_STEPS = 10_000_000  # with arrays much longer XLA ends the process
 
 
+@known_options
 def solve(
     problem: OptimalControlProblem,
     discretization: DiscretizationMap,
@@ -68,7 +71,7 @@ def solve(
     if guess is not None:
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
     known = first.point if guess is None else jax.tree.map(lambda leaf: leaf[0], guess.states)
-    regular = problem.check(known, resting_control(problem.controls))
+    regular = _is_regular(problem, known, last)
     c = classify(problem) if classification is None and not regular else classification
     _check_method(problem, discretization, c, integrator)
     if c is not None and not c.regular:
@@ -84,6 +87,14 @@ def solve(
     _require_tangent_dynamics(problem, float(output.diagnostics.normal))
     solution = _record(output, discretization.theta, float(horizon), *seconds)
     return solution.require_success() if throw else solution
+
+
+def _is_regular(problem: OptimalControlProblem, known: Ambient, last: NodeCondition) -> bool:
+    """Whether the problem is regular at a point; raises where its functions are not what a solution can be found with."""
+    regular = problem.check(known, resting_control(problem.controls))
+    if problem.terminal_cost is None or all(part.fixed for part in last.parts):
+        problem.require_cost(known)
+    return regular
 
 
 def _check_method(
@@ -117,10 +128,13 @@ def _check_arguments(problem: Any, discretization: Any, horizon: Any, steps: Any
         )
     problem.check_discretization(discretization)
     if not (is_finite_number(horizon) and horizon > 0):
-        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
     for name, count in (("steps", steps), ("max_iterations", max_iterations)):
         if not is_count(count):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
+    if steps > MOST_STEPS:
+        raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
 
 
 def _checked_tolerance(tolerance: float | None) -> np.ndarray:
@@ -158,6 +172,10 @@ def _checked_guess(problem: OptimalControlProblem, guess: Guess, steps: int) -> 
         got = jax.tree.map(np.shape, given)
         if shapes != got:
             raise InvalidInputError(f"guess: {name} must have shapes {shapes}, got {got}")
+        numbers = [np.issubdtype(np.asarray(leaf).dtype, np.number) for leaf in jax.tree.leaves(given)]
+        kept = zip(jax.tree.leaves(given), jax.tree.leaves(manifold.ambient), strict=True)
+        if not (all(numbers) and all(np.isrealobj(leaf) or np.issubdtype(s.dtype, np.complexfloating) for leaf, s in kept)):
+            raise InvalidInputError(f"guess: {name} must be real numbers, complex where points of {manifold} are; try jnp.real")
         if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(given)):
             raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")
     kinds = Guess(problem.manifold.ambient, problem.controls.ambient, problem.manifold.ambient)

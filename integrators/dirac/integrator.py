@@ -15,6 +15,7 @@ from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
 from ..compilation import compiled
 from ..initial_value import Integrator, StepResult
+from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations
 from ..stages import HamiltonianStage
 from .system import DiracSystem, Multipliers
@@ -116,9 +117,7 @@ class DiracIntegrator(Integrator):
 
 def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
     """Raise if a function of the system returns something of the wrong structure."""
-    value = jax.eval_shape(system.hamiltonian, q, p)
-    if getattr(value, "shape", None) != ():
-        raise InvalidInputError(f"the Hamiltonian must return a scalar, got {value}")
+    check_hamiltonian(system.hamiltonian, q, p)
     forms = jax.eval_shape(system.forms, q)
     counts = {leaf.shape[:1] for leaf in jax.tree.leaves(forms)}
     single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), forms)

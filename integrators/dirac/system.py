@@ -12,8 +12,9 @@ from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 from ...manifolds.numerics.root import find_root
-from ..initial_value.integrator import find_control, resting_control
-from ..problem import OptimalControlProblem
+from ..functions import real_number
+from ..initial_value.integrator import find_control
+from ..problem import OptimalControlProblem, resting_control
 from ..stages.hamiltonian import Hamiltonian
 
 Multipliers = Float[Array, " m"]
@@ -62,7 +63,7 @@ class DiracSystem(eqx.Module):
 
     def velocity(self, q: Ambient, p: Ambient) -> Ambient:
         """``dH/dp``, a tangent vector at ``q``."""
-        return self.manifold.projection(q, vec.gradient(lambda p: self.hamiltonian(q, p), p))
+        return self.manifold.projection(q, vec.gradient(lambda p: real_number("the Hamiltonian", self.hamiltonian(q, p)), p))
 
     def constraint(self, q: Ambient, v: Ambient) -> Multipliers:
         """``<mu^a(q), v> - c^a(q)``, zero for a velocity ``v`` that the constraints allow."""

@@ -9,14 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool
 
-from ...manifolds import Euclidean, InvalidInputError, Manifold
-from ...manifolds.manifold import working_precision
+from ...manifolds import InvalidInputError, Manifold, RetraxError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
+from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
 from ..compilation import compiled
-from ..problem import OptimalControlProblem
+from ..functions import real_number
+from ..options import require_arguments
+from ..problem import FAILURES, OptimalControlProblem, resting_control
 from ..stages import ControlStage, HamiltonianStage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
@@ -73,6 +75,21 @@ class LiftedIntegrator(Integrator):
         return np.asarray(self.lift.theta)
 
 
+def check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
+    """Raise unless a function ``H(q, p)`` returns a real number."""
+    require_arguments("the Hamiltonian", getattr(hamiltonian, "function", hamiltonian), "(q, p)")
+    try:
+        jax.eval_shape(lambda q, p: real_number("the Hamiltonian", hamiltonian(q, p)), q, p)
+    except RetraxError:
+        raise
+    except FAILURES as error:
+        traced = isinstance(error, jax.errors.JAXTypeError)
+        reason, hint = ("JAX cannot trace it", TRACEABLE) if traced else (str(error), "index what is there")
+        shapes = [jax.tree.map(np.shape, a) for a in (q, p)]
+        at = f"(q, p) of shapes {shapes[0]} and {shapes[1]}"
+        raise InvalidInputError(f"the Hamiltonian fails at {at}: {reason}; {hint}") from error
+
+
 def _require_lift(lift: object) -> None:
     if not isinstance(lift, CotangentLift):
         raise InvalidInputError(f"an integrator takes a cotangent lift, got {lift!r}; try CotangentLift(Midpoint(retraction))")
@@ -107,9 +124,7 @@ class SymplecticIntegrator(LiftedIntegrator):
     def check(self, system: Hamiltonian, q: Ambient, p: Ambient) -> None:
         if not callable(system):
             raise InvalidInputError(f"SymplecticIntegrator integrates a Hamiltonian H(q, p), got {system!r}")
-        value = jax.eval_shape(system, q, p)
-        if getattr(value, "shape", None) != ():
-            raise InvalidInputError(f"the Hamiltonian must return a scalar, got {value}")
+        check_hamiltonian(system, q, p)
 
 
 @final
@@ -150,15 +165,6 @@ class PresymplecticIntegrator(LiftedIntegrator):
                 "the problem is singular here: the second derivative of Pontryagin's Hamiltonian in the controls has "
                 f"singular values {singular}, expected all positive; make the running cost strictly convex in every control"
             )
-
-
-def resting_control(controls: Manifold) -> Ambient:
-    """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
-    return (
-        np.zeros(controls.shape, working_precision())
-        if isinstance(controls, Euclidean)
-        else controls.random_point(jax.random.key(0))
-    )
 
 
 @compiled

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
+from ..functions import real_number
 from .stage import Stage, positive
 
 Hamiltonian = Callable[[Any, Any], Any]
@@ -27,6 +28,10 @@ class HamiltonianStage(Stage):
     hamiltonian: Hamiltonian
     discretization: DiscretizationMap
     step: ArrayLike
+
+    def energy(self, q: Ambient, p: Ambient) -> Array:
+        """``H(q, p)``, a real number."""
+        return real_number("the Hamiltonian", self.hamiltonian(q, p))
 
     @property
     def dimension(self) -> int:
@@ -53,11 +58,11 @@ class HamiltonianStage(Stage):
 
     def cost(self, y: Unknowns) -> Array:
         x, v, pi = y
-        return vec.pairing(pi, v) - jnp.asarray(self.step) * self.hamiltonian(x, pi)
+        return vec.pairing(pi, v) - jnp.asarray(self.step) * self.energy(x, pi)
 
     def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
         fibre = self.manifold.projection
-        velocity = fibre(q0, vec.scale(self.step, vec.gradient(lambda p: self.hamiltonian(q0, p), p0)))
+        velocity = fibre(q0, vec.scale(self.step, vec.gradient(lambda p: self.energy(q0, p), p0)))
         x = self.discretization.retraction(q0, vec.scale(self.discretization.theta, velocity))
         return x, fibre(x, velocity), fibre(x, p0)
 

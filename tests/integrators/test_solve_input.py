@@ -41,6 +41,7 @@ def problem(dynamics=turning, cost=half_square, controls=3, manifold=SO3, **opti
         ({"controls": "three"}, r"controls must be a Manifold, got 'three'"),
         ({"controls": (3,)}, r"controls must be a Manifold, got \(3,\)"),
         ({"terminal_cost": 1.0}, r"terminal_cost must be a function.*got 1.0"),
+        ({"abnormal": "no"}, r"abnormal must be True or False, got 'no'"),
     ],
 )
 def test_a_problem_is_made_of_manifolds_and_functions(options, words):
@@ -68,6 +69,7 @@ def test_a_problem_is_made_of_manifolds_and_functions(options, words):
         ({"steps": -2}, "steps must be a whole number of at least 1, got -2"),
         ({"steps": 2.5}, "steps must be a whole number of at least 1, got 2.5"),
         ({"steps": "3"}, "steps must be a whole number of at least 1, got '3'"),
+        ({"steps": 2**62}, "steps must be at most 10000000, for want of memory, got 4611"),
         ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
         ({"tolerance": float("nan")}, "tolerance must be .*positive.* got nan"),
         ({"tolerance": -1.0}, "tolerance must be .*positive.* got -1.0"),
@@ -85,7 +87,10 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
         ({"end": -END}, r"end: not on SO.*det x - 1.* is 2, expected at most"),
         ({"end": np.eye(2)}, r"end: .*shape \(3, 3\) where \(2, 2\) came"),
         ({"start": np.nan * END}, r"start: .*NaN"),
-        ({"end": END.tolist()}, r"end: .*structure array\[3,3\], got \[\[float.*a list is no array, try numpy.array"),
+        (
+            {"end": END.tolist()},
+            r"end: .*structure array\[3,3\], got \[\[float.*a list or a tuple is no array, try jax.numpy.array",
+        ),
         ({"end": (END,)}, r"end: .*structure array\[3,3\], got \(array\[3,3\],\)"),
         ({"end": Rotation.identity()}, r"end: .*shape \(3, 3\) where Rotation came; try its as_matrix\(\)"),
         ({"end": END + 1e-6}, r"end: not on SO\(3\).*; restore\(x\) brings"),
@@ -158,6 +163,8 @@ def test_functions_that_return_the_wrong_thing_are_named(options, error, words):
         (RESTING._replace(costates=RESTING.states), r"guess: costates must have shapes \(4, 3, 3\), got \(3, 3, 3\)"),
         (RESTING._replace(controls=np.full((STEPS, 3), np.nan)), "guess: controls has entries that are NaN"),
         (RESTING._replace(states=1.5 * RESTING.states), "guess: states"),
+        (RESTING._replace(states=RESTING.states + 0j), "guess: states must be real numbers"),
+        (RESTING._replace(controls=np.full((STEPS, 3), "a")), "guess: controls must be real numbers"),
         (tuple(RESTING[:2]), r"guess must be a Guess"),
         ("default", r"guess must be a Guess"),
     ],

@@ -16,6 +16,7 @@ from retrax.retractions import (
     Polar,
     ProductRetraction,
     Projection,
+    Restored,
     RetractionFamily,
     SOCayley,
     SOPolar,
@@ -123,9 +124,11 @@ class Line(Manifold):
         return Euclidean(1).random_point(key)
 
 
-def test_a_manifold_without_retractions_has_no_default():
+def test_a_manifold_that_no_family_knows_has_that_of_its_newton_steps():
     with pytest.raises(UnknownRetractionError, match="known there: none"):
-        default_retraction(Line())
+        Exponential(Line())
+    assert default_retraction(Line()) == Restored(Line())
+    assert default_retraction(Line() * Sphere(2)).factors == (Restored(Line()), Exponential(Sphere(2)))
 
 
 @pytest.mark.parametrize("factors", [(), (Sphere(2),), (Exponential,)], ids=["none", "a manifold", "a family"])

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from ...stages import ControlStage
 from ..diagnostics import Diagnostics, diagnose
 from ..guess import Guess, default_guess
 from ..solution import Checks, SingularArc, Solution, Statistics
+from .claims import Stationarity, broken_claim, broken_end, stationarity
 from .conditions import EndConditions, points_at_ends
 from .least_squares import least_squares
 from .legendre import second_order
@@ -128,7 +129,7 @@ def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, 
 
 
 class _Outcome(NamedTuple):
-    """The trajectory of an iterate: nodes, stages, cost, and the largest violation of the equations of ``P_f`` at the nodes."""
+    """An iterate: nodes, stages, cost, the largest violation of the equations of ``P_f`` at the nodes, and ``dH/du``."""
 
     nodes: Pair
     stage_states: Ambient
@@ -136,6 +137,7 @@ class _Outcome(NamedTuple):
     cost: Array
     residual: Array
     diagnostics: Diagnostics
+    stationarity: Stationarity
 
 
 def _at_stages(shooting: Shooting, nodes: Nodes) -> Any:
@@ -161,16 +163,28 @@ def _outcome() -> Callable[..., _Outcome]:
         cost = jnp.sum(jax.vmap(stage.cost)((states, controls)))
         cost = cost + problem.final_cost(jax.tree.map(lambda leaf: leaf[-1], z[0]))
         residual = jnp.max(jnp.abs(jax.vmap(equations)(z)), initial=0.0)
-        return _Outcome(z, states, controls, cost, residual, diagnose(stage, (states, controls), *z))
+        diagnostics = diagnose(stage, (states, controls), *z)
+        first, last = (jax.tree.map(lambda leaf, s=s: leaf[s], z) for s in (slice(None, -1), slice(1, None)))
+        claims = stationarity(problem, (first, (states, diagnostics.stage_costates), last), controls)
+        return _Outcome(z, states, controls, cost, residual, diagnostics, claims)
 
     return compiled(outcome, quickly=True)
+
+
+def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:
+    """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
+    if found.result != Result.successful:
+        return False, Result[found.result]
+    stage_times = float(request.h) * (np.arange(request.steps) + request.discretization.theta)
+    broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
+    broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
+    return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
 
 
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
-    diagnostics: Any = outcome.diagnostics
-    (states, costates), controls = outcome.nodes, outcome.controls
+    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, cast(Any, outcome.diagnostics)
     arc = SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,
@@ -182,6 +196,7 @@ def _record(
         second_order=second_order(request.problem, jax.tree.map(lambda leaf: leaf[:-1], outcome.nodes), controls),
     )
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
+    success, result = _judged(request, method, found, outcome)
     return Solution(
         times=times,
         states=states,
@@ -195,8 +210,8 @@ def _record(
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
         cost=float(outcome.cost),
-        success=bool(found.result == Result.successful),
-        result=Result[found.result],
+        success=success,
+        result=result,
         checks=Checks.of(
             diagnostics,
             gap=max(float(found.at.distance), *arc.conditions.values()),

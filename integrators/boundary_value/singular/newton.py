@@ -19,7 +19,7 @@ MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
 FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-4, 1e2, 10.0
 STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
-PATIENCE, PROGRESS = 20, 0.01  # iterations in which the conditions have to come nearer by this fraction
+PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
 SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
 
 

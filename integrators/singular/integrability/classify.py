@@ -73,8 +73,9 @@ def classify(
     gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
     no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
 
-    Raises ``InvalidInputError`` for what is no problem with controls, functions that are finite at no start, no number of
-    starts, or what is outside the reach of exact algebra, and ``NotOnManifoldError`` if ``near`` is no state.
+    Raises ``InvalidInputError`` for what is no problem with controls, functions with a kink in them as ``|u|`` or that are finite
+    at no start, no number of starts, or what is outside the reach of exact algebra, and ``NotOnManifoldError`` if ``near`` is no
+    state.
     """
     require_concrete("classify", problem, near)
     _check(problem, starts, near)
@@ -117,6 +118,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         verdict = CotangentBundle(problem.manifold).contains(near)
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
+    problem.require_no_kink(problem.manifold.random_point(jax.random.key(0)) if near is None else near[0])
 
 
 def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:

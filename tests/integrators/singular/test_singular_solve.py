@@ -200,14 +200,16 @@ def test_a_partially_singular_problem_in_closed_form():
 
 
 @pytest.mark.slow
-def test_where_everything_is_free_the_control_of_least_norm_reaches_the_end():
-    """``H = p1 x2 + p2 u``: ``P_f = {p = 0}``, and ``u`` is gauge: the discrete controls of least square sum."""
-    steps, h = 12, 1 / 12
-    problem = cascade(lambda q, u: jnp.zeros(()))  # every admissible control is optimal
-    solution = solve(problem, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), 1.0, steps)
+def test_where_no_cost_is_on_it_the_control_of_least_norm_reaches_the_end():
+    """``H = p1 x2 + p2 u + p3 w - w^2 / 2``: on ``P_f`` ``p1 = p2 = 0``, and ``u`` is gauge: of least square sum."""
+    steps, h, space = 12, 1 / 12, LINE * LINE * LINE
+    problem = OptimalControlProblem(space, lambda q, u: (q[1], u[:1], u[1:]), lambda q, u: u[1] ** 2 / 2, 2)
+    solution = solve(problem, Midpoint(Exponential(space)), (ZERO, ZERO, ZERO), (ONE, ZERO, ONE), 1.0, steps)
     reach = np.stack([h * h * (steps - 0.5 - np.arange(steps)), np.full(steps, h)])
+    assert solution.success
     assert norm(solution.controls[:, 0] - np.linalg.pinv(reach) @ np.array([1.0, 0.0])) < 1e-8
-    assert norm(solution.costates) < 1e-12
+    assert norm(solution.controls[:, 1] - 1) < 1e-12
+    assert norm(solution.costates[:2]) < 1e-12
 
 
 @pytest.mark.slow

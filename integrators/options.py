@@ -1,0 +1,97 @@
+"""What is often asked for and not offered, in words that say what does it today."""
+
+import inspect
+from collections.abc import Callable
+from difflib import get_close_matches
+from functools import wraps
+from typing import Any, ParamSpec, TypeVar
+
+from ..manifolds import InvalidInputError
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+TIME = (
+    "the functions of a problem have no explicit time; make a clock a state: a factor Euclidean(1) with the velocity "
+    "jnp.ones(1), (q0, np.zeros(1)) as start and (q1, None) as end"
+)
+ENERGY_TIME = (
+    "a Hamiltonian has no explicit time; make a clock s a coordinate: a factor Euclidean(1) with covector e, and the energy "
+    "H(q, p, s) + e[0]"
+)
+HORIZON = (
+    "the horizon is a given number; make a free one a state: a factor Euclidean(1) with the velocity jnp.zeros(1), whose entry s "
+    "multiplies the dynamics and the running cost by exp(s), with horizon=1, None for this factor at both ends, and a guess"
+)
+BOUNDS = (
+    "controls and states have no bounds; for |u| <= a add the barrier -d * jnp.log(a**2 - u @ u) with a small d to the running "
+    "cost, or steer with a * jnp.tanh(u) and a small cost of u itself"
+)
+# Parts of names, in the order in which they are looked for.
+ASKED_FOR = {
+    BOUNDS: (
+        "bound",
+        "limit",
+        "constraint",
+        "_max",
+        "_min",
+        "max_u",
+        "min_u",
+        "umax",
+        "umin",
+        "saturat",
+        "lower",
+        "upper",
+        "inequal",
+        "box",
+    ),
+    HORIZON: ("free", "horizon", "final_time", "end_time", "duration", "tf", "t_f"),
+    TIME: ("time", "clock", "t0", "t"),
+}
+CLOSE = 0.75  # of a name to another one that is a slip of the pen
+CLOCKS = frozenset({"t", "time", "tau"})
+
+
+def asked_for(name: str) -> str:
+    """Words on what a name asks for that is not offered; empty for other names."""
+    fits = (words for words, parts in ASKED_FOR.items() if any(p == name or (len(p) > 2 and p in name) for p in parts))
+    return next(fits, "")
+
+
+def known_options(function: Callable[P, R]) -> Callable[P, R]:
+    """The function, with an ``InvalidInputError`` in words for keywords that it does not have."""
+    names = [name for name in inspect.signature(function).parameters if name != "self"]
+
+    @wraps(function)
+    def call(*arguments: P.args, **options: P.kwargs) -> R:
+        unknown = next((name for name in options if name not in names), None)
+        if unknown is None:
+            return function(*arguments, **options)
+        near = get_close_matches(unknown, names, 1, CLOSE)
+        hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
+        what = function.__qualname__.removesuffix(".__init__")
+        raise InvalidInputError(
+            f"{what} has no option {unknown!r}, expected one of {', '.join(names)}" + (f"; {hint}" if hint else "")
+        )
+
+    return call
+
+
+def require_arguments(name: str, function: Any, expected: str) -> None:
+    """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``."""
+    if not callable(function):
+        raise InvalidInputError(f"{name} must be a function of {expected}, got {function!r}")
+    try:
+        signature = inspect.signature(function)
+    except (TypeError, ValueError):  # of a builtin, which has none
+        return
+    parameters, count = list(signature.parameters), expected.count(",") + 1
+    try:
+        signature.bind(*range(count))
+        fits = True
+    except TypeError:
+        fits = False
+    clock = CLOCKS.intersection(parameters) and len(parameters) > count
+    if not fits or clock:
+        hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock else ""
+        raise InvalidInputError(f"{name} must be a function of {expected}, got one of ({', '.join(parameters)}){hint}")

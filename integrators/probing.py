@@ -1,0 +1,245 @@
+"""How the functions of a problem depend on the controls, seen at a few of them: curved, flat, or kinked."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+
+if TYPE_CHECKING:
+    from .problem import OptimalControlProblem
+
+CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
+SPREAD = 0.3  # size of the coordinates of these controls around the resting one
+ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
+SINGULAR_POWER = 0.67  # of the machine epsilon: smallest singular value of a matrix in units of its rows
+SAME = 1e-6  # largest distance of a direction from a space that it is in
+ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
+SAME = 1e-6  # largest distance of a direction from a space that it is in
+REACH = 10.0 ** np.arange(-4.5, 8.5)  # how far along a flat line the functions are looked at: no numbers that users write
+LADDER = np.concatenate([[0.0], REACH, -REACH])  # parameters along a line
+LASTS, SAME_CHANGE = 3, 1e-2  # places on a line over which a change by a kink lasts, and how much it may vary
+PARTS = "dynamics", "running_cost"
+
+
+class Probed(NamedTuple):
+    """What the functions of a problem give at a point: with the control asked for, and with another.
+
+    Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``, at the
+    control asked for and at the others, by coordinates in the chart around it.
+    """
+
+    controls: Ambient
+    normals: Array  # size of the normal part of the velocity, with each control
+    sizes: Array  # size of the velocity, with each control
+    costs: tuple[Array, Array]  # running and terminal, with the first control
+    slopes: Array
+    curvatures: Array
+
+
+def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: Array, covectors: Ambient) -> Probed:
+    """The functions at ``(q, u)``, and at controls in ``directions`` from ``u``; of ``covectors`` the projections count."""
+    controls = jax.tree.map(lambda *leaves: jnp.stack(leaves), u, problem.steer(u, directions[0]))
+    normals, sizes = jax.vmap(lambda control: problem.normal_size(q, control))(controls)
+    costs = problem.cost_rate(q, u), problem.final_cost(q)
+
+    def derivatives(c: Array, covector: Ambient) -> tuple[Array, Array]:
+        def slope(c: Array) -> tuple[Array, Array]:
+            slope = jax.jacrev(lambda c: parts(problem, q, u, covector, c))(c)
+            return slope, slope
+
+        curvature, slope = jax.jacfwd(slope, has_aux=True)(c)
+        return slope, curvature
+
+    return Probed(controls, normals, sizes, costs, *jax.vmap(derivatives)(*with_rest(directions, covectors)))
+
+
+def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
+    """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
+    return jnp.stack(problem.parts(q, problem.manifold.projection(q, covector), problem.steer(u, c)))
+
+
+def cost_rates(
+    problem: "OptimalControlProblem", points: Ambient, u: Ambient, directions: Array
+) -> tuple[Float[Array, "points controls"], Array]:
+    """The running cost at several points and controls around ``u``, and its largest derivatives by the point and the control."""
+
+    def at(q: Ambient, c: Array) -> tuple[Array, Array]:
+        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u, z[1])))((q, c))
+        return rate, vec.size(slopes)
+
+    return jax.vmap(lambda q: jax.vmap(lambda c: at(q, c))(directions))(points)
+
+
+def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
+    """The coordinates, zero before them, each with a covector."""
+    with_first = jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf]), covectors)
+    return jnp.concatenate([jnp.zeros_like(directions[:1]), directions]), with_first
+
+
+def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
+    """Directions, shape ``(k, m)``, along which ``H`` has no second derivative but rounding: none where that is not finite.
+
+    ``slopes``, shape ``(2, m)``, and ``curvatures`` are those of its two parts, at one control.
+    """
+    size = curvatures.shape[-1]
+    if not np.all(np.isfinite(curvatures)) or not size:
+        return np.zeros((0, size))
+    rounding = ROUNDING * np.finfo(curvatures.dtype).eps
+    # Each part by itself: a weak cost is no rounding of strong dynamics, in whatever units the controls are.
+    steep = rounding / SPREAD * np.maximum(np.abs(slopes)[:, :, None], np.abs(slopes)[:, None, :])
+    power, cost = np.where(np.abs(curvatures) <= steep, 0.0, curvatures)
+    matrix = power - cost
+    rows = np.max(np.abs(matrix), axis=1)
+    zero = rows <= rounding * np.max(np.abs(power) + np.abs(cost), axis=1)
+    units = np.sqrt(np.where(zero, 1.0, rows))
+    matrix = np.where(zero[:, None] | zero[None, :], 0.0, matrix) / np.outer(units, units)
+    values, vectors = np.linalg.eigh(matrix + np.diag(np.where(zero, 2.0, 0.0)))
+    found = vectors[:, np.abs(values) <= np.finfo(matrix.dtype).eps ** SINGULAR_POWER].T / units
+    found = np.concatenate([np.eye(size)[zero], found])
+    return found / np.linalg.norm(found, axis=1, keepdims=True)
+
+
+class Flat(NamedTuple):
+    """A direction in which nothing curves at a control of the probe, and two lines along it: from there, and from rest.
+
+    ``sample``: the number of the control. ``bases``, shape ``(2, m)``; ``curvatures``: ``|d' C d|`` of both parts of ``H`` at
+    these, with the rounding of its terms, shape ``(2, 2)``; ``flat``: at which of both nothing curves.
+    """
+
+    direction: np.ndarray
+    sample: int
+    bases: np.ndarray
+    curvatures: np.ndarray
+    flat: tuple[bool, ...]
+
+
+def flats(probed: Probed, directions: np.ndarray) -> list[list[Flat]]:
+    """The flat directions at each of the controls in ``directions``."""
+    rest, *others = (flat_directions(*at) for at in zip(probed.slopes, probed.curvatures, strict=True))
+    rounding = ROUNDING * np.finfo(directions.dtype).eps
+    found = list[list[Flat]]()
+    for k, ways in enumerate(others):
+        found.append([])
+        for d in ways:
+            here = directions[k], probed.curvatures[k + 1], True
+            # Where the flat direction turns with the control, as around a cone, the line from rest is another one.
+            constant = all(_contains(other, d) for other in others)
+            lines = here, (0 * d, probed.curvatures[0], _contains(rest, d)) if constant else here
+            bases, both, flat = zip(*lines, strict=True)
+            sizes = np.abs(d @ np.stack(both) @ d) + rounding * (np.abs(d) @ np.abs(both) @ np.abs(d))
+            found[-1].append(Flat(d, k, np.stack(bases), sizes, flat))
+    return found
+
+
+def _contains(directions: np.ndarray, d: np.ndarray) -> bool:
+    """Whether ``d`` lies in the span of directions."""
+    return bool(np.linalg.norm(directions.T @ np.linalg.lstsq(directions.T, d)[0] - d) <= SAME)
+
+
+class AlongLine(NamedTuple):
+    """Both parts of ``H`` and their first two derivatives along both lines of a direction, shape ``(2, s, 2)``, parts last."""
+
+    values: Array
+    slopes: Array
+    curvatures: Array
+
+
+def along_lines(
+    problem: "OptimalControlProblem", q: Ambient, u: Ambient, covectors: Ambient, bases: Array, ways: Array, s: Array
+) -> AlongLine:
+    """The parts of ``H`` along the lines of several directions, with a covector each, at parameters ``s``."""
+
+    def at(covector: Ambient, base: Array, way: Array, s: Array) -> AlongLine:
+        def value(s: Array) -> Array:
+            return parts(problem, q, u, covector, base + s * way)
+
+        def slope(s: Array) -> tuple[Array, Array]:
+            return jax.jvp(value, (s,), (jnp.ones_like(s),))
+
+        (values, slopes), (_, curvatures) = jax.jvp(slope, (s,), (jnp.ones_like(s),))
+        return AlongLine(values, slopes, curvatures)
+
+    every = jax.vmap(at, (None, None, None, 0))
+    both = jax.vmap(every, (None, 0, None, None))
+    return jax.vmap(both, (0, 0, 0, None))(covectors, bases, ways, s)
+
+
+class Bend(NamedTuple):
+    """Where a part of ``H`` is not affine along a line on which nothing curves at first.
+
+    ``part``, ``line`` and ``place``: their numbers; ``jump``: whether its value says so, and not its slope; ``smooth``: whether
+    a second derivative that accounts for it is seen on one of the lines.
+    """
+
+    part: int
+    line: int
+    place: int
+    jump: bool
+    smooth: bool
+
+
+def bend(flat: Flat, found: AlongLine) -> Bend | None:
+    """The first part of ``H`` that is not affine along a flat direction, if one is not.
+
+    A smooth function whose second derivative has a constant rank is affine along its null directions.
+    """
+    for part in range(len(PARTS)):
+        for line in np.flatnonzero(flat.flat):
+            with np.errstate(all="ignore"):  # far along the line a function may overflow, and is not looked at there
+                turned, off, jumps = _departures(*(a[line, :, part] for a in found[:2]), flat.curvatures[line, part])
+                curves = np.abs(found.curvatures[..., part]) * np.maximum(np.abs(LADDER), np.min(REACH))
+            if off.any():
+                seen = np.max(curves, where=np.isfinite(curves), initial=0.0)
+                return Bend(part, int(line), int(np.argmax(off)), False, bool(seen > ACCOUNTS * np.max(np.abs(turned[off]))))
+            if jumps.any():
+                return Bend(part, int(line), int(np.argmax(jumps)), True, False)
+    return None
+
+
+def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """How a slope changes along a line, where by more than rounding, and where the value does so in another way."""
+    s, rounding = np.abs(LADDER), ROUNDING * np.finfo(value.dtype).eps
+    value, slope = value.astype(float), slope.astype(float)
+    turned, missed = slope - slope[0], value - value[0] - LADDER * slope[0]
+    bent = 10 * curvature * s
+    off = _lasting(turned, bent + rounding * np.maximum(np.abs(slope), np.abs(slope[0])))
+    # A slope that is a difference, as that of cos^2 + sin^2, is wrong by the rounding of the value.
+    steep = np.maximum(np.abs(slope[0]), np.abs(value[0]) / SPREAD)
+    size, far = rounding * (np.abs(value) + np.abs(value[0]) + s * steep) + bent * s, np.where(s > 0, s, 1.0)
+    return turned, off, _lasting(missed, size) | _lasting(missed / far, size / far)
+
+
+def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
+    """At which places on a line a change lasts over the next ones outward: rounding of hidden terms grows from place to place."""
+    outward = change[1:].reshape(2, -1)
+    lasting = np.isfinite(outward) & (np.abs(outward) > rounding[1:].reshape(2, -1))
+    for further in range(1, LASTS):
+        later = np.concatenate([outward[:, further:], np.full((2, further), np.nan)], axis=1)
+        lasting &= np.abs(later - outward) <= SAME_CHANGE * np.abs(outward)
+    return np.concatenate([[False], lasting.reshape(-1)])
+
+
+SMOOTH = (
+    "jnp.sqrt(u**2 + d**2) in place of |u|, at first with d as large as the controls, then with smaller ones and the last "
+    "solution as guess",
+    "a * jnp.tanh(u / a) in place of jnp.clip(u, -a, a)",
+)
+
+
+def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: list[Ambient]) -> str:
+    """Words on a kink of ``dynamics`` or ``running_cost``, with their derivatives along a direction at two controls."""
+    name, smooth = PARTS[bent.part], SMOOTH[0 if PARTS[bent.part] == "running_cost" else 1]
+    along = "" if len(direction) == 1 else f" along {np.array2string(direction, precision=3)}"
+    change = f"changes by {slopes[1] - slopes[0]:.3g} of {np.max(np.abs(slopes)):.3g}"
+    if bent.jump:
+        change = "does not account for the change of its value"
+    return (
+        f"{name} has a kink or a jump in the controls: its second derivative by u{along} is 0 wherever it was looked at, and its "
+        f"first one {change} between u = {controls[0]} and u = {controls[1]}; expected a smooth function of u, because the "
+        f"conditions dH/du = 0 do not hold at a kink; try {smooth}"
+    )

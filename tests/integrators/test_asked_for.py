@@ -1,0 +1,155 @@
+"""What is asked for and not offered is said in words, and what the words advise does it."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import Guess, OptimalControlProblem, SymplecticIntegrator, integrate, solve
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.retractions import Addition, CotangentLift, Exponential, Midpoint
+
+from tests.integrators.test_kinks import Priced, cart
+
+PLANE, LINE = Euclidean(2), Euclidean(1)
+MIDPOINT = Midpoint(Addition(PLANE))
+REST, AHEAD = np.zeros(2), np.array([1.0, 0.0])
+
+
+def effort(_: Array, u: Array) -> Array:
+    return u @ u / 2
+
+
+CART = OptimalControlProblem(PLANE, cart, effort, 1)
+BOUNDS, HORIZON, TIME = "the barrier -d", "multiplies the dynamics and the running cost by exp", "make a clock a state"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        *((name, BOUNDS) for name in ("bounds", "control_bounds", "u_max", "umin", "upper", "path_constraints")),
+        *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
+        *((name, TIME) for name in ("time", "t0", "t")),
+        ("toleranse", r"did you mean tolerance\?"),
+        ("verbose", "classification, integrator$"),
+    ],
+)
+def test_an_option_that_does_not_exist_is_answered(name, words):
+    with pytest.raises(InvalidInputError, match=rf"^solve has no option '{name}', expected one of .*{words}"):
+        solve(CART, MIDPOINT, REST, AHEAD, 1.0, 4, **{name: 1})
+    if words == BOUNDS:
+        with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*{words}"):
+            OptimalControlProblem(PLANE, cart, effort, 1, **{name: (-1, 1)})
+
+
+@pytest.mark.parametrize("horizon", [None, "free", (1.0, 2.0)])
+def test_a_free_horizon_is_answered(horizon):
+    with pytest.raises(InvalidInputError, match=f"horizon must be a positive finite time.*{HORIZON}"):
+        solve(CART, MIDPOINT, REST, AHEAD, horizon, 4)
+
+
+@pytest.mark.parametrize(
+    ("functions", "words"),
+    [
+        ({"dynamics": lambda q, u, t: cart(q, u)}, rf"dynamics must be .*\(q, u\), got one of \(q, u, t\).*{TIME}"),
+        ({"dynamics": lambda t, q, u: cart(q, u)}, rf"dynamics must be .*got one of \(t, q, u\).*{TIME}"),
+        ({"dynamics": lambda q, u, t=0.0: cart(q, u)}, rf"dynamics must be .*got one of \(q, u, t\).*{TIME}"),
+        ({"running_cost": lambda q, u, time: u @ u}, rf"running_cost must be .*{TIME}"),
+        ({"running_cost": lambda u: u @ u}, r"running_cost must be a function of \(q, u\), got one of \(u\)$"),
+        ({"terminal_cost": lambda q, horizon: q @ q}, r"terminal_cost must be a function of q, got one of \(q, horizon\)$"),
+    ],
+)
+def test_functions_of_other_arguments_are_refused(functions, words):
+    with pytest.raises(InvalidInputError, match=words):
+        OptimalControlProblem(PLANE, **{"dynamics": cart, "running_cost": effort, **functions}, controls=1)
+    gain = OptimalControlProblem(PLANE, lambda q, u, gain=2.0: gain * cart(q, u), effort, 1)  # a constant, not an argument
+    assert gain.velocity(REST, np.ones(1))[1] == 2
+
+
+def test_a_hamiltonian_of_time_is_refused():
+    with pytest.raises(InvalidInputError, match=r"the Hamiltonian must be .*\(q, p\), got one of \(q, p, t\).*make a clock s"):
+        integrate(lambda q, p, t: p @ p, SymplecticIntegrator(CotangentLift(MIDPOINT)), (REST, REST), 0.1, 2)
+
+
+@pytest.mark.parametrize("price", [lambda u, a: 1 + a * u @ u, lambda u, a: 60 + a * u[0]])
+def test_a_constant_cost_is_told_from_a_weak_one(price):
+    def refused(weight: float) -> bool:
+        try:
+            OptimalControlProblem(PLANE, cart, Priced(price, jnp.asarray(weight)), 1).require_cost(REST)
+        except InvalidInputError as error:
+            return "every state and control that was tried" in str(error)
+        return False
+
+    assert [refused(a) for a in (0.0, 1e-12, 1e-6, 1.0, 1e12)] == [True, False, False, False, False]
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [lambda q, u: 1, lambda q, u: jnp.zeros(()), lambda q, u: 0 * u @ u, lambda q, u: jnp.cos(q[0]) ** 2 + jnp.sin(q[0]) ** 2],
+)
+def test_a_minimum_time_over_a_fixed_horizon_is_refused_at_once(cost):
+    """It was solved: every extremal is optimal, and one of them was a success."""
+    fixed = OptimalControlProblem(PLANE, cart, cost, 1, terminal_cost=lambda q: q @ q)
+    with pytest.raises(InvalidInputError, match=rf"(?s)^the running cost is [01] at every .*{HORIZON}"):
+        solve(fixed, MIDPOINT, REST, AHEAD, 1.0, 10)
+
+
+def test_other_costs_that_vanish_somewhere_are_not_constant():
+    for cost in (lambda q, u: q @ q, lambda q, u: jnp.maximum(u[0] ** 2 - 50.0, 0.0)):
+        OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST)
+    OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST)
+
+
+@pytest.mark.slow
+def test_a_clock_makes_time_a_state():
+    """``x' = u`` at the cost ``(u - sin t)^2 / 2``: ``u = sin t + c``."""
+    space = LINE * LINE
+    moving = OptimalControlProblem(
+        space, lambda q, u: (u, jnp.ones(1)), lambda q, u: (u[0] - jnp.sin(q[1][0])) ** 2 / 2, controls=1
+    )
+    solution = solve(moving, Midpoint(Exponential(space)), (np.zeros(1), np.zeros(1)), (np.ones(1), None), 1.0, 20)
+    assert solution.cost == pytest.approx(np.cos(1.0) ** 2 / 2, rel=1e-3)
+    assert solution.states[1][-1] == pytest.approx(1.0)
+
+
+@pytest.mark.slow
+def test_a_state_makes_the_horizon_free():
+    """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``, least at ``T^4 = 18``."""
+    space, steps = PLANE * LINE, 20
+
+    def scaled(q: tuple, u: Array) -> tuple:
+        return jnp.exp(q[1][0]) * cart(q[0], u), jnp.zeros(1)
+
+    free = OptimalControlProblem(space, scaled, lambda q, u: jnp.exp(q[1][0]) * (1 + u @ u / 2), 1)
+    path = np.stack([np.linspace(0, 1, steps), np.ones(steps)], axis=1)
+    guess = Guess((path, np.zeros((steps, 1))), np.zeros((steps, 1)))
+    solution = solve(free, Midpoint(Exponential(space)), (REST, None), (AHEAD, None), 1.0, steps, guess=guess)
+    assert np.exp(solution.states[1][0, 0]) == pytest.approx(18**0.25, rel=2e-3)
+    assert np.max(np.abs(solution.hamiltonians)) < 1e-2  # of the free horizon: zero, to the order of the steps
+
+
+class Saturated(eqx.Module):
+    """``x1' = x2``, ``x2' = a tanh u``."""
+
+    bound: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return cart(q, self.bound * jnp.tanh(u))
+
+
+BOUNDED = {
+    "barrier": (lambda a: cart, lambda u, a: u @ u / 2 - 1e-2 * jnp.log(a**2 - u @ u), lambda u, a: u),
+    "saturation": (Saturated, lambda u, a: (a * jnp.tanh(u[0])) ** 2 / 2 + 1e-2 * u @ u, lambda u, a: a * np.tanh(u)),
+}
+
+
+@pytest.mark.parametrize("name", ["barrier", pytest.param("saturation", marks=pytest.mark.slow)])
+def test_a_bound_is_kept_from_where_it_does_not_matter_to_where_it_does(name):
+    """The unbounded control reaches 6; below 4 there is none."""
+    dynamics, price, steer = BOUNDED[name]
+    for a in (10.0, 6.0, 5.0, 4.5):
+        bounded = OptimalControlProblem(PLANE, dynamics(jnp.asarray(a)), Priced(price, jnp.asarray(a)), 1)
+        solution = solve(bounded, MIDPOINT, REST, AHEAD, 1.0, 20)
+        used = np.abs(steer(solution.controls, a))
+        assert np.max(used) < a
+        assert (np.sum(used > 0.95 * a) > 2) == (a < 6)

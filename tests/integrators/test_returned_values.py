@@ -1,0 +1,93 @@
+"""What functions return: converted where that is harmless, refused in words where it is not."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, SymplecticIntegrator, classify, integrate, solve
+from retrax.integrators.results import warn_of_coarse_values
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.retractions import Addition, CotangentLift, Midpoint
+
+from tests.integrators.test_asked_for import AHEAD, MIDPOINT, PLANE, REST, effort
+from tests.integrators.test_kinks import cart
+from tests.support.numerics import norm
+
+LIFT = CotangentLift(MIDPOINT)
+SYMPLECTIC, PRESYMPLECTIC = SymplecticIntegrator(LIFT), PresymplecticIntegrator(LIFT)
+LINE = Euclidean(1)
+
+NUMBERS = {
+    "nothing": (lambda x: None, "must return a real number, got nothing; did it forget to return"),
+    "complex": (lambda x: x @ x + 0j, r"must return a real number, got a complex one; try jnp\.real"),
+    "truth": (lambda x: x[0] > 0, r"must return a real number, got bool values; try jnp\.where"),
+    "a vector": (lambda x: x[:1], r"must return a scalar, got an array of shape \(1,\); sum it"),
+    "a list": (lambda x: [x @ x], r"must return a scalar, got an array of shape \(1,\)"),
+    "a dictionary": (lambda x: {"cost": x @ x}, "must return a real number, got {'cost'"),
+    "a word": (lambda x: "cheap", "must return a real number, got 'cheap'"),
+}
+
+
+@pytest.mark.parametrize("kind", NUMBERS)
+def test_what_is_no_real_number_is_named_wherever_it_is_asked_for(kind):
+    number, words = NUMBERS[kind]
+    running = OptimalControlProblem(PLANE, cart, lambda q, u: number(u), 1)
+    final = OptimalControlProblem(PLANE, cart, effort, 1, terminal_cost=number)
+    for run in (
+        lambda: solve(running, MIDPOINT, REST, AHEAD, 1.0, 4),
+        lambda: classify(running),
+        lambda: integrate(running, PRESYMPLECTIC, (REST, AHEAD), 0.1, 2),
+    ):
+        with pytest.raises(InvalidInputError, match=f"^running_cost {words}"):
+            run()
+    with pytest.raises(InvalidInputError, match=f"^terminal_cost {words}"):
+        solve(final, MIDPOINT, REST, None, 1.0, 4)
+    with pytest.raises(InvalidInputError, match=f"^the Hamiltonian {words}"):
+        integrate(lambda q, p: number(p), SYMPLECTIC, (REST, AHEAD), 0.1, 2)
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "words"),
+    [
+        (lambda q, u: cart(q, u) + 0j, r"dynamics, a tangent vector of R\^2 has real entries, got complex ones"),
+        (lambda q, u: cart(q, u) > 0, r"dynamics, .* has numbers as entries, got an array of bool"),
+        (lambda q, u: [q[1], u[0]], r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
+        (lambda q, u: (q[1], u[0]), r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
+        (lambda q, u: None, "dynamics, .* got None"),
+        (lambda q, u: cart(q, u)[:, None], r"dynamics, .* has shape \(2,\) where \(2, 1\) came"),
+        (lambda q, u: q.speed, "the problem's functions fail at a point q of .* has no attribute"),
+        (lambda q, u: "fast", "the problem's functions fail at a point q of .* not a valid JAX type"),
+    ],
+)
+def test_what_is_no_velocity_is_named(dynamics, words):
+    given = OptimalControlProblem(PLANE, dynamics, effort, 1)
+    for run in (lambda: solve(given, MIDPOINT, REST, AHEAD, 1.0, 4), lambda: classify(given)):
+        with pytest.raises(InvalidInputError, match=words):
+            run()
+
+
+@pytest.mark.parametrize("start", [REST + 0j, np.zeros(2, bool), np.array(["a", "b"]), np.array([None, 1])])
+def test_points_of_other_kinds_are_refused(start):
+    with pytest.raises(NotOnManifoldError, match=r"start: .* (real entries, got complex|numbers as entries, got an array)"):
+        solve(OptimalControlProblem(PLANE, cart, effort, 1), MIDPOINT, start, AHEAD, 1.0, 4)
+
+
+def test_whole_numbers_are_numbers():
+    """A terminal cost of 3, a velocity of 2, and the Hamiltonian 0."""
+    line = OptimalControlProblem(LINE, lambda q, u: 2 + jnp.array([1]) * u, effort, 1, terminal_cost=lambda q: 3)
+    solution = solve(line, Midpoint(Addition(LINE)), np.zeros(1, int), None, 1, 4)
+    assert solution.cost == 3
+    assert solution.states[-1] == pytest.approx(2)
+    still = integrate(lambda q, p: 0, SYMPLECTIC, (REST, AHEAD), 0.1, 2)
+    assert norm((still.q[-1] - REST, still.p[-1] - AHEAD)) == 0
+
+
+@pytest.mark.parametrize("where", ["dynamics", "running_cost"])
+def test_single_precision_is_raised_with_a_warning(where):
+    warn_of_coarse_values.cache_clear()
+    functions = {"dynamics": cart, "running_cost": effort}
+    exact, function = functions[where], functions[where]
+    functions[where] = lambda q, u: function(q, u).astype(jnp.float32)
+    assert exact(REST, jnp.ones(1)).dtype == float
+    with pytest.warns(UserWarning, match=f"{where} returns float32 values where float64 is in use"):
+        solution = solve(OptimalControlProblem(PLANE, **functions, controls=1), MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=1e-5)
+    assert solution.cost == pytest.approx(600 / 99, rel=1e-5)
