@@ -16,7 +16,9 @@ from jaxtyping import Array, ArrayLike
 
 from ..results import Result
 from .assembly import Assembled, DiscreteTrajectory, Iterate
-from .elimination import BlockSolution, eliminate, is_strict_minimum
+from .claims import Residuals, Sizes, correction, own_sizes, residuals
+from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
+from .scaling import Units, natural_units, scaled, unscaled
 
 ARMIJO = 1e-4
 RECORD = 0.9
@@ -37,6 +39,8 @@ class _Model(NamedTuple):
 class _State(NamedTuple):
     iterate: Iterate
     assembled: Assembled
+    units: Units
+    residuals: Residuals
     factors: BlockSolution
     trial: Iterate
     model: _Model
@@ -46,6 +50,7 @@ class _State(NamedTuple):
     trials: Array
     fast: Array  # the last step gained two digits: its matrices serve for the next
     stale: Array  # the matrices are those of the iterate before
+    determined: Array  # the linearised conditions ask for no further step to speak of
     done: Array
 
 
@@ -58,6 +63,7 @@ class NewtonResult(eqx.Module):
 
     iterate: Iterate
     assembled: Assembled
+    residuals: Residuals
     strict_minimum: Array
     iterations: Array
     result: Result
@@ -66,14 +72,19 @@ class NewtonResult(eqx.Module):
 def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike, max_iterations: ArrayLike) -> NewtonResult:
     """Solve the KKT system of a discrete trajectory from a guess.
 
-    Converged where both the ambient gap and the relative stationarity are at most ``tolerance``.
+    Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
+    where the system is singular to rounding, residuals say nothing about the distance to a solution.
     """
 
     def body(state: _State) -> _State:
         chord = state.fast
         assembled = problem.assemble(state.trial, state.assembled, chord)
-        state, good = _judge(assembled, state, tolerance)
-        residual, stale = _residual(state.assembled), jnp.where(good, chord, state.stale)
+        sizes = own_sizes(problem.stage.problem, state.trial, assembled)
+        first = state.trials == 0
+        units = jax.lax.cond(first, lambda: _units(assembled, sizes), lambda: state.units)
+        found = residuals(assembled, sizes, units)
+        state, good = _judge(assembled, found, state._replace(units=units), tolerance)
+        residual, stale = state.residuals.largest, jnp.where(good, chord, state.stale)
         arrived = residual <= tolerance
         # Where a chord step arrives, the matrices are made there: the last elimination is of the solution's own unchanged
         # system, and its inertia tells whether it is a minimum.
@@ -81,15 +92,26 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
         keep = arrived | (good & (residual <= jnp.sqrt(tolerance)))
         shift = jnp.where(arrived, 0.0, state.shift)
+        system = scaled(state.assembled.blocks, units)
         shift, factors = jax.lax.cond(
-            unmade, lambda: (shift, state.factors), lambda: _regularised(state.assembled, state.factors, shift, keep)
+            unmade, lambda: (shift, state.factors), lambda: _regularised(system, state.factors, shift, keep)
         )
-        model = _promise(state.assembled, factors, shift, state.model.penalty)
-        fraction = jnp.where(arrived, 0.0, state.fraction)
-        trial = problem.move(state.iterate, state.assembled, factors.steps, factors.multipliers, fraction)
-        fast = state.fast & ~arrived
+        model = _promise(state.assembled, system, units, factors, shift, state.model.penalty)
+        determined = correction(factors, sizes, units) <= jnp.sqrt(tolerance)
+        done = arrived & ~unmade & determined
+        fraction = jnp.where(unmade, 0.0, state.fraction)
+        steps, multipliers = unscaled(factors, units)
+        trial = problem.move(state.iterate, state.assembled, steps, multipliers, fraction)
         return state._replace(
-            trial=trial, factors=factors, model=model, shift=shift, fast=fast, stale=stale, done=arrived & ~unmade
+            trial=trial,
+            factors=factors,
+            model=model,
+            fraction=fraction,
+            shift=shift,
+            fast=state.fast & ~arrived,
+            stale=stale,
+            determined=determined,
+            done=done,
         )
 
     def going(state: _State) -> Array:
@@ -98,12 +120,17 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     assembled = problem.unassembled(guess)
     factors = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(eliminate, assembled.blocks))
     zero, infinity, no = jnp.zeros(()), jnp.asarray(jnp.inf), jnp.array(False)
+    units = Units(jnp.ones(problem.stage.dimension), jnp.ones(problem.stage.manifold.dimension), zero + 1)
     promise = _Model(infinity, zero, zero)
-    state = _State(guess, assembled, factors, guess, promise, zero + 1, zero, infinity, jnp.zeros((), int), no, no, no)
-    state = jax.lax.while_loop(going, body, state)
+    begin = guess, assembled, units, Residuals(infinity, infinity), factors, guess, promise, zero + 1, zero, infinity
+    state = jax.lax.while_loop(going, body, _State(*begin, jnp.zeros((), int), no, no, no, no))
     result = _outcome(state, tolerance, max_iterations)
-    strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale
-    return NewtonResult(state.iterate, state.assembled, strict, state.trials - 1, result)
+    strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale & state.done
+    return NewtonResult(state.iterate, state.assembled, state.residuals, strict, state.trials - 1, result)
+
+
+def _units(assembled: Assembled, sizes: Sizes) -> Units:
+    return natural_units(assembled.blocks, assembled.gradient, sizes.displacements, sizes.controls)
 
 
 def _solvable(state: _State) -> Array:
@@ -116,23 +143,19 @@ def _largest(a: Array) -> Array:
     return jnp.max(jnp.abs(a))
 
 
-def _residual(assembled: Assembled) -> Array:
-    return jnp.maximum(assembled.gap, assembled.stationarity)
+def _merit(assembled: Assembled, units: Units, penalty: Array) -> Array:
+    return assembled.cost / units.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap) / units.nodes)
 
 
-def _merit(assembled: Assembled, penalty: Array) -> Array:
-    return assembled.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap))
-
-
-def _judge(assembled: Assembled, state: _State, tolerance: ArrayLike) -> tuple[_State, Array]:
+def _judge(assembled: Assembled, found: Residuals, state: _State, tolerance: ArrayLike) -> tuple[_State, Array]:
     """Take the assembled trial if it improves, and set the length and the shift of the next step; and whether it does."""
-    residual, merit = _residual(assembled), _merit(assembled, state.model.penalty)
+    residual, merit = found.largest, _merit(assembled, state.units, state.model.penalty)
     decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
     improves = (decreases & (state.trials > 0)) | (residual <= jnp.maximum(RECORD * state.best, tolerance))
     remade = state.fraction == 0  # the same iterate, with matrices of its own
     good = (improves | remade) & jnp.isfinite(residual) & jnp.isfinite(merit)
-    new, old = (state.trial, assembled), (state.iterate, state.assembled)
-    iterate, kept = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
+    new, old = (state.trial, assembled, found), (state.iterate, state.assembled, state.residuals)
+    iterate, kept, reached = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
 
     halved = state.fraction / 2
     restart = good | (halved < SHORTEST)
@@ -141,6 +164,7 @@ def _judge(assembled: Assembled, state: _State, tolerance: ArrayLike) -> tuple[_
     judged = state._replace(
         iterate=iterate,
         assembled=kept,
+        residuals=reached,
         fraction=jnp.where(restart, 1.0, halved),
         shift=jnp.where(good, lowered, raised),
         best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
@@ -150,23 +174,23 @@ def _judge(assembled: Assembled, state: _State, tolerance: ArrayLike) -> tuple[_
     return judged, good
 
 
-def _scales(assembled: Assembled) -> Array:
+def _scales(system: BlockSystem) -> Array:
     """Typical curvature of each coordinate, the unit of the shift."""
-    diagonal = jnp.max(jnp.abs(jnp.diagonal(assembled.blocks.hessian, axis1=1, axis2=2)), axis=0)
+    diagonal = jnp.max(jnp.abs(jnp.diagonal(system.hessian, axis1=1, axis2=2)), axis=0)
     floor = 1e-3 * jnp.max(diagonal)
     return jnp.where(floor > 0, jnp.maximum(diagonal, floor), 1.0)
 
 
-def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, keep: Array) -> tuple[Array, BlockSolution]:
+def _regularised(system: BlockSystem, factors: BlockSolution, shift: Array, keep: Array) -> tuple[Array, BlockSolution]:
     """The step of the block system, with the smallest tried shift of the Hessian that gives it positive curvature.
 
     If ``keep`` the shift that came is used as it is.
     """
-    blocks, scales = assembled.blocks, _scales(assembled)
+    scales = _scales(system)
 
     def shifted(shift: Array) -> tuple[BlockSolution, Array]:
-        hessian = blocks.hessian + shift * jnp.diag(scales)
-        factors = eliminate(blocks._replace(hessian=hessian))
+        hessian = system.hessian + shift * jnp.diag(scales)
+        factors = eliminate(system._replace(hessian=hessian))
         curvature = jnp.einsum("ks,kst,kt->", factors.steps, hessian, factors.steps)
         size = jnp.einsum("ks,s,ks->", factors.steps, scales, factors.steps)
         return factors, keep | (curvature >= CURVATURE * size)
@@ -185,24 +209,27 @@ def _regularised(assembled: Assembled, factors: BlockSolution, shift: Array, kee
     return shift, factors
 
 
-def _promise(assembled: Assembled, factors: BlockSolution, shift: Array, penalty: Array) -> _Model:
+def _promise(
+    assembled: Assembled, system: BlockSystem, units: Units, factors: BlockSolution, shift: Array, penalty: Array
+) -> _Model:
     """Merit and its slope along the step, with a penalty large enough to make it a descent direction."""
-    blocks, d = assembled.blocks, factors.steps
-    hessian = blocks.hessian + shift * jnp.diag(_scales(assembled))
-    gap = jnp.sum(jnp.abs(blocks.gap))
-    ahead = jnp.sum(assembled.gradient * d)
+    d = factors.steps
+    hessian = system.hessian + shift * jnp.diag(_scales(system))
+    gap = jnp.sum(jnp.abs(system.gap))
+    ahead = jnp.sum(assembled.gradient * (units.unknowns / units.cost) * d)
     wanted = (ahead + jnp.einsum("ks,kst,kt->", d, hessian, d) / 2) / (0.9 * jnp.where(gap > 0, gap, 1.0))
     penalty = jnp.where(gap > 0, jnp.maximum(penalty, wanted), penalty)
-    return _Model(_merit(assembled, penalty), ahead - penalty * gap, penalty)
+    return _Model(_merit(assembled, units, penalty), ahead - penalty * gap, penalty)
 
 
 def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> Result:
     """The result code of a finished iteration."""
-    finite = jnp.isfinite(_residual(state.assembled)) & jnp.isfinite(state.assembled.cost)
-    meets = jnp.max(jnp.abs(state.assembled.blocks.gap)) <= tolerance
-    wrong = (state.assembled.stationarity <= tolerance) & meets & (state.assembled.gap > tolerance)
+    finite = jnp.isfinite(state.residuals.largest) & jnp.isfinite(state.assembled.cost)
+    meets = jnp.max(jnp.abs(state.assembled.blocks.gap) / state.units.nodes) <= tolerance
+    wrong = (state.residuals.stationarity <= tolerance) & meets & (state.residuals.gap > tolerance)
+    undetermined = (state.residuals.largest <= tolerance) & ~state.determined
     result = Result.where(state.trials > max_iterations, Result.too_many_iterations, Result.no_improvement)
-    result = Result.where(~_solvable(state) & ~meets, Result.singular, result)
+    result = Result.where((~_solvable(state) & ~meets) | undetermined, Result.singular, result)
     result = Result.where(wrong, Result.wrong_point, result)
     result = Result.where(~finite, Result.not_finite, result)
-    return Result.where((_residual(state.assembled) <= tolerance) & finite, Result.successful, result)
+    return Result.where(state.done & finite, Result.successful, result)
