@@ -22,18 +22,20 @@ from .scaling import Units, natural_units, scaled, unscaled
 
 ARMIJO = 1e-4
 RECORD = 0.9
-SHORTEST = 2.0**-7
+SWITCH, NARROWER, FUNNEL = 1e-3, 0.99, 2.0
+RAISE, LOWER, LONG, KEEP = 10.0, 10.0, 0.3, 0.5
+SHORTEST = 2.0**-4
 FAST = 1e-2
 FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
 CURVATURE = 1e-9
 
 
 class _Model(NamedTuple):
-    """What the merit function promises along a step: its value and slope, and the penalty."""
+    """Cost and infeasibility of the iterate, and the slope of the cost along the step."""
 
-    merit: Array
+    cost: Array
+    infeasibility: Array
     slope: Array
-    penalty: Array
 
 
 class _State(NamedTuple):
@@ -44,6 +46,7 @@ class _State(NamedTuple):
     factors: BlockSolution
     trial: Iterate
     model: _Model
+    funnel: Array  # the infeasibility that no iterate exceeds any more
     fraction: Array
     shift: Array
     best: Array
@@ -96,7 +99,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
         shift, factors = jax.lax.cond(
             unmade, lambda: (shift, state.factors), lambda: _regularised(system, state.factors, shift, keep)
         )
-        model = _promise(state.assembled, system, units, factors, shift, state.model.penalty)
+        model = _promise(state.assembled, units, factors)
         determined = correction(factors, sizes, units) <= jnp.sqrt(tolerance)
         done = arrived & ~unmade & determined
         fraction = jnp.where(unmade, 0.0, state.fraction)
@@ -121,8 +124,8 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     factors = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(eliminate, assembled.blocks))
     zero, infinity, no = jnp.zeros(()), jnp.asarray(jnp.inf), jnp.array(False)
     units = Units(jnp.ones(problem.stage.dimension), jnp.ones(problem.stage.manifold.dimension), zero + 1)
-    promise = _Model(infinity, zero, zero)
-    begin = guess, assembled, units, Residuals(infinity, infinity), factors, guess, promise, zero + 1, zero, infinity
+    promise = _Model(infinity, infinity, zero)
+    begin = guess, assembled, units, Residuals(infinity, infinity), factors, guess, promise, infinity, zero + 1, zero, infinity
     state = jax.lax.while_loop(going, body, _State(*begin, jnp.zeros((), int), no, no, no, no))
     result = _outcome(state, tolerance, max_iterations)
     strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale & state.done
@@ -143,33 +146,49 @@ def _largest(a: Array) -> Array:
     return jnp.max(jnp.abs(a))
 
 
-def _merit(assembled: Assembled, units: Units, penalty: Array) -> Array:
-    return assembled.cost / units.cost + penalty * jnp.sum(jnp.abs(assembled.blocks.gap) / units.nodes)
+def _cost(assembled: Assembled, units: Units) -> Array:
+    return assembled.cost / units.cost
+
+
+def _infeasibility(assembled: Assembled, units: Units) -> Array:
+    return jnp.sum(jnp.abs(assembled.blocks.gap) / units.nodes)
 
 
 def _judge(assembled: Assembled, found: Residuals, state: _State, tolerance: ArrayLike) -> tuple[_State, Array]:
     """Take the assembled trial if it improves, and set the length and the shift of the next step; and whether it does."""
-    residual, merit = found.largest, _merit(assembled, state.units, state.model.penalty)
-    decreases = merit <= state.model.merit + ARMIJO * state.fraction * state.model.slope
-    improves = (decreases & (state.trials > 0)) | (residual <= jnp.maximum(RECORD * state.best, tolerance))
+    first = state.trials == 0
+    residual, cost, infeasibility = found.largest, _cost(assembled, state.units), _infeasibility(assembled, state.units)
+    promised = -state.fraction * state.model.slope
+    cheaper = promised >= SWITCH * state.model.infeasibility**2
+    decreases = cost <= state.model.cost - ARMIJO * promised
+    nearer = infeasibility <= NARROWER * state.funnel
+    improves = ((infeasibility <= state.funnel) & jnp.where(cheaper, decreases, nearer)) & ~first
+    record = residual <= jnp.maximum(RECORD * state.best, tolerance)
     remade = state.fraction == 0  # the same iterate, with matrices of its own
-    good = (improves | remade) & jnp.isfinite(residual) & jnp.isfinite(merit)
+    good = (improves | record | remade) & jnp.isfinite(residual) & jnp.isfinite(cost)
+    narrowed = good & ~cheaper & ~first & ~remade
+    funnel = jnp.where(narrowed, jnp.minimum(state.funnel, (infeasibility + state.funnel) / 2), state.funnel)
+    funnel = jnp.where(first, FUNNEL * infeasibility, funnel)
     new, old = (state.trial, assembled, found), (state.iterate, state.assembled, state.residuals)
-    iterate, kept, reached = jax.tree.map(lambda a, b: jnp.where(good | (state.trials == 0), a, b), new, old)
+    iterate, kept, reached = jax.tree.map(lambda a, b: jnp.where(good | first, a, b), new, old)
 
     halved = state.fraction / 2
     restart = good | (halved < SHORTEST)
-    lowered = jnp.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / 10)
-    raised = jnp.where(halved < SHORTEST, jnp.maximum(10 * state.shift, FIRST_SHIFT), state.shift)
+    settled = jnp.where(
+        state.fraction < LONG, jnp.maximum(state.shift, FIRST_SHIFT) * jnp.minimum(KEEP / state.fraction, RAISE), state.shift
+    )
+    lowered = jnp.where(state.fraction == 1, jnp.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER), settled)
+    raised = jnp.where(halved < SHORTEST, jnp.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift)
     judged = state._replace(
         iterate=iterate,
         assembled=kept,
         residuals=reached,
+        funnel=funnel,
         fraction=jnp.where(restart, 1.0, halved),
         shift=jnp.where(good, lowered, raised),
         best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
         trials=state.trials + 1,
-        fast=good & (residual <= FAST * state.best) & (state.trials > 0),
+        fast=good & (residual <= FAST * state.best) & ~first,
     )
     return judged, good
 
@@ -197,7 +216,7 @@ def _regularised(system: BlockSystem, factors: BlockSolution, shift: Array, keep
 
     def body(state: tuple[Array, BlockSolution, Array, Array]) -> tuple[Array, BlockSolution, Array, Array]:
         shift, _, _, tried = state
-        shift = jnp.where(tried > 0, jnp.maximum(10 * shift, FIRST_SHIFT), shift)
+        shift = jnp.where(tried > 0, jnp.maximum(RAISE * shift, FIRST_SHIFT), shift)
         factors, descends = shifted(shift)
         return shift, factors, descends, tried + 1
 
@@ -209,17 +228,10 @@ def _regularised(system: BlockSystem, factors: BlockSolution, shift: Array, keep
     return shift, factors
 
 
-def _promise(
-    assembled: Assembled, system: BlockSystem, units: Units, factors: BlockSolution, shift: Array, penalty: Array
-) -> _Model:
-    """Merit and its slope along the step, with a penalty large enough to make it a descent direction."""
-    d = factors.steps
-    hessian = system.hessian + shift * jnp.diag(_scales(system))
-    gap = jnp.sum(jnp.abs(system.gap))
-    ahead = jnp.sum(assembled.gradient * (units.unknowns / units.cost) * d)
-    wanted = (ahead + jnp.einsum("ks,kst,kt->", d, hessian, d) / 2) / (0.9 * jnp.where(gap > 0, gap, 1.0))
-    penalty = jnp.where(gap > 0, jnp.maximum(penalty, wanted), penalty)
-    return _Model(_merit(assembled, units, penalty), ahead - penalty * gap, penalty)
+def _promise(assembled: Assembled, units: Units, factors: BlockSolution) -> _Model:
+    """Cost and infeasibility, and the slope of the cost along the step."""
+    ahead = jnp.sum(assembled.gradient * (units.unknowns / units.cost) * factors.steps)
+    return _Model(_cost(assembled, units), _infeasibility(assembled, units), ahead)
 
 
 def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> Result:
