@@ -23,7 +23,7 @@ from .scaling import Units, natural_units, scaled, unscaled
 ARMIJO = 1e-4
 RECORD = 0.9
 SWITCH, NARROWER, FUNNEL = 1e-3, 0.99, 2.0
-RAISE, LOWER, LONG, KEEP = 10.0, 10.0, 0.3, 0.5
+RAISE, LOWER, LONG, KEEP = 10.0, 4.0, 0.3, 0.5
 SHORTEST = 2.0**-4
 FAST = 1e-2
 FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
@@ -31,11 +31,13 @@ CURVATURE = 1e-9
 
 
 class _Model(NamedTuple):
-    """Cost and infeasibility of the iterate, and the slope of the cost along the step."""
+    """Cost and infeasibility of the iterate, the slope of the cost along the step, and what the multipliers' step is on the gap."""
 
     cost: Array
     infeasibility: Array
     slope: Array
+    held: Array  # the multipliers on the gap
+    turned: Array  # their step on the gap
 
 
 class _State(NamedTuple):
@@ -124,7 +126,7 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     factors = jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), jax.eval_shape(eliminate, assembled.blocks))
     zero, infinity, no = jnp.zeros(()), jnp.asarray(jnp.inf), jnp.array(False)
     units = Units(jnp.ones(problem.stage.dimension), jnp.ones(problem.stage.manifold.dimension), zero + 1)
-    promise = _Model(infinity, infinity, zero)
+    promise = _Model(infinity, infinity, zero, zero, zero)
     begin = guess, assembled, units, Residuals(infinity, infinity), factors, guess, promise, infinity, zero + 1, zero, infinity
     state = jax.lax.while_loop(going, body, _State(*begin, jnp.zeros((), int), no, no, no, no))
     result = _outcome(state, tolerance, max_iterations)
@@ -150,6 +152,10 @@ def _cost(assembled: Assembled, units: Units) -> Array:
     return assembled.cost / units.cost
 
 
+def _held(assembled: Assembled, units: Units) -> Array:
+    return jnp.sum(assembled.coordinates * assembled.blocks.gap) / units.cost
+
+
 def _infeasibility(assembled: Assembled, units: Units) -> Array:
     return jnp.sum(jnp.abs(assembled.blocks.gap) / units.nodes)
 
@@ -158,9 +164,10 @@ def _judge(assembled: Assembled, found: Residuals, state: _State, tolerance: Arr
     """Take the assembled trial if it improves, and set the length and the shift of the next step; and whether it does."""
     first = state.trials == 0
     residual, cost, infeasibility = found.largest, _cost(assembled, state.units), _infeasibility(assembled, state.units)
-    promised = -state.fraction * state.model.slope
+    held = state.model.held + state.fraction * state.model.turned
+    promised = -state.fraction * (state.model.slope - held)
     cheaper = promised >= SWITCH * state.model.infeasibility**2
-    decreases = cost <= state.model.cost - ARMIJO * promised
+    decreases = cost + _held(assembled, state.units) <= state.model.cost + held - ARMIJO * promised
     nearer = infeasibility <= NARROWER * state.funnel
     improves = ((infeasibility <= state.funnel) & jnp.where(cheaper, decreases, nearer)) & ~first
     record = residual <= jnp.maximum(RECORD * state.best, tolerance)
@@ -168,6 +175,7 @@ def _judge(assembled: Assembled, found: Residuals, state: _State, tolerance: Arr
     good = (improves | record | remade) & jnp.isfinite(residual) & jnp.isfinite(cost)
     narrowed = good & ~cheaper & ~first & ~remade
     funnel = jnp.where(narrowed, jnp.minimum(state.funnel, (infeasibility + state.funnel) / 2), state.funnel)
+    funnel = jnp.where(good & ~improves, jnp.maximum(funnel, infeasibility), funnel)
     funnel = jnp.where(first, FUNNEL * infeasibility, funnel)
     new, old = (state.trial, assembled, found), (state.iterate, state.assembled, state.residuals)
     iterate, kept, reached = jax.tree.map(lambda a, b: jnp.where(good | first, a, b), new, old)
@@ -231,7 +239,8 @@ def _regularised(system: BlockSystem, factors: BlockSolution, shift: Array, keep
 def _promise(assembled: Assembled, units: Units, factors: BlockSolution) -> _Model:
     """Cost and infeasibility, and the slope of the cost along the step."""
     ahead = jnp.sum(assembled.gradient * (units.unknowns / units.cost) * factors.steps)
-    return _Model(_cost(assembled, units), _infeasibility(assembled, units), ahead)
+    turned = jnp.sum(factors.multipliers * (assembled.blocks.gap / units.nodes))
+    return _Model(_cost(assembled, units), _infeasibility(assembled, units), ahead, _held(assembled, units), turned)
 
 
 def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> Result:
