@@ -1,4 +1,4 @@
-"""What a solution claims, in units of its own trajectory: that ends meet, that the Lagrangian is stationary, that it is determined."""
+"""What a solution claims, in units of its own trajectory: ends meet, its cost is stationary, and both determine it."""
 
 from typing import NamedTuple
 
@@ -10,7 +10,7 @@ from ...manifolds.numerics import ambient as vec
 from ..problem import OptimalControlProblem
 from .assembly import Assembled, Iterate, shares
 from .elimination import BlockSolution
-from .scaling import SHARE, Units, scaled
+from .scaling import SHARE, Units
 
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 
@@ -30,7 +30,7 @@ class Sizes(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Distance between ends that should meet, and derivative of the Lagrangian: the largest, relative to what they are made of."""
+    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made of."""
 
     gap: Array
     stationarity: Array

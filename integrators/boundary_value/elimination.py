@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
 
 
@@ -43,10 +42,9 @@ def eliminate(system: BlockSystem) -> BlockSolution:
     """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
 
     A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
-    sphere. So ``weight |right_k d_k|^2 - weight |left_k d_k|^2`` is added to the cost of each stage: by the equations of the nodes
-    these cancel one another, the solution and the inertia stay, but each of these free ends is held by the weight.
+    sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
+    nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
     """
-    n = system.gap.shape[1]
     weight = WEIGHT * system.hessian.shape[0]
     held = weight * (system.right.mT @ system.right - system.left.mT @ system.left)
     push = weight * jnp.einsum("kns,kn->ks", system.left, system.gap[:-1])
