@@ -24,7 +24,7 @@ from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimu
 from .scaling import Units, natural_units, scaled, unscaled
 
 ARMIJO = 1e-4
-SWITCH, NARROWER, WIDTH = 1e-3, 0.99, 2.0  # the width is the funnel's first, in units of the guess's infeasibility
+SWITCH, NARROWER = 1e-3, 0.99
 RECORD = 0.9
 SHORTEST = 2.0**-4
 FAST = 1e-2
@@ -189,7 +189,7 @@ def _judge(assembled: Assembled, found: Residuals, state: _State, tolerance: Arr
         iterate=iterate,
         assembled=kept,
         residuals=reached,
-        funnel=jnp.where(first, WIDTH * infeasibility, funnel),
+        funnel=jnp.where(first, jnp.maximum(infeasibility, 1.0), funnel),
         fraction=jnp.where(good | short | probe, 1.0, state.fraction / 2),
         shift=_next_shift(state, good, short),
         best=jnp.where(good, jnp.minimum(state.best, residual), state.best),
