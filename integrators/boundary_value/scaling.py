@@ -50,26 +50,22 @@ def _or_one(size: Array) -> Array:
 def _reach(blocks: BlockSystem, variance: Float[Array, " m"]) -> Float[Array, " n"]:
     """How far controls of this variance move each coordinate of a node between two fixed ends."""
     n = blocks.left.shape[1]
-    ahead = jnp.linalg.solve(blocks.left[:, :, :n], blocks.left[:, :, n:])
-    push = blocks.right[:, :, n:] - blocks.right[:, :, :n] @ ahead
+    left, right = blocks.left[:, :, :n], blocks.right[:, :, :n]
+    inverses = jnp.linalg.inv(jnp.stack([left, right]))
+    forth, back = right @ inverses[0], left @ inverses[1]
+    push = blocks.right[:, :, n:] - forth @ blocks.left[:, :, n:]
     push = (push * variance) @ push.mT
-    forth = jnp.linalg.solve(blocks.left[:, :, :n].mT, blocks.right[:, :, :n].mT).mT
-    back = jnp.linalg.solve(blocks.right[:, :, :n].mT, blocks.left[:, :, :n].mT).mT
 
-    def forward(gramian: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
-        gramian = step[0] @ gramian @ step[0].T + step[1]
-        return gramian, jnp.diagonal(gramian)
+    def step(gramians: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
+        gramians = step[0] @ gramians @ step[0].mT + step[1]
+        return gramians, jnp.diagonal(gramians, axis1=1, axis2=2)
 
-    def backward(gramian: Array, step: tuple[Array, Array]) -> tuple[Array, Array]:
-        gramian = step[0] @ (gramian + step[1]) @ step[0].T
-        return gramian, jnp.diagonal(gramian)
-
-    zero = jnp.zeros((n, n), push.dtype)
-    before = jax.lax.scan(forward, zero, (forth, push))[1]
-    after = jax.lax.scan(backward, zero, (back, push), reverse=True)[1]
+    # From the start forward and from the end backward at once.
+    moves, pushes = jnp.stack([forth, back[::-1]], axis=1), jnp.stack([push, (back @ push @ back.mT)[::-1]], axis=1)
+    _, sizes = jax.lax.scan(step, jnp.zeros((2, n, n), push.dtype), (moves, pushes))
     # One step has no node between its ends.
-    middle = jnp.where(len(before) > 1, jnp.minimum(before[:-1], after[1:]).max(axis=0, initial=0.0), before[-1])
-    return jnp.sqrt(jnp.where(jnp.isfinite(middle), jnp.maximum(middle, 0.0), 0.0))
+    between = jnp.minimum(sizes[:-1, 0], sizes[-2::-1, 1]).max(axis=0) if len(sizes) > 1 else sizes[0, 0]
+    return jnp.sqrt(jnp.where(jnp.isfinite(between), jnp.maximum(between, 0.0), 0.0))
 
 
 def scaled(blocks: BlockSystem, units: Units) -> BlockSystem:

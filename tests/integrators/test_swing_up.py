@@ -64,6 +64,6 @@ def test_a_swing_up_converges_within_the_default_limit(rig, horizon):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("circle", [False, True])
-@pytest.mark.parametrize(("rig", "horizon"), itertools.product(RIGS, SHORT + LONG))
+@pytest.mark.parametrize(("rig", "horizon"), list(itertools.product(RIGS, SHORT + LONG)))
 def test_a_finer_swing_up_converges_within_the_default_limit(rig, horizon, circle):
     assert swing_up(rig, horizon, 80, circle).success
