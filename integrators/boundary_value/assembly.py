@@ -29,9 +29,9 @@ class Iterate(NamedTuple):
 
 
 class Assembled(NamedTuple):
-    """The KKT system at an iterate, and how far the iterate is from satisfying it."""
+    """The KKT system at an iterate, in the units of the problem, and what tells how far the iterate is from satisfying it."""
 
-    blocks: BlockSystem
+    blocks: BlockSystem  # with the equations of free coordinates, which ``scaled`` leaves out
     gradient: Array  # of the cost alone, shape (N, s)
     charts: Any  # what the charts of the stages need of their bases
     frames: Frame  # at the nodes
@@ -39,8 +39,7 @@ class Assembled(NamedTuple):
     nodes: Ambient
     costates: Ambient
     cost: Array
-    gap: Array  # largest distance between ends that should meet, entrywise in the ambient space, relative to 1 + size
-    stationarity: Array  # largest derivative of the Lagrangian, relative to its parts
+    gap: Array  # largest distance between ends that should meet, for each entry of the ambient space, shape (E,)
 
 
 class _Parts(NamedTuple):
@@ -90,7 +89,7 @@ class DiscreteTrajectory(eqx.Module):
         def again() -> tuple[BlockSystem, Array, Array]:
             zero = jnp.zeros(self.stage.dimension)
             parts = jax.vmap(lambda *stage: self._parts(zero, *stage))(*stages)
-            starts, ends = _shares(near.blocks, at.coordinates)
+            starts, ends = shares(near.blocks, at.coordinates)
             return near.blocks._replace(slope=parts.slope, gap=at.gap), parts.slope - starts + ends, parts.cost
 
         return self._assembled(at, *jax.lax.cond(chord, again, anew))
@@ -118,7 +117,7 @@ class DiscreteTrajectory(eqx.Module):
         frames = jax.vmap(self.stage.manifold.basis)(nodes)
         gap = jax.vmap(vec.components)(frames, gaps)
         gap = gap.at[0].multiply(self.start.mask()).at[-1].multiply(self.end.mask())
-        distance = vec.size(jax.tree.map(lambda a, b: vec.size(a) / (1 + vec.size(b)), gaps, nodes))
+        distance = jnp.max(jnp.abs(vec.flatten_frame(gaps)), axis=0)
         charts = jax.vmap(self.stage.frame)(iterate.unknowns)
         return _AtNodes(charts, nodes, distance, frames, gap, *self._multipliers(iterate.costates, nodes, frames))
 
@@ -133,16 +132,13 @@ class DiscreteTrajectory(eqx.Module):
         last = rows.end[-1]
         hessian = rows.slope.at[-1].add(last.T @ at.curvature @ last)
         gradient = rows.cost.at[-1].add(at.slope @ last)
-        left = rows.start.at[0].multiply(self.start.mask()[:, None])
-        right = rows.end.at[-1].multiply(self.end.mask()[:, None])
-        return BlockSystem(hessian, left, right, parts.slope, at.gap, self.start.mask(), self.end.mask()), gradient, parts.cost
+        fixed = self.start.mask(), self.end.mask()
+        return BlockSystem(hessian, rows.start, rows.end, parts.slope, at.gap, *fixed), gradient, parts.cost
 
     def _assembled(self, at: _AtNodes, blocks: BlockSystem, gradient: Array, costs: Array) -> Assembled:
         cost = jnp.sum(costs) + self.terminal_cost(jax.tree.map(lambda leaf: leaf[-1], at.nodes))
-        stationarity = _stationarity(blocks, gradient, at.coordinates)
-        return Assembled(
-            blocks, gradient, at.charts, at.frames, at.coordinates, at.nodes, at.costates, cost, at.distance, stationarity
-        )
+        at_nodes = at.charts, at.frames, at.coordinates, at.nodes, at.costates
+        return Assembled(blocks, gradient, *at_nodes, cost, at.distance)
 
     def _nodes(self, begins: Ambient, finishes: Ambient) -> tuple[Ambient, Ambient]:
         """Nodes ``q_0 ... q_N`` and, at each, the beginning of the stage after it minus the end of the one before."""
@@ -191,21 +187,9 @@ class DiscreteTrajectory(eqx.Module):
         return jax.vmap(push, out_axes=-1)(jnp.eye(zero.size)), values
 
 
-def _shares(blocks: BlockSystem, coordinates: Array) -> tuple[Array, Array]:
+def shares(blocks: BlockSystem, coordinates: Array) -> tuple[Array, Array]:
     """What the multipliers of the nodes before and after each stage contribute to the derivative of the Lagrangian."""
     return (
         jnp.einsum("kns,kn->ks", blocks.left, coordinates[:-1]),
         jnp.einsum("kns,kn->ks", blocks.right, coordinates[1:]),
     )
-
-
-def _stationarity(blocks: BlockSystem, gradient: Array, coordinates: Array) -> Array:
-    """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
-
-    Where all parts vanish, at an optimum of the cost itself, the curvature sets the scale.
-    """
-    starts, ends = _shares(blocks, coordinates)
-    parts = jnp.max(jnp.abs(gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
-    curvature = jnp.max(jnp.abs(jnp.diagonal(blocks.hessian, axis1=1, axis2=2)), axis=0)
-    scale = jnp.maximum(jnp.maximum(parts, 1e-3 * curvature), 1e-3 * jnp.max(parts))
-    return jnp.max(jnp.abs(blocks.slope) / jnp.where(scale > 0, scale, 1.0))

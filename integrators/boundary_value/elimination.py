@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
+
 
 class BlockSystem(NamedTuple):
     """Linear system in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1 nodes:
@@ -39,9 +41,20 @@ class BlockSolution(NamedTuple):
 def eliminate(system: BlockSystem) -> BlockSolution:
     """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
 
-    The last node goes with the last stage: the problem with a free end, which the stages alone stand for, is singular where
-    the end is a focal point of the start, as a quarter turn away on a sphere.
+    A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
+    sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
+    nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
     """
+    weight = WEIGHT * system.hessian.shape[0]
+    held = weight * (system.right.mT @ system.right - system.left.mT @ system.left)
+    push = weight * jnp.einsum("kns,kn->ks", system.left, system.gap[:-1])
+    solution = _eliminate(system._replace(hessian=system.hessian + held, slope=system.slope - push))
+    ends = weight * jnp.einsum("kns,ks->kn", system.right, solution.steps)
+    return solution._replace(multipliers=solution.multipliers.at[1:].add(-ends))
+
+
+def _eliminate(system: BlockSystem) -> BlockSolution:
+    """The same without weights. The last node goes with the last stage."""
     n = system.gap.shape[1]
     size = n + system.hessian.shape[1]
 

@@ -29,10 +29,11 @@ class Statistics:
 class Checks:
     """What a user checks on a solution. Spreads are maximum minus minimum.
 
-    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, relative to
-    1 + size. ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``violations``: of each equation
-    of the manifold, the largest at the nodes (for a rotation, the orthogonality error). ``hamiltonian``: value at the first
-    stage, spread over the stages, and size, the largest of its parts ``<p, X>`` and ``F``, no less than their rounding.
+    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by entry
+    relative to the spread of the trajectory in it. ``stationarity``: largest derivative of the Lagrangian relative to its
+    parts. ``violations``: of each equation of the manifold, the largest at the nodes (for a rotation, the orthogonality
+    error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the largest of its parts ``<p, X>``
+    and ``F``, no less than their rounding.
     ``momentum_spreads``: for each factor on which a group acts, largest spread of a component of its momentum over the nodes;
     ``conserved``: how many of its components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is
     positive definite on the null space of the constraints. Of a singular extremal ``stationarity`` is the largest violation of
@@ -159,7 +160,7 @@ class Solution:
     def require_success(self) -> "Solution":
         """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
-            raise ConvergenceError(f"{self.result}\n{self}")
+            raise ConvergenceError(f"{self.result}\n{self}", self)
         return self
 
     def save(self, path: str | Path) -> None:

@@ -57,10 +57,10 @@ def solve(
     A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the steps of
     ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.
 
-    Converged where the ambient gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
-    double precision). Raises ``InvalidInputError``, ``NotOnManifoldError`` or ``DomainError`` for input that cannot be
-    solved as given (of a singular problem: boundary data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the
-    conditions are not met; otherwise read ``success``.
+    Converged where the relative gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
+    double precision) and Newton's next step is below its square root. Raises ``InvalidInputError``, ``NotOnManifoldError`` or
+    ``DomainError`` for input that cannot be solved as given (of a singular problem: boundary data off ``P_f``), and, if
+    ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
     """
     problem = by_data(problem)
     require_concrete("solve", start, end, horizon, problem, guess)
@@ -212,7 +212,7 @@ def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: Array, max_it
     costates = jax.vmap(stage.manifold.projection)(found.nodes, found.costates)
     diagnostics = diagnose(stage, newton.iterate.unknowns, found.nodes, costates)
     trajectory = newton.iterate.unknowns, found.nodes, costates
-    checks = found.cost, found.gap, found.stationarity, newton.strict_minimum
+    checks = found.cost, *newton.residuals, newton.strict_minimum
     return _Output(*trajectory, *checks, newton.iterations, newton.result == Result.successful, newton.result, diagnostics)
 
 

@@ -29,7 +29,14 @@ class DomainError(InvalidInputError):
 
 
 class ConvergenceError(RetraxError, RuntimeError):
-    """An iteration ended without meeting the conditions that its result claims."""
+    """An iteration ended without meeting the conditions that its result claims.
+
+    ``solution`` holds what was reached, where ``solve`` raised it: a record whose ``success`` is false, or None.
+    """
+
+    def __init__(self, message: str, solution: Any = None) -> None:
+        super().__init__(message)
+        self.solution = solution
 
 
 def shapes_of(function: Callable[..., Any], what: str, *arguments: Any) -> Any:

@@ -99,7 +99,7 @@ def test_the_regulator_solves_the_discrete_riccati_equation(theta):
 def test_a_terminal_cost_on_the_line_is_exact_for_any_number_of_steps(steps):
     solution = solve(PARABOLA, MIDPOINT_LINE, np.ones(1), None, 1.0, steps)
     assert solution.cost == pytest.approx(5 / 11, abs=1e-14)
-    assert solution.states[-1] == pytest.approx(1 / 11, abs=1e-14)
+    assert solution.states[-1] == pytest.approx(1 / 11, abs=1e-13)
 
 
 def test_where_the_end_rate_is_free_its_costate_vanishes():
