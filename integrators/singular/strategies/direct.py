@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
-from jax.flatten_util import ravel_pytree
 
+from ....manifolds import Manifold, Submanifold
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.newton import tolerance
 from ....retractions import CotangentLift
@@ -21,11 +22,11 @@ from ..words import many
 from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
 from .strategy import Gauge, NotApplicableError
 
-TEST_STEP = 0.1  # length of the steps of the test of composability, relative to the time in which states change by their size
-TEST_STEPS = 10  # steps from each state: one alone may hide how they leave P_f
-HALVINGS = 20  # of that length, from states from which it is too long for Newton's method
+TEST_STEP = 0.5  # length of the steps of the test of composability, relative to the time in which states change by their size
+TEST_STEPS = 10  # steps from each state, each from P_f: one alone may hide how they leave it
+HALVINGS = 20  # of that length, where it is too long for Newton's method
+COMPOSED = 0.8  # power of the machine epsilon up to which equations of P_f hold to the rounding of their terms: 3e-13
 NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
-COMPOSED = 0.77  # power of the machine epsilon up to which equations of P_f, of order one near it, hold to rounding: 1e-12
 
 
 @final
@@ -43,19 +44,18 @@ class DirectIntegrator(DynamicsIntegrator):
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
         found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason="")
         trials = jax.tree.map(np.asarray, _trials(found, classification.problem, classification.stratum.states))
-        count, solved = len(trials.solved), int(np.sum(trials.solved))
-        worst = int(np.argmax(trials.departure))
-        gap, h = float(trials.departure[worst]), float(trials.length[worst])
-        if gap > tolerance(trials.departure, COMPOSED):
+        count, composed, departed = len(trials.length), trials.solved, trials.departed > 1
+        if np.any(departed):
             raise NotApplicableError(
-                f"steps with stages in S_f leave P_f, its equations {gap:.1e} after {TEST_STEPS} of length {h:.1g}: they do not "
-                "compose"
+                f"steps with stages in S_f leave P_f, its equations {np.max(trials.departure[departed]):.1e} at the ends of some "
+                f"of length {np.max(trials.length[departed]):.1g}: they do not compose"
             )
-        if not solved:
+        if not np.any(composed):
             raise NotApplicableError(
                 f"no step with its stage in S_f was solved from any of {many(count, 'point')} of P_f, whatever its length "
                 f"(down to {np.min(trials.length):.0e})"
             )
+        gap, solved = np.max(trials.departure[composed]), int(np.sum(composed))
         rest = "" if solved == count else f"; from {count - solved} of {many(count, 'point')} tried no step was solved"
         return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose")
 
@@ -70,11 +70,16 @@ class DirectIntegrator(DynamicsIntegrator):
 
 
 class _Trial(NamedTuple):
-    """Largest violation of the equations of ``P_f`` along steps that were solved, their length, and whether all were."""
+    """Steps of one length from a point of ``P_f``: the largest departure of those solved, and whether all were.
 
-    departure: Array
+    ``departed``: at how many lengths, this one and those before, they left ``P_f`` (roots of steps that are too long may be
+    spurious, so one says nothing).
+    """
+
     length: Array
+    departure: Array
     solved: Array
+    departed: Array
     halvings: Array
 
 
@@ -83,39 +88,54 @@ def _trials(integrator: DirectIntegrator, problem: OptimalControlProblem, states
     """Some steps from each of some points of ``P_f`` (leading axis), as long as they can be solved there."""
     states = jax.tree.map(jnp.asarray, states)
     longest = TEST_STEP * _time(integrator, problem, states)
-    allowed = tolerance(longest, COMPOSED)
+    zero, allowed = jnp.zeros((), int), tolerance(longest, COMPOSED)
 
     def one(z: tuple[Ambient, Ambient]) -> _Trial:
         start = integrator.dynamics.manifold.restore(z)
 
         def shorter(trial: _Trial) -> _Trial:
-            return _steps(integrator, problem, trial.length / 2, start)._replace(halvings=trial.halvings + 1)
+            h = trial.length / 2
+            departure, solved = _steps(integrator, problem, h, start)
+            left = departure > allowed
+            return _Trial(h, departure, solved & ~left, jnp.where(left, trial.departed + 1, 0), trial.halvings + 1)
 
         def unknown(trial: _Trial) -> Array:
-            return ~trial.solved & (trial.departure <= allowed) & (trial.halvings <= HALVINGS)
+            return ~trial.solved & (trial.departed < 2) & (trial.halvings <= HALVINGS)
 
-        none = _Trial(jnp.zeros_like(longest), 2 * longest, jnp.array(False), jnp.zeros((), int))
-        return jax.lax.while_loop(unknown, shorter, none)
+        return jax.lax.while_loop(unknown, shorter, _Trial(2 * longest, jnp.zeros_like(longest), jnp.array(False), zero, zero))
 
     return jax.lax.map(one, states)
 
 
-def _steps(integrator: DirectIntegrator, problem: OptimalControlProblem, h: Array, start: tuple[Ambient, Ambient]) -> _Trial:
-    """Steps from a point of ``P_f`` up to the first that is not solved."""
+def _steps(
+    integrator: DirectIntegrator, problem: OptimalControlProblem, h: Array, start: tuple[Ambient, Ambient]
+) -> tuple[Array, Array]:
+    """Largest departure at the ends of some steps, up to the first that is not solved, and whether all are solved."""
+    final = integrator.dynamics.manifold
 
     def step(state: tuple[Any, Array, Array, Array]) -> tuple[Any, Array, Array, Array]:
         last, departure, _, count = state
         new = integrator.step(problem, h, *last)
-        gap = jnp.max(jnp.stack(list(integrator.dynamics.manifold.violations((new.q, new.p)).values())))
+        end, gap = final.restore((new.q, new.p)), _departure(final, last[:2], (new.q, new.p))
         solved = new.converged & jnp.isfinite(gap)
-        return new[:3], jnp.where(solved, jnp.maximum(departure, gap), departure), solved, count + 1
+        return (*end, new.unknowns), jnp.where(solved, jnp.maximum(departure, gap), departure), solved, count + 1
 
     def going(state: tuple[Any, Array, Array, Array]) -> Array:
         return state[2] & (state[3] < TEST_STEPS)
 
     first = (*start, integrator.begin(problem, *start)), jnp.zeros_like(h), jnp.array(True), jnp.zeros((), int)
-    _, departure, solved, count = jax.lax.while_loop(going, step, first)
-    return _Trial(departure, h, solved, count)
+    _, departure, solved, _ = jax.lax.while_loop(going, step, first)
+    return departure, solved
+
+
+def _departure(final: Manifold, begin: tuple[Ambient, Ambient], end: tuple[Ambient, Ambient]) -> Array:
+    """Equations of ``P_f`` at the end of a step, relative to the terms that they sum there and at its begin, or to one."""
+    if not isinstance(final, Submanifold):
+        return jnp.zeros(())
+    values, normals = final.values(end)
+    slopes = vec.flatten_frame(jax.tree.map(jnp.abs, normals))
+    terms = [slopes @ vec.flatten_frame(jax.tree.map(lambda leaf: jnp.abs(leaf)[None], z))[0] for z in (begin, end)]
+    return jnp.max(jnp.abs(values) / (1 + jnp.maximum(*terms)))
 
 
 def _time(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
