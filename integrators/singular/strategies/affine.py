@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from ....manifolds import Euclidean, InvalidInputError
 from ....manifolds.numerics.ambient import Ambient
-from ...initial_value.integrator import extremal_control
+from ...initial_value.integrator import find_control
 from ...problem import OptimalControlProblem
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
 
@@ -59,22 +59,23 @@ class ControlAffineSplitting(eqx.Module):
         w = jnp.zeros(self.regular_count)
         return jax.grad(lambda s: self.problem.hamiltonian(q, p, self.controls(w, s)))(jnp.zeros(len(self.singular)))
 
-    def regular_controls(self, q: Ambient, p: Ambient) -> Float[Array, " r"]:
-        """The extremal ``w(q, p)``."""
-        return extremal_control(self.regular_problem(), q, p)
+    def regular_controls(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " r"]:
+        """The extremal ``w(q, p)`` near ``near``, by default near zero; entries are NaN where Newton's method finds none."""
+        w, found = find_control(self.regular_problem(), q, p, jnp.zeros(self.regular_count) if near is None else near)
+        return jnp.where(found, w, jnp.nan)
 
     def energy(self, q: Ambient, p: Ambient) -> Array:
         """``H_0(q, p)``, the value of H at ``s = 0`` and the extremal ``w``."""
         return self.regular_problem().hamiltonian(q, p, self.regular_controls(q, p))
 
-    def secondary(self, q: Ambient, p: Ambient) -> Float[Array, " m"]:
-        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion."""
-        regular, w = self.regular_problem(), self.regular_controls(q, p)
+    def secondary(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " m"]:
+        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion; ``near`` as for ``regular_controls``."""
+        regular, w = self.regular_problem(), self.regular_controls(q, p, near)
         motion = ambient_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
         return jax.jvp(self.primary, (q, p), motion)[1]
 
-    def fields(self, z: Point) -> tuple[Point, Point]:
-        """Fields of ``phi_a`` and of ``psi_a``, frames of ``m`` vectors each.
+    def fields(self, z: Point, near: Array | None = None) -> tuple[Point, Point]:
+        """Fields of ``phi_a`` and of ``psi_a``, frames of ``m`` vectors each; ``near`` as for ``regular_controls``.
 
         ``{phi_a, phi_b}`` is zero, and ``{phi_a, psi_b}`` invertible, on ``P_f`` for first-order singular arcs.
         """
@@ -82,7 +83,7 @@ class ControlAffineSplitting(eqx.Module):
         def of(values: Constraints) -> Point:
             return jax.vmap(lambda a: ambient_field(lambda q, p: a @ values(q, p), z))(jnp.eye(len(self.singular)))
 
-        return of(self.primary), of(self.secondary)
+        return of(self.primary), of(lambda q, p: self.secondary(q, p, near))
 
 
 def brackets(f: Point, g: Point) -> Brackets:
@@ -92,9 +93,13 @@ def brackets(f: Point, g: Point) -> Brackets:
 
 def merge_controls(w: Float[Array, " r"], s: Float[Array, " m"], singular: tuple[int, ...]) -> Float[Array, " r+m"]:
     """The controls ``u`` with ``u[singular] = s`` and the others ``w``, in their order."""
-    places = np.asarray(singular, int)
-    others = np.setdiff1d(np.arange(w.size + s.size), places)
+    places, others = np.asarray(singular, int), regular_places(w.size + s.size, singular)
     return jnp.zeros(w.size + s.size, jnp.result_type(w, s)).at[others].set(w).at[places].set(s)
+
+
+def regular_places(count: int, singular: tuple[int, ...]) -> np.ndarray:
+    """Indices of the other controls, of ``count``."""
+    return np.setdiff1d(np.arange(count), singular)
 
 
 def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -> None:

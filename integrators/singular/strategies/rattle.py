@@ -21,11 +21,13 @@ from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ..integrability import Classification
-from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls
+from ..words import many
+from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls, regular_places
 from .leaves import Point, ambient_field, bracket_size, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
+NEARER = (1.0, 0.1, 0.01, 0.0)  # how far from a control, in its size, H is differentiated: less where that is not finite
 
 
 class _Memory(NamedTuple):
@@ -57,26 +59,30 @@ class RattleIntegrator(SingularIntegrator):
         problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
+        at = stratum.u, stratum.feedback.columns[: problem.controls.dimension]
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], stratum.states) for i in range(stratum.count)]
-        curvature = np.max([np.abs(_curvature(problem, *z)) for z in states], axis=(0, 1))
-        singular = tuple(int(i) for i in np.flatnonzero(curvature <= default_tolerance() * np.max(curvature)))
+        curvature = _finite([_curvature(problem, z, *at) for z in states], "second derivatives of H in the controls")
+        singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= _affine()))
         if not singular:
             raise NotApplicableError("H has a second derivative in every control")
-        for z in states:
-            obstacle = _facts(ControlAffineSplitting(problem, singular), *z).obstacle(singular)
-            if obstacle:
-                raise NotApplicableError(obstacle)
-        many = "controls" if len(singular) > 1 else "control"
-        reason = f"H is affine in the {many} {singular}, and the arc is of first order"
+        split = ControlAffineSplitting(problem, singular)
+        facts = _finite([_facts(split, z, *at) for z in states], f"brackets of the constraints of the controls {singular}")
+        obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
+        # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
+        obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
+        if any(obstacles):
+            raise NotApplicableError(next(filter(None, obstacles)))
+        noun = "controls" if len(singular) > 1 else "control"
+        reason = f"H is affine in the {noun} {singular}, and the arc is of first order"
         return cls(lift=lift, singular=singular, reason=reason)
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)
         system.check_discretization(self.lift.discretization)
-        facts = _facts(ControlAffineSplitting(system, self.singular), q, p)
+        facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), *_somewhere(system))
         if facts.missed():
             raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
-        obstacle = facts.obstacle(self.singular)
+        obstacle = facts.obstacle(self.singular) or facts.degenerate()
         if obstacle:
             raise InvalidInputError(obstacle)
 
@@ -105,7 +111,8 @@ class RattleIntegrator(SingularIntegrator):
         root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes, rounding=rounding)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
-        last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
+        w = jax.lax.stop_gradient(unknowns[1])
+        last, arrived = find_root(lambda t: split.secondary(*flow(near, t), w), jnp.zeros(m))
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
         new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
@@ -115,7 +122,7 @@ class RattleIntegrator(SingularIntegrator):
 
     def hint(self, system: OptimalControlProblem, first: Point, last: Point) -> str:
         split = ControlAffineSplitting(system, self.singular)
-        least = [np.linalg.svd(_facts(split, *z).across.values, compute_uv=False)[-1] for z in (first, last)]
+        least = [np.linalg.svd(_facts(split, z, *_somewhere(system)).across.values, compute_uv=False)[-1] for z in (first, last)]
         return (
             f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, {least[1]:.3g} at last."
         )
@@ -125,13 +132,12 @@ class RattleIntegrator(SingularIntegrator):
 
 
 class _Facts(NamedTuple):
-    """Second derivatives of H in the singular controls, constraints, ``{phi_a, phi_b}`` and ``{phi_a, psi_b}``.
+    """Second derivatives of H in the singular controls, relative to H, constraints, ``{phi_a, phi_b}``, ``{phi_a, psi_b}``.
 
-    Beside each the size of the terms that it is a sum of, by which zero is told from rounding.
+    Beside each of these the size of the terms that it is a sum of, by which zero is told from rounding.
     """
 
     curvature: Array
-    energy: Array
     constraints: Array
     sizes: Array
     among: Brackets
@@ -147,17 +153,21 @@ class _Facts(NamedTuple):
 
     def obstacle(self, singular: tuple[int, ...]) -> str:
         """Why the method does not apply, in words; empty if it does."""
-        rounding, curvature = default_tolerance(), np.max(np.abs(self.curvature))
-        if not curvature <= rounding**AFFINE_POWER * self.energy:
+        curvature, rounding = np.max(self.curvature), default_tolerance()
+        if not curvature <= _affine():
             return (
                 f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them reaches "
-                f"{curvature:.3g}, expected 0; name the controls without cost of their own"
+                f"{curvature:.3g} of its size, expected 0; name the controls without cost of their own"
             )
         if not np.all(np.abs(self.among.values) <= rounding * self.among.sizes):
             return f"the brackets of the primary constraints are {np.asarray(self.among.values).tolist()}, expected 0"
+        return ""
+
+    def degenerate(self) -> str:
+        """Where ``{phi, psi}`` is singular that it is so, in words; empty where it is not."""
         units = np.sqrt(np.diag(self.across.sizes))
         units = np.where(units > 0, units, 1.0)
-        if not np.linalg.svd(self.across.values / np.outer(units, units), compute_uv=False)[-1] > rounding:
+        if not np.linalg.svd(self.across.values / np.outer(units, units), compute_uv=False)[-1] > default_tolerance():
             return (
                 f"the brackets {{phi, psi}} have the singular values {np.linalg.svd(self.across.values, compute_uv=False)}, "
                 "expected all positive: the singular arc is of higher order, or a control is gauge"
@@ -165,27 +175,51 @@ class _Facts(NamedTuple):
         return ""
 
 
+def _affine() -> float:
+    """Second derivatives of H, relative to H, that are rounding."""
+    return default_tolerance() ** AFFINE_POWER
+
+
+def _finite(found: list[Any], what: str) -> list[Any]:
+    """Those at points where all is finite. Raises ``NotApplicableError`` if there are none."""
+    finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
+    if not finite:
+        raise NotApplicableError(f"the {what} are finite at none of {many(len(found), 'point')} of P_f")
+    return finite
+
+
 @compiled
-def _facts(split: ControlAffineSplitting, q: Ambient, p: Ambient) -> _Facts:
-    u = _some_control(split.problem)
-    velocity, cost = split.problem.velocity(q, u), split.problem.cost_rate(q, u)
-    fields = split.fields((q, p))
-    sizes = [jax.vmap(lambda field: bracket_size(field, (q, p)))(field) for field in fields]
+def _facts(split: ControlAffineSplitting, z: Point, u: Array, size: Array) -> _Facts:
+    """Facts at a point, with the extremal control near ``u``, whose typical size is ``size``."""
+    places = np.asarray(split.singular)
+    w = u[regular_places(u.size, split.singular)]
+    fields = split.fields(z, w)
+    sizes = [jax.vmap(lambda field: bracket_size(field, z))(field) for field in fields]
     return _Facts(
-        curvature=_curvature(split.problem, q, p)[np.asarray(split.singular)],
-        energy=vec.size(p) * vec.size(velocity) + jnp.abs(cost),
-        constraints=jnp.stack([split.primary(q, p), split.secondary(q, p)]),
+        curvature=_curvature(split.problem, z, u, size)[places],
+        constraints=jnp.stack([split.primary(*z), split.secondary(*z, w)]),
         sizes=jnp.stack(sizes),
         among=brackets(fields[0], fields[0]),
         across=brackets(*fields),
     )
 
 
-def _some_control(problem: OptimalControlProblem) -> Array:
-    return problem.controls.random_point(jax.random.key(0))
+def _somewhere(problem: OptimalControlProblem) -> tuple[Array, Array]:
+    """A control and a size of controls, where none is known."""
+    return jnp.zeros(problem.controls.dimension), jnp.ones(problem.controls.dimension)
 
 
 @compiled
-def _curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Array:
-    """``d2H/du2`` at a random control."""
-    return jax.hessian(lambda u: problem.hamiltonian(q, p, u))(_some_control(problem))
+def _curvature(problem: OptimalControlProblem, z: Point, u: Array, size: Array) -> Array:
+    """Largest second derivative of H by each control, relative to H, at a random control as near to ``u`` as it is finite."""
+    direction = size * jax.random.normal(jax.random.key(0), u.shape, u.dtype)
+
+    def relative(share: Array) -> Array:
+        v = u + share * direction
+        terms = vec.size(z[1]) * vec.size(problem.velocity(z[0], v)) + jnp.abs(problem.cost_rate(z[0], v))
+        hessian = jax.hessian(lambda v: problem.hamiltonian(*z, v))(v)
+        rows = jnp.max(jnp.abs(hessian) * jnp.outer(size, size), axis=1)
+        return jnp.where(rows > 0, rows / terms, rows)
+
+    found = jax.vmap(relative)(jnp.asarray(NEARER))
+    return found[jnp.argmax(jnp.all(jnp.isfinite(found), axis=1))]
