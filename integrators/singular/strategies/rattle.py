@@ -13,6 +13,7 @@ from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.newton import tolerance
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...compilation import compiled
@@ -20,6 +21,7 @@ from ...initial_value.integrator import extremal_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
+from ...stages.stage import positive
 from ..integrability import Classification
 from ..words import many
 from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls, regular_places
@@ -97,22 +99,24 @@ class RattleIntegrator(SingularIntegrator):
         flow = jax.jit(partial(leaf_flow, split.primary))  # traced once
         predicted = jax.lax.stop_gradient(previous.singular) * h / 2
         begin = flow((q, p), predicted)
-        rate = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)[1]
+        motion = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)
         # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to O(h^2).
-        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, rate)), previous.stage)
+        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, motion[1])), previous.stage)
 
         def residual(c: Array) -> Array:
             departed = flow(begin, c[:m])
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
-        sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
+        times = _leaf_times(split, (q, p))
+        sizes = jnp.concatenate([times, equations.sizes])
         # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on.
-        rounding = jnp.finfo(sizes.dtype).eps / jnp.abs(h)
+        moved_by = jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q))
+        rounding = tolerance(sizes, 1.0) / jnp.maximum(moved_by, tolerance(sizes, 0.5))
         root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes, rounding=rounding)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
         w = jax.lax.stop_gradient(unknowns[1])
-        last, arrived = find_root(lambda t: split.secondary(*flow(near, t), w), jnp.zeros(m))
+        last, arrived = find_root(lambda t: split.secondary(*flow(near, t), w), jnp.zeros(m), times)
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
         new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
@@ -129,6 +133,14 @@ class RattleIntegrator(SingularIntegrator):
 
     def control(self, unknowns: _Memory) -> Array:
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)
+
+
+def _leaf_times(split: ControlAffineSplitting, z: Point) -> Array:
+    """Times in which moves along leaves change positions, or covectors where they change nothing else, by their size."""
+    fields = jax.vmap(lambda a: ambient_field(lambda q, p: a @ split.primary(q, p), z))(jnp.eye(len(split.singular)))
+    speeds = [jax.vmap(vec.size)(part) for part in fields]
+    along, up = (positive(vec.size(part)) / jnp.where(speed > 0, speed, 1.0) for part, speed in zip(z, speeds, strict=True))
+    return jax.lax.stop_gradient(jnp.where(speeds[0] > 0, along, jnp.where(speeds[1] > 0, up, 1.0)))
 
 
 class _Facts(NamedTuple):
