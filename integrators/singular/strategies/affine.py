@@ -1,6 +1,6 @@
 """Problems that are affine in some of their controls: the splitting ``H(q, p, u) = H_0(q, p) + s . phi(q, p)``."""
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -9,10 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....manifolds import Euclidean, InvalidInputError
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ...initial_value.integrator import find_control
 from ...problem import OptimalControlProblem
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
+
+AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
+NEARER = (1.0, 0.1, 0.01, 0.0)  # how far from a point functions are looked at: less where they are not finite
 
 
 class Brackets(NamedTuple):
@@ -100,6 +105,37 @@ def merge_controls(w: Float[Array, " r"], s: Float[Array, " m"], singular: tuple
 def regular_places(count: int, singular: tuple[int, ...]) -> np.ndarray:
     """Indices of the other controls, of ``count``."""
     return np.setdiff1d(np.arange(count), singular)
+
+
+def relative_curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Float[Array, "m m"]:
+    """``d2H/du2`` at a random control as near to ``u`` as it is finite, in controls of the size that changes H by its size.
+
+    So it depends on no units; the size of H is that of its terms, ``|p| |X| + |F|``.
+    """
+    (q, p), direction = z, jax.random.normal(jax.random.key(0), u.shape, u.dtype)
+
+    def relative(share: Array) -> Array:
+        v = u + share * direction
+        terms = vec.size(p) * vec.size(problem.velocity(q, v)) + jnp.abs(problem.cost_rate(q, v))
+        fields, rates = jax.jacfwd(lambda v: (problem.velocity(q, v), problem.cost_rate(q, v)))(v)
+        speeds = [jnp.max(jnp.abs(leaf.reshape(-1, v.size)), axis=0, initial=0.0) for leaf in jax.tree.leaves(fields)]
+        slopes = vec.size(p) * jnp.max(jnp.stack(speeds), axis=0) + jnp.abs(rates)
+        hessian = jax.hessian(lambda v: problem.hamiltonian(q, p, v))(v)
+        return jnp.where(hessian == 0, 0.0, hessian * terms / jnp.outer(slopes, slopes))
+
+    return first_finite(jax.vmap(relative)(jnp.asarray(NEARER)))
+
+
+def first_finite(batch: Any) -> Any:
+    """The first of a batch of trees all arrays of which are finite, or the first if none is."""
+    finite = [jnp.all(jnp.isfinite(leaf.reshape(leaf.shape[0], -1)), axis=1) for leaf in jax.tree.leaves(batch)]
+    index = jnp.argmax(jnp.all(jnp.stack(finite), axis=0))
+    return jax.tree.map(lambda leaf: leaf[index], batch)
+
+
+def affine_tolerance() -> float:
+    """Relative second derivatives of H that are rounding."""
+    return default_tolerance() ** AFFINE_POWER
 
 
 def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -> None:

@@ -17,19 +17,25 @@ from ....manifolds.numerics.newton import tolerance
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...compilation import compiled
-from ...initial_value.integrator import extremal_control
+from ...initial_value.integrator import extremal_control, resting_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ...stages.stage import positive
 from ..integrability import Classification
 from ..words import many
-from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls, regular_places
+from .affine import (
+    Brackets,
+    ControlAffineSplitting,
+    affine_tolerance,
+    brackets,
+    check_splitting,
+    merge_controls,
+    regular_places,
+    relative_curvature,
+)
 from .leaves import Point, ambient_field, bracket_size, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
-
-AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
-NEARER = (1.0, 0.1, 0.01, 0.0)  # how far from a control, in its size, H is differentiated: less where that is not finite
 
 
 class _Memory(NamedTuple):
@@ -61,14 +67,13 @@ class RattleIntegrator(SingularIntegrator):
         problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
-        at = stratum.u, stratum.feedback.columns[: problem.controls.dimension]
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], stratum.states) for i in range(stratum.count)]
-        curvature = _finite([_curvature(problem, z, *at) for z in states], "second derivatives of H in the controls")
-        singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= _affine()))
+        curvature = _finite([_curvature(problem, z, stratum.u) for z in states], "second derivatives of H in the controls")
+        singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= affine_tolerance()))
         if not singular:
             raise NotApplicableError("H has a second derivative in every control")
         split = ControlAffineSplitting(problem, singular)
-        facts = _finite([_facts(split, z, *at) for z in states], f"brackets of the constraints of the controls {singular}")
+        facts = _finite([_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}")
         obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
         # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
         obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
@@ -81,7 +86,7 @@ class RattleIntegrator(SingularIntegrator):
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)
         system.check_discretization(self.lift.discretization)
-        facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), *_somewhere(system))
+        facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
         if facts.missed():
             raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
         obstacle = facts.obstacle(self.singular) or facts.degenerate()
@@ -126,7 +131,8 @@ class RattleIntegrator(SingularIntegrator):
 
     def hint(self, system: OptimalControlProblem, first: Point, last: Point) -> str:
         split = ControlAffineSplitting(system, self.singular)
-        least = [np.linalg.svd(_facts(split, z, *_somewhere(system)).across.values, compute_uv=False)[-1] for z in (first, last)]
+        rest = resting_control(system.controls)
+        least = [np.linalg.svd(_facts(split, z, rest).across.values, compute_uv=False)[-1] for z in (first, last)]
         return (
             f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, {least[1]:.3g} at last."
         )
@@ -166,7 +172,7 @@ class _Facts(NamedTuple):
     def obstacle(self, singular: tuple[int, ...]) -> str:
         """Why the method does not apply, in words; empty if it does."""
         curvature, rounding = np.max(self.curvature), default_tolerance()
-        if not curvature <= _affine():
+        if not curvature <= affine_tolerance():
             return (
                 f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them reaches "
                 f"{curvature:.3g} of its size, expected 0; name the controls without cost of their own"
@@ -187,11 +193,6 @@ class _Facts(NamedTuple):
         return ""
 
 
-def _affine() -> float:
-    """Second derivatives of H, relative to H, that are rounding."""
-    return default_tolerance() ** AFFINE_POWER
-
-
 def _finite(found: list[Any], what: str) -> list[Any]:
     """Those at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
@@ -201,14 +202,14 @@ def _finite(found: list[Any], what: str) -> list[Any]:
 
 
 @compiled
-def _facts(split: ControlAffineSplitting, z: Point, u: Array, size: Array) -> _Facts:
-    """Facts at a point, with the extremal control near ``u``, whose typical size is ``size``."""
+def _facts(split: ControlAffineSplitting, z: Point, u: Array) -> _Facts:
+    """Facts at a point, with the extremal control near ``u``."""
     places = np.asarray(split.singular)
     w = u[regular_places(u.size, split.singular)]
     fields = split.fields(z, w)
     sizes = [jax.vmap(lambda field: bracket_size(field, z))(field) for field in fields]
     return _Facts(
-        curvature=_curvature(split.problem, z, u, size)[places],
+        curvature=_curvature(split.problem, z, u)[places],
         constraints=jnp.stack([split.primary(*z), split.secondary(*z, w)]),
         sizes=jnp.stack(sizes),
         among=brackets(fields[0], fields[0]),
@@ -216,22 +217,7 @@ def _facts(split: ControlAffineSplitting, z: Point, u: Array, size: Array) -> _F
     )
 
 
-def _somewhere(problem: OptimalControlProblem) -> tuple[Array, Array]:
-    """A control and a size of controls, where none is known."""
-    return jnp.zeros(problem.controls.dimension), jnp.ones(problem.controls.dimension)
-
-
 @compiled
-def _curvature(problem: OptimalControlProblem, z: Point, u: Array, size: Array) -> Array:
-    """Largest second derivative of H by each control, relative to H, at a random control as near to ``u`` as it is finite."""
-    direction = size * jax.random.normal(jax.random.key(0), u.shape, u.dtype)
-
-    def relative(share: Array) -> Array:
-        v = u + share * direction
-        terms = vec.size(z[1]) * vec.size(problem.velocity(z[0], v)) + jnp.abs(problem.cost_rate(z[0], v))
-        hessian = jax.hessian(lambda v: problem.hamiltonian(*z, v))(v)
-        rows = jnp.max(jnp.abs(hessian) * jnp.outer(size, size), axis=1)
-        return jnp.where(rows > 0, rows / terms, rows)
-
-    found = jax.vmap(relative)(jnp.asarray(NEARER))
-    return found[jnp.argmax(jnp.all(jnp.isfinite(found), axis=1))]
+def _curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Array:
+    """Largest second derivative of H by each control, relative to H."""
+    return jnp.max(jnp.abs(relative_curvature(problem, z, u)), axis=1)
