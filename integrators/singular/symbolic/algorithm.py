@@ -258,9 +258,9 @@ def _factored(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expr
     numerator = field.fraction(reduced)[0]
     if numerator == 0:
         return 0, numerator, []
-    factors = [f.xreplace(field.outside) for f, _ in sympy.factor_list(numerator)[1] if not field.never_zero(f)]
     terms = len(sympy.Add.make_args(sympy.expand(numerator)))
-    return terms, sympy.factor(numerator).xreplace(field.outside), [f for f in factors if not _never_zero(f, piece)]
+    factors = [f for f in _irreducible(reduced) if not _never_zero(f, piece)]
+    return terms, sympy.factor(numerator).xreplace(field.outside), factors
 
 
 def _never_zero(function: Expression, piece: SymbolicStratum) -> bool:
@@ -271,10 +271,25 @@ def _never_zero(function: Expression, piece: SymbolicStratum) -> bool:
 
 
 def _irreducible(function: Expression) -> list[Expression]:
-    """The factors of the numerator that may vanish."""
-    field = field_of(function)
-    factors = sympy.factor_list(field.fraction(function)[0])[1]
-    return [f.xreplace(field.outside) for f, _ in factors if not field.never_zero(f)]
+    """The factors of the numerator that may vanish; ``a - log c`` for ``exp(a) - c``."""
+    field, found = field_of(function), list[Expression]()
+    for factor, _ in sympy.factor_list(field.fraction(function)[0])[1]:
+        if field.never_zero(factor):
+            continue
+        exponent = field.exponent_where_zero(factor)
+        found += [factor.xreplace(field.outside)] if exponent is None else _irreducible(exponent)
+    return found
+
+
+def _contradict(equations: list[Expression], piece: SymbolicStratum) -> bool:
+    """Whether equations have no solution for the relations between their functions, as ``sin x = cos x = 0``."""
+    reduced = [piece.reduce(e) for e in equations]
+    field = field_of(*reduced)
+    if not field.relations:
+        return False
+    polynomials = [field.fraction(e)[0] for e in reduced] + [sympy.fraction(sympy.together(r))[0] for _, r in field.relations]
+    symbols = sorted(set().union(*(e.free_symbols for e in polynomials)), key=sympy.default_sort_key)
+    return sympy.groebner(polynomials, *symbols, order="grevlex").exprs == [1]
 
 
 def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
@@ -306,7 +321,9 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
     if never:
         return
     # Where one coefficient vanishes another symbol serves, except at points where no derivative is left.
-    special = _gradient(expression, controls or piece.coordinates)
+    special = sorted(_gradient(expression, controls or piece.coordinates), key=sympy.count_ops)
+    if _contradict([expression, *special], piece):
+        return
     here = replace(piece, degenerate=coefficient if piece.degenerate is None else piece.degenerate)
     yield from _explore(here, [*((e, level) for e in special), (expression, level), *rest], ended)
 

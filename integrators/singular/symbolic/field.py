@@ -64,6 +64,15 @@ class Field:
         low, high = (0, None) if symbol.is_positive else (-1, 1) if any(symbol in pair for pair in self.circles) else (None, None)
         return sympy.Poly(polynomial, symbol).count_roots(low, high) == 0
 
+    def exponent_where_zero(self, polynomial: Expression) -> Expression | None:
+        """``a - log c`` for a multiple of ``exp(a) - c``, else None."""
+        if len(polynomial.free_symbols) != 1:
+            return None
+        (symbol,) = polynomial.free_symbols
+        if not symbol.is_positive or sympy.degree(polynomial, symbol) != 1:
+            return None
+        return self.outside[symbol].args[0] - sympy.log(-polynomial.coeff(symbol, 0) / polynomial.coeff(symbol, 1))
+
     def point(self, values: dict[Expression, Expression]) -> dict[Expression, Expression]:
         """Numbers for the generators where the variables have these: any that satisfy the relations, so not too large."""
         free = [g for g in self.outside if not any(g == r for r, _ in self.relations)]

@@ -12,6 +12,7 @@ import numpy as np
 import sympy
 
 from ....manifolds import InvalidInputError
+from ....manifolds.numerics.errors import TRACEABLE
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
@@ -66,15 +67,24 @@ ENTRYWISE: dict[str, Callable[..., Any]] = {
     "log": sympy.log,
     "log1p": lambda a: sympy.log(1 + a),
 }
+REDUCTIONS = {"reduce_sum": np.sum, "reduce_prod": np.prod}
 
 
 def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     """Value of a JAX function of arrays at arrays of SymPy expressions; floats become fractions by ``fraction``.
 
-    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here.
+    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here, or cannot be traced.
     """
     shapes = [jax.ShapeDtypeStruct(a.shape, jnp.result_type(float)) for a in arguments]
-    closed = jax.make_jaxpr(function)(*shapes)
+    try:
+        closed = jax.make_jaxpr(function)(*shapes)
+    except InvalidInputError:
+        raise
+    except (TypeError, ValueError, IndexError) as error:
+        reason = TRACEABLE if isinstance(error, jax.errors.JAXTypeError) else str(error)
+        raise InvalidInputError(
+            f"the problem's functions fail on arrays of shapes {[a.shape for a in arguments]}: {reason}; try problem.check(q, u)"
+        ) from error
     return _evaluate(closed.jaxpr, closed.consts, list(arguments))[0]
 
 
@@ -105,8 +115,8 @@ def _apply(equation: Any, values: list[Any]) -> list[Any]:
         return [np.asarray(np.frompyfunc(ENTRYWISE[name], len(exact), 1)(*exact), dtype=object)]
     if name == "integer_pow":
         return [np.asarray(exact[0] ** parameters["y"], dtype=object)]
-    if name == "reduce_sum":
-        return [np.asarray(np.sum(exact[0], axis=tuple(parameters["axes"])), dtype=object)]
+    if name in REDUCTIONS:
+        return [np.asarray(REDUCTIONS[name](exact[0], axis=tuple(parameters["axes"])), dtype=object)]
     if name == "dot_general":
         return [_product(*exact, *parameters["dimension_numbers"])]
     raise InvalidInputError(
