@@ -320,8 +320,8 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
                 yield found
     if never:
         return
-    # Where one coefficient vanishes another symbol serves, except at points where no derivative is left.
-    special = sorted(_gradient(expression, controls or piece.coordinates), key=sympy.count_ops)
+    # Where the coefficient vanishes another symbol serves, but later equations may vanish there alone.
+    special = sorted(_gradient(expression, controls), key=sympy.count_ops) if controls else [coefficient]
     if _contradict([expression, *special], piece):
         return
     here = replace(piece, degenerate=coefficient if piece.degenerate is None else piece.degenerate)
