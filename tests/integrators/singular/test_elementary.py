@@ -153,7 +153,7 @@ def predators(q, u):
     ("n", "dynamics", "cost", "pieces"),
     [
         # Straight lines, and p = 0.
-        pytest.param(3, dubins, lambda q, u: jnp.ones(()), [(2, 0, 4), (3, 1, 0)], id="Dubins"),
+        pytest.param(3, dubins, lambda q, u: jnp.ones(()), [(2, 0, 4), (3, 1, 0)], id="Dubins", marks=pytest.mark.slow),
         # Washed out without biomass, with the substrate of the feed or a worthless one.
         pytest.param(
             3, chemostat, lambda q, u: -q[0] * u[0], [(2, 0, 4), (2, 1, 2), (2, 1, 2)], id="chemostat", marks=pytest.mark.slow
