@@ -10,7 +10,7 @@ from ....manifolds.numerics import ambient as vec
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
-from ...singular.strategies.affine import brackets
+from ...singular.strategies.affine import brackets, regular_places
 from .shooting import Pair
 
 AFFINE = 1e-8  # a control's row of d2H/du2 below this fraction of the largest entry is zero
@@ -33,7 +33,7 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
     if not singular:
         return NOT_DECIDED + "H is affine in none of the controls"
     regular = np.delete(np.delete(curvature, singular, axis=1), singular, axis=2)
-    among, across, *bounds = (np.asarray(part) for part in _brackets(ControlAffineSplitting(problem, singular), z))
+    among, across, *bounds = (np.asarray(part) for part in _brackets(ControlAffineSplitting(problem, singular), z, u))
     scale, (bound, mixed_bound) = np.max(np.abs(across), initial=0.0), (np.max(part) for part in bounds)
     if regular.size and np.max(np.linalg.eigvalsh(regular)) > VANISHING * size:
         return "Legendre's condition fails in the regular controls: not a minimum"
@@ -57,12 +57,14 @@ def _curvatures(problem: OptimalControlProblem, z: Pair, u: Array) -> Array:
 
 
 @compiled
-def _brackets(split: ControlAffineSplitting, z: Pair) -> tuple[Array, Array, Array, Array]:
+def _brackets(split: ControlAffineSplitting, z: Pair, u: Array) -> tuple[Array, Array, Array, Array]:
     """``{phi_a, phi_b}`` and ``{phi_a, psi_b}`` at every node, with the products of the sizes of the differentials in them."""
 
-    def one(z: Pair) -> tuple[Array, Array, Array, Array]:
-        first, second = (vec.size(jax.jacrev(lambda z, f=f: f(*z))(z)) for f in (split.primary, split.secondary))
-        phi, psi = split.fields(z)
+    def one(node: tuple[Pair, Array]) -> tuple[Array, Array, Array, Array]:
+        z, w = node[0], node[1][regular_places(len(node[1]), split.singular)]
+        constraints = split.primary, lambda q, p: split.secondary(q, p, w)
+        first, second = (vec.size(jax.jacrev(lambda z, f=f: f(*z))(z)) for f in constraints)
+        phi, psi = split.fields(z, w)
         return brackets(phi, phi).values, brackets(phi, psi).values, first * first, first * second
 
-    return jax.lax.map(one, jax.tree.map(jnp.asarray, z))
+    return jax.lax.map(one, jax.tree.map(jnp.asarray, (z, u)))

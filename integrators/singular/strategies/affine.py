@@ -1,6 +1,6 @@
 """Problems that are affine in some of their controls: the splitting ``H(q, p, u) = H_0(q, p) + s . phi(q, p)``."""
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -9,10 +9,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....manifolds import Euclidean, InvalidInputError
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...initial_value.integrator import extremal_control
+from ...initial_value.integrator import find_control
 from ...problem import OptimalControlProblem
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
+
+AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
+NEARER = (1.0, 0.1, 0.01, 0.0)  # how far from a point functions are looked at: less where they are not finite
 
 
 class Brackets(NamedTuple):
@@ -59,22 +64,23 @@ class ControlAffineSplitting(eqx.Module):
         w = jnp.zeros(self.regular_count)
         return jax.grad(lambda s: self.problem.hamiltonian(q, p, self.controls(w, s)))(jnp.zeros(len(self.singular)))
 
-    def regular_controls(self, q: Ambient, p: Ambient) -> Float[Array, " r"]:
-        """The extremal ``w(q, p)``."""
-        return extremal_control(self.regular_problem(), q, p)
+    def regular_controls(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " r"]:
+        """The extremal ``w(q, p)`` near ``near``, by default near zero; entries are NaN where Newton's method finds none."""
+        w, found = find_control(self.regular_problem(), q, p, jnp.zeros(self.regular_count) if near is None else near)
+        return jnp.where(found, w, jnp.nan)
 
     def energy(self, q: Ambient, p: Ambient) -> Array:
         """``H_0(q, p)``, the value of H at ``s = 0`` and the extremal ``w``."""
         return self.regular_problem().hamiltonian(q, p, self.regular_controls(q, p))
 
-    def secondary(self, q: Ambient, p: Ambient) -> Float[Array, " m"]:
-        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion."""
-        regular, w = self.regular_problem(), self.regular_controls(q, p)
+    def secondary(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " m"]:
+        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion; ``near`` as for ``regular_controls``."""
+        regular, w = self.regular_problem(), self.regular_controls(q, p, near)
         motion = ambient_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
         return jax.jvp(self.primary, (q, p), motion)[1]
 
-    def fields(self, z: Point) -> tuple[Point, Point]:
-        """Fields of ``phi_a`` and of ``psi_a``, frames of ``m`` vectors each.
+    def fields(self, z: Point, near: Array | None = None) -> tuple[Point, Point]:
+        """Fields of ``phi_a`` and of ``psi_a``, frames of ``m`` vectors each; ``near`` as for ``regular_controls``.
 
         ``{phi_a, phi_b}`` is zero, and ``{phi_a, psi_b}`` invertible, on ``P_f`` for first-order singular arcs.
         """
@@ -82,7 +88,7 @@ class ControlAffineSplitting(eqx.Module):
         def of(values: Constraints) -> Point:
             return jax.vmap(lambda a: ambient_field(lambda q, p: a @ values(q, p), z))(jnp.eye(len(self.singular)))
 
-        return of(self.primary), of(self.secondary)
+        return of(self.primary), of(lambda q, p: self.secondary(q, p, near))
 
 
 def brackets(f: Point, g: Point) -> Brackets:
@@ -92,9 +98,44 @@ def brackets(f: Point, g: Point) -> Brackets:
 
 def merge_controls(w: Float[Array, " r"], s: Float[Array, " m"], singular: tuple[int, ...]) -> Float[Array, " r+m"]:
     """The controls ``u`` with ``u[singular] = s`` and the others ``w``, in their order."""
-    places = np.asarray(singular, int)
-    others = np.setdiff1d(np.arange(w.size + s.size), places)
+    places, others = np.asarray(singular, int), regular_places(w.size + s.size, singular)
     return jnp.zeros(w.size + s.size, jnp.result_type(w, s)).at[others].set(w).at[places].set(s)
+
+
+def regular_places(count: int, singular: tuple[int, ...]) -> np.ndarray:
+    """Indices of the other controls, of ``count``."""
+    return np.setdiff1d(np.arange(count), singular)
+
+
+def relative_curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Float[Array, "m m"]:
+    """``d2H/du2`` at a random control as near to ``u`` as it is finite, in controls of the size that changes H by its size.
+
+    So it depends on no units; the size of H is that of its terms, ``|p| |X| + |F|``.
+    """
+    (q, p), direction = z, jax.random.normal(jax.random.key(0), u.shape, u.dtype)
+
+    def relative(share: Array) -> Array:
+        v = u + share * direction
+        terms = vec.size(p) * vec.size(problem.velocity(q, v)) + jnp.abs(problem.cost_rate(q, v))
+        fields, rates = jax.jacfwd(lambda v: (problem.velocity(q, v), problem.cost_rate(q, v)))(v)
+        speeds = [jnp.max(jnp.abs(leaf.reshape(-1, v.size)), axis=0, initial=0.0) for leaf in jax.tree.leaves(fields)]
+        slopes = vec.size(p) * jnp.max(jnp.stack(speeds), axis=0) + jnp.abs(rates)
+        hessian = jax.hessian(lambda v: problem.hamiltonian(q, p, v))(v)
+        return jnp.where(hessian == 0, 0.0, hessian * terms / jnp.outer(slopes, slopes))
+
+    return first_finite(jax.vmap(relative)(jnp.asarray(NEARER)))
+
+
+def first_finite(batch: Any) -> Any:
+    """The first of a batch of trees all arrays of which are finite, or the first if none is."""
+    finite = [jnp.all(jnp.isfinite(leaf.reshape(leaf.shape[0], -1)), axis=1) for leaf in jax.tree.leaves(batch)]
+    index = jnp.argmax(jnp.all(jnp.stack(finite), axis=0))
+    return jax.tree.map(lambda leaf: leaf[index], batch)
+
+
+def affine_tolerance() -> float:
+    """Relative second derivatives of H that are rounding."""
+    return default_tolerance() ** AFFINE_POWER
 
 
 def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -> None:

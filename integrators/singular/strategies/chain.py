@@ -13,10 +13,11 @@ from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import known_root
 from ...compilation import compiled
-from ...initial_value.integrator import extremal_control, find_control, resting_control
+from ...initial_value.integrator import find_control, resting_control
 from ...problem import OptimalControlProblem
+from .affine import affine_tolerance, first_finite, relative_curvature
 from .leaves import Point, ambient_field
-from .reduction import SAMPLES, GohReduction
+from .reduction import SAMPLES, GohReduction, Near, states_near
 
 
 class ExtremalPoint(NamedTuple):
@@ -87,33 +88,43 @@ class ReductionChain(eqx.Module):
         return ExtremalPoint(q, p, u, found)
 
 
-def reduce_until_regular(problem: OptimalControlProblem, singular: tuple[int, ...] | None = None) -> ReductionChain:
+def reduce_until_regular(
+    problem: OptimalControlProblem, singular: tuple[int, ...] | None = None, near: Near | None = None
+) -> ReductionChain:
     """Goh's reduction by the controls ``singular``, then by those in which the reduced Hamiltonian is affine, until none is.
 
-    By default the first ones, too, are those in which the Hamiltonian is affine. Raises ``InvalidInputError`` where there are
-    none, or a reduction does not apply.
+    By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around which
+    the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no such
+    controls, or a reduction does not apply.
     """
-    affine, reductions = affine_controls(problem) if singular is None else singular, list[GohReduction]()
+    affine, reductions = affine_controls(problem, near) if singular is None else singular, list[GohReduction]()
     if not affine:
         raise InvalidInputError("there is nothing to reduce: the Hamiltonian has a second derivative in every control")
     while affine:
-        reductions.append(GohReduction(problem, affine))
+        reductions.append(GohReduction(problem, affine, near))
+        near = None if near is None else reductions[-1].below(*near)
         problem = reductions[-1].reduced
-        affine = affine_controls(problem)
+        affine = affine_controls(problem, near)
     return ReductionChain(tuple(reductions))
 
 
-def affine_controls(problem: OptimalControlProblem) -> tuple[int, ...]:
-    """Indices of the controls in which the Hamiltonian is affine, none if the problem is regular, at random points.
+def affine_controls(problem: OptimalControlProblem, near: Near | None = None) -> tuple[int, ...]:
+    """Indices of the controls in which the Hamiltonian is affine, none if the problem is regular, at points ``near``.
 
     Raises ``InvalidInputError`` if it is singular in more than these controls.
     """
     keys = jax.random.split(jax.random.key(0), SAMPLES)
-    hessians = np.stack([jax.device_get(_control_hessian(problem, key)) for key in keys])
-    size = np.max(np.abs(hessians))
-    curved = np.max(np.abs(hessians), axis=(0, 1)) > default_tolerance() * size
-    values = np.linalg.svd(hessians[:, curved][:, :, curved], compute_uv=False)
-    if not np.all(values > default_tolerance() * size):
+    hessians = np.stack([jax.device_get(_control_hessian(problem, key, near)) for key in keys])
+    if not np.all(np.isfinite(hessians)):
+        raise InvalidInputError(
+            f"the second derivative of the Hamiltonian in the controls of the problem on {problem.manifold} is not finite where "
+            "it was looked at; give near, a state and a control where it is"
+        )
+    rows = np.max(np.abs(hessians), axis=(0, 1))
+    curved = rows > affine_tolerance()
+    block = (hessians / np.sqrt(np.outer(rows, rows) + ~np.outer(curved, curved)))[:, curved][:, :, curved]
+    values = np.linalg.svd(block, compute_uv=False)
+    if not np.all(values > default_tolerance()):
         raise InvalidInputError(
             f"the second derivative of the Hamiltonian in the controls {np.flatnonzero(curved).tolist()} of the problem on "
             f"{problem.manifold} has singular values {values[0]}, expected all positive: it is singular in combinations of them; "
@@ -123,9 +134,6 @@ def affine_controls(problem: OptimalControlProblem) -> tuple[int, ...]:
 
 
 @compiled
-def _control_hessian(problem: OptimalControlProblem, key: Array) -> Array:
-    """``d2H/du2`` at a random point of T*Q and the extremal control there, or the resting one if there is none."""
-    first, second = jax.random.split(key)
-    q = problem.manifold.random_point(first)
-    p = problem.manifold.random_tangent(second, q)
-    return jax.hessian(lambda u: problem.hamiltonian(q, p, u))(extremal_control(problem, q, p))
+def _control_hessian(problem: OptimalControlProblem, key: Array, near: Near | None) -> Array:
+    """Relative ``d2H/du2`` at a random state and control, as near to ``near`` as it is finite."""
+    return first_finite(jax.vmap(lambda z, u: relative_curvature(problem, z, u))(*states_near(problem, key, near)))

@@ -1,13 +1,14 @@
 """The definition of the paper, where it composes into a flow: stages on the final constraint manifold."""
 
 from dataclasses import replace
-from typing import Any, ClassVar, Self, final
+from typing import Any, ClassVar, NamedTuple, Self, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ....manifolds import Manifold, Submanifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.newton import tolerance
@@ -16,12 +17,16 @@ from ...compilation import compiled
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
 from ..integrability import Classification
+from ..integrability.jets import hamiltonian_field
+from ..words import many
 from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
 from .strategy import Gauge, NotApplicableError
 
-TEST_STEP = 0.1  # how far the steps of the test of composability go, relative to the size of the states
-TEST_STEPS = 10  # steps from each state: one alone may hide how they leave P_f
-COMPOSED = 0.77  # power of the machine epsilon up to which equations of P_f, of order one near it, hold to rounding: 1e-12
+TEST_STEP = 0.5  # length of the steps of the test of composability, relative to the time in which states change by their size
+TEST_STEPS = 10  # steps from each state, each from P_f: one alone may hide how they leave it
+HALVINGS = 20  # of that length, where it is too long for Newton's method
+COMPOSED = 0.85  # power of the machine epsilon up to which departures from P_f are rounding: 5e-14
+NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
 
 
 @final
@@ -38,13 +43,21 @@ class DirectIntegrator(DynamicsIntegrator):
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
         found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason="")
-        departure = _departure(found, classification.problem, classification.stratum.states)
-        gap, words = float(departure), f"after {TEST_STEPS}"
-        if not np.isfinite(gap):
-            raise NotApplicableError("a step with its stage in S_f was not found from every point of P_f that was tried")
-        if not gap <= tolerance(departure, COMPOSED):
-            raise NotApplicableError(f"steps with stages in S_f leave P_f, its equations {gap:.1e} {words}: they do not compose")
-        return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e} {words}), so they compose")
+        trials = jax.tree.map(np.asarray, _trials(found, classification.problem, classification.stratum.states))
+        count, composed, departed = len(trials.length), trials.solved, trials.departed > 1
+        if np.any(departed):
+            raise NotApplicableError(
+                f"steps with stages in S_f leave P_f, its equations {np.max(trials.departure[departed]):.1e} at the ends of some "
+                f"of length {np.max(trials.length[departed]):.1g}: they do not compose"
+            )
+        if not np.any(composed):
+            raise NotApplicableError(
+                f"no step with its stage in S_f was solved from any of {many(count, 'point')} of P_f, whatever its length "
+                f"(down to {np.min(trials.length):.0e})"
+            )
+        gap, solved = np.max(trials.departure[composed]), int(np.sum(composed))
+        rest = "" if solved == count else f"; from {count - solved} of {many(count, 'point')} tried no step was solved"
+        return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose")
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()
@@ -56,21 +69,96 @@ class DirectIntegrator(DynamicsIntegrator):
         return unknowns.control
 
 
+class _Trial(NamedTuple):
+    """Steps of one length from a point of ``P_f``: the largest departure of those solved, and whether all were.
+
+    ``departed``: at how many lengths, this one and those before, they left ``P_f`` (roots of steps that are too long may be
+    spurious, so one says nothing).
+    """
+
+    length: Array
+    departure: Array
+    solved: Array
+    departed: Array
+    halvings: Array
+
+
 @compiled
-def _departure(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
-    """Largest violation of the equations of ``P_f`` along some steps from each of some points of it (leading axis)."""
+def _trials(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> _Trial:
+    """Some steps from each of some points of ``P_f`` (leading axis), as long as they can be solved there."""
     states = jax.tree.map(jnp.asarray, states)
-    first = integrator.begin(problem, *jax.tree.map(lambda leaf: leaf[0], states))
-    # Of all points together: one that is almost at rest would ask for a step without end.
-    speed = jnp.mean(jax.vmap(lambda z: vec.size(problem.velocity(z[0], first.control)))(states))
-    h = TEST_STEP * jnp.where(speed > 0, jnp.mean(jax.vmap(vec.size)(states)) / jnp.where(speed > 0, speed, 1.0), 1.0)
+    longest = TEST_STEP * _time(integrator, problem, states)
+    zero, allowed = jnp.zeros((), int), tolerance(longest, COMPOSED)
 
-    def one(z: tuple[Ambient, Ambient]) -> Array:
-        def step(last: tuple[Ambient, Ambient, Memory], _: None) -> tuple[tuple[Ambient, Ambient, Memory], Array]:
-            new = integrator.step(problem, h, *last)
-            gaps = integrator.dynamics.manifold.violations((new.q, new.p)).values()
-            return new[:3], jnp.where(new.converged, jnp.max(jnp.stack(list(gaps))), jnp.nan)
+    def one(z: tuple[Ambient, Ambient]) -> _Trial:
+        start = integrator.dynamics.manifold.restore(z)
 
-        return jnp.max(jax.lax.scan(step, (*integrator.dynamics.manifold.restore(z), first), length=TEST_STEPS)[1])
+        def shorter(trial: _Trial) -> _Trial:
+            h = trial.length / 2
+            departure, solved = _steps(integrator, problem, h, start)
+            left = departure > allowed
+            return _Trial(h, departure, solved & ~left, jnp.where(left, trial.departed + 1, 0), trial.halvings + 1)
 
-    return jnp.max(jax.lax.map(one, states))
+        def unknown(trial: _Trial) -> Array:
+            return ~trial.solved & (trial.departed < 2) & (trial.halvings <= HALVINGS)
+
+        return jax.lax.while_loop(unknown, shorter, _Trial(2 * longest, jnp.zeros_like(longest), jnp.array(False), zero, zero))
+
+    return jax.lax.map(one, states)
+
+
+def _steps(
+    integrator: DirectIntegrator, problem: OptimalControlProblem, h: Array, start: tuple[Ambient, Ambient]
+) -> tuple[Array, Array]:
+    """Largest departure at the ends of some steps, up to the first that is not solved, and whether all are solved."""
+    final = integrator.dynamics.manifold
+
+    def step(state: tuple[Any, Array, Array, Array]) -> tuple[Any, Array, Array, Array]:
+        last, departure, _, count = state
+        new = integrator.step(problem, h, *last)
+        end, gap = final.restore((new.q, new.p)), _departure(final, last[:2], (new.q, new.p))
+        solved = new.converged & jnp.isfinite(gap)
+        return (*end, new.unknowns), jnp.where(solved, jnp.maximum(departure, gap), departure), solved, count + 1
+
+    def going(state: tuple[Any, Array, Array, Array]) -> Array:
+        return state[2] & (state[3] < TEST_STEPS)
+
+    first = (*start, integrator.begin(problem, *start)), jnp.zeros_like(h), jnp.array(True), jnp.zeros((), int)
+    _, departure, solved, _ = jax.lax.while_loop(going, step, first)
+    return departure, solved
+
+
+def _departure(final: Manifold, begin: tuple[Ambient, Ambient], end: tuple[Ambient, Ambient]) -> Array:
+    """Equations of ``P_f`` at the end of a step, relative to one or to what moves of the size of a state change them by.
+
+    To the rounding of that size, of its largest entry, steps are solved.
+    """
+    if not isinstance(final, Submanifold):
+        return jnp.zeros(())
+    values, normals = final.values(end)
+    terms = [vec.coordinate_sizes(normals, z) for z in (begin, end)]
+    return jnp.max(jnp.abs(values) / (1 + jnp.maximum(*terms)))
+
+
+def _time(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
+    """The time in which entries of states and costates change by their typical size: of all points and entries the median.
+
+    Entries are compared with their own rates, whatever their units; of a single point that is almost at rest the time would
+    have no end.
+    """
+    dynamics = integrator.dynamics
+    rates = jax.lax.map(lambda z: hamiltonian_field(problem, z, dynamics.equations.control(z)), states)
+    times = [_times(*map(_entries, parts)) for parts in zip(states, rates, strict=True)]
+    time = jnp.nanmedian(jnp.concatenate(times))
+    return jnp.where(jnp.isfinite(time), time, 1.0)
+
+
+def _entries(batch: Ambient) -> Array:
+    return jnp.concatenate([jnp.abs(leaf).reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(batch)], axis=1)
+
+
+def _times(sizes: Array, rates: Array) -> Array:
+    """Typical sizes of entries over their rates, NaN where one is zero or rounding."""
+    size, rate = jnp.nanmedian(sizes, axis=0), jnp.nanmedian(jnp.where(jnp.isfinite(rates), rates, jnp.nan), axis=0)
+    moving = (rate > 0) & (size > NEGLIGIBLE * jnp.max(size, initial=0.0))
+    return jnp.where(moving, size / jnp.where(moving, rate, 1.0), jnp.nan)

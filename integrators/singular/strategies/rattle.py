@@ -13,19 +13,29 @@ from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.newton import tolerance
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...compilation import compiled
-from ...initial_value.integrator import extremal_control
+from ...initial_value.integrator import extremal_control, resting_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
+from ...stages.stage import positive
 from ..integrability import Classification
-from .affine import Brackets, ControlAffineSplitting, brackets, check_splitting, merge_controls
+from ..words import many
+from .affine import (
+    Brackets,
+    ControlAffineSplitting,
+    affine_tolerance,
+    brackets,
+    check_splitting,
+    merge_controls,
+    regular_places,
+    relative_curvature,
+)
 from .leaves import Point, ambient_field, bracket_size, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
-
-AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
 
 
 class _Memory(NamedTuple):
@@ -58,25 +68,28 @@ class RattleIntegrator(SingularIntegrator):
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
         states = [jax.tree.map(lambda leaf, i=i: leaf[i], stratum.states) for i in range(stratum.count)]
-        curvature = np.max([np.abs(_curvature(problem, *z)) for z in states], axis=(0, 1))
-        singular = tuple(int(i) for i in np.flatnonzero(curvature <= default_tolerance() * np.max(curvature)))
+        curvature = _finite([_curvature(problem, z, stratum.u) for z in states], "second derivatives of H in the controls")
+        singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= affine_tolerance()))
         if not singular:
             raise NotApplicableError("H has a second derivative in every control")
-        for z in states:
-            obstacle = _facts(ControlAffineSplitting(problem, singular), *z).obstacle(singular)
-            if obstacle:
-                raise NotApplicableError(obstacle)
-        many = "controls" if len(singular) > 1 else "control"
-        reason = f"H is affine in the {many} {singular}, and the arc is of first order"
+        split = ControlAffineSplitting(problem, singular)
+        facts = _finite([_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}")
+        obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
+        # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
+        obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
+        if any(obstacles):
+            raise NotApplicableError(next(filter(None, obstacles)))
+        noun = "controls" if len(singular) > 1 else "control"
+        reason = f"H is affine in the {noun} {singular}, and the arc is of first order"
         return cls(lift=lift, singular=singular, reason=reason)
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)
         system.check_discretization(self.lift.discretization)
-        facts = _facts(ControlAffineSplitting(system, self.singular), q, p)
+        facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
         if facts.missed():
             raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
-        obstacle = facts.obstacle(self.singular)
+        obstacle = facts.obstacle(self.singular) or facts.degenerate()
         if obstacle:
             raise InvalidInputError(obstacle)
 
@@ -91,21 +104,24 @@ class RattleIntegrator(SingularIntegrator):
         flow = jax.jit(partial(leaf_flow, split.primary))  # traced once
         predicted = jax.lax.stop_gradient(previous.singular) * h / 2
         begin = flow((q, p), predicted)
-        rate = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)[1]
+        motion = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)
         # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to O(h^2).
-        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, rate)), previous.stage)
+        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, motion[1])), previous.stage)
 
         def residual(c: Array) -> Array:
             departed = flow(begin, c[:m])
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
-        sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
+        times = _leaf_times(split, (q, p))
+        sizes = jnp.concatenate([times, equations.sizes])
         # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on.
-        rounding = jnp.finfo(sizes.dtype).eps / jnp.abs(h)
+        moved_by = jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q))
+        rounding = tolerance(sizes, 1.0) / jnp.maximum(moved_by, tolerance(sizes, 0.5))
         root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes, rounding=rounding)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
-        last, arrived = find_root(lambda t: split.secondary(*flow(near, t)), jnp.zeros(m))
+        w = jax.lax.stop_gradient(unknowns[1])
+        last, arrived = find_root(lambda t: split.secondary(*flow(near, t), w), jnp.zeros(m), times)
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
         new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
@@ -115,7 +131,8 @@ class RattleIntegrator(SingularIntegrator):
 
     def hint(self, system: OptimalControlProblem, first: Point, last: Point) -> str:
         split = ControlAffineSplitting(system, self.singular)
-        least = [np.linalg.svd(_facts(split, *z).across.values, compute_uv=False)[-1] for z in (first, last)]
+        rest = resting_control(system.controls)
+        least = [np.linalg.svd(_facts(split, z, rest).across.values, compute_uv=False)[-1] for z in (first, last)]
         return (
             f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, {least[1]:.3g} at last."
         )
@@ -124,14 +141,21 @@ class RattleIntegrator(SingularIntegrator):
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)
 
 
-class _Facts(NamedTuple):
-    """Second derivatives of H in the singular controls, constraints, ``{phi_a, phi_b}`` and ``{phi_a, psi_b}``.
+def _leaf_times(split: ControlAffineSplitting, z: Point) -> Array:
+    """Times in which moves along leaves change positions, or covectors where they change nothing else, by their size."""
+    fields = jax.vmap(lambda a: ambient_field(lambda q, p: a @ split.primary(q, p), z))(jnp.eye(len(split.singular)))
+    speeds = [jax.vmap(vec.size)(part) for part in fields]
+    along, up = (positive(vec.size(part)) / jnp.where(speed > 0, speed, 1.0) for part, speed in zip(z, speeds, strict=True))
+    return jax.lax.stop_gradient(jnp.where(speeds[0] > 0, along, jnp.where(speeds[1] > 0, up, 1.0)))
 
-    Beside each the size of the terms that it is a sum of, by which zero is told from rounding.
+
+class _Facts(NamedTuple):
+    """Second derivatives of H in the singular controls, relative to H, constraints, ``{phi_a, phi_b}``, ``{phi_a, psi_b}``.
+
+    Beside each of these the size of the terms that it is a sum of, by which zero is told from rounding.
     """
 
     curvature: Array
-    energy: Array
     constraints: Array
     sizes: Array
     among: Brackets
@@ -147,17 +171,21 @@ class _Facts(NamedTuple):
 
     def obstacle(self, singular: tuple[int, ...]) -> str:
         """Why the method does not apply, in words; empty if it does."""
-        rounding, curvature = default_tolerance(), np.max(np.abs(self.curvature))
-        if not curvature <= rounding**AFFINE_POWER * self.energy:
+        curvature, rounding = np.max(self.curvature), default_tolerance()
+        if not curvature <= affine_tolerance():
             return (
                 f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them reaches "
-                f"{curvature:.3g}, expected 0; name the controls without cost of their own"
+                f"{curvature:.3g} of its size, expected 0; name the controls without cost of their own"
             )
         if not np.all(np.abs(self.among.values) <= rounding * self.among.sizes):
             return f"the brackets of the primary constraints are {np.asarray(self.among.values).tolist()}, expected 0"
+        return ""
+
+    def degenerate(self) -> str:
+        """Where ``{phi, psi}`` is singular that it is so, in words; empty where it is not."""
         units = np.sqrt(np.diag(self.across.sizes))
         units = np.where(units > 0, units, 1.0)
-        if not np.linalg.svd(self.across.values / np.outer(units, units), compute_uv=False)[-1] > rounding:
+        if not np.linalg.svd(self.across.values / np.outer(units, units), compute_uv=False)[-1] > default_tolerance():
             return (
                 f"the brackets {{phi, psi}} have the singular values {np.linalg.svd(self.across.values, compute_uv=False)}, "
                 "expected all positive: the singular arc is of higher order, or a control is gauge"
@@ -165,27 +193,31 @@ class _Facts(NamedTuple):
         return ""
 
 
+def _finite(found: list[Any], what: str) -> list[Any]:
+    """Those at points where all is finite. Raises ``NotApplicableError`` if there are none."""
+    finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
+    if not finite:
+        raise NotApplicableError(f"the {what} are finite at none of {many(len(found), 'point')} of P_f")
+    return finite
+
+
 @compiled
-def _facts(split: ControlAffineSplitting, q: Ambient, p: Ambient) -> _Facts:
-    u = _some_control(split.problem)
-    velocity, cost = split.problem.velocity(q, u), split.problem.cost_rate(q, u)
-    fields = split.fields((q, p))
-    sizes = [jax.vmap(lambda field: bracket_size(field, (q, p)))(field) for field in fields]
+def _facts(split: ControlAffineSplitting, z: Point, u: Array) -> _Facts:
+    """Facts at a point, with the extremal control near ``u``."""
+    places = np.asarray(split.singular)
+    w = u[regular_places(u.size, split.singular)]
+    fields = split.fields(z, w)
+    sizes = [jax.vmap(lambda field: bracket_size(field, z))(field) for field in fields]
     return _Facts(
-        curvature=_curvature(split.problem, q, p)[np.asarray(split.singular)],
-        energy=vec.size(p) * vec.size(velocity) + jnp.abs(cost),
-        constraints=jnp.stack([split.primary(q, p), split.secondary(q, p)]),
+        curvature=_curvature(split.problem, z, u)[places],
+        constraints=jnp.stack([split.primary(*z), split.secondary(*z, w)]),
         sizes=jnp.stack(sizes),
         among=brackets(fields[0], fields[0]),
         across=brackets(*fields),
     )
 
 
-def _some_control(problem: OptimalControlProblem) -> Array:
-    return problem.controls.random_point(jax.random.key(0))
-
-
 @compiled
-def _curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Array:
-    """``d2H/du2`` at a random control."""
-    return jax.hessian(lambda u: problem.hamiltonian(q, p, u))(_some_control(problem))
+def _curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Array:
+    """Largest second derivative of H by each control, relative to H."""
+    return jnp.max(jnp.abs(relative_curvature(problem, z, u)), axis=1)

@@ -64,13 +64,13 @@ class ReducedIntegrator(SingularIntegrator):
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
-        problem = classification.problem
+        problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
         if classification.gauge_controls:
             raise NotApplicableError("a gauge control has no value that a reduction to a regular problem would leave")
         try:
-            integrator = cls(lift=lift, chain=reduce_until_regular(problem))
+            integrator = cls(lift=lift, chain=reduce_until_regular(problem, near=(stratum.q, stratum.u)))
         except InvalidInputError as error:
             raise NotApplicableError(str(error)) from error
         reduced, count = integrator.chain.reduced.manifold, len(integrator.chain.reductions)

@@ -4,7 +4,7 @@
 to singular subarcs in optimal trajectory and control problems, 1964]
 """
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -16,11 +16,16 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, Product
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....retractions import default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
-from .affine import check_splitting, merge_controls
+from .affine import NEARER, affine_tolerance, check_splitting, first_finite, merge_controls, regular_places, relative_curvature
 from .factors import EuclideanPart
+from .leaves import Point
 
+Near = tuple[Any, Any]  # a point of Q and a control
+
+CONSTANT_POWER = 0.8  # of the machine epsilon: relative changes and brackets that are rounding
 SAMPLES = 3  # random points at which a reduction is checked
 # Gauss-Legendre quadrature on [0, 1], exact for polynomials of degree 19.
 _NODES, _WEIGHTS = ((np.polynomial.legendre.leggauss(10)[i] + (1 - i)) / 2 for i in (0, 1))
@@ -42,8 +47,9 @@ class GohReduction(eqx.Module):
     ``dH/ds = 0`` says that ``{phi, H} = 0``. Terminal cost and boundary conditions are not reduced: ``s`` may jump at
     the ends of an arc.
 
-    ``singular``: indices of ``u`` among the controls. Raises ``InvalidInputError`` if the fields are not constant along
-    Euclidean factors or dependent, or if the constraints do not commute.
+    ``singular``: indices of ``u`` among the controls; ``near``: a state and a control around which the problem's functions are
+    looked at, by default random ones. Raises ``InvalidInputError`` if the fields are not constant along Euclidean factors or
+    dependent, if the constraints do not commute, or if the functions are not finite there.
     """
 
     problem: OptimalControlProblem
@@ -53,11 +59,11 @@ class GohReduction(eqx.Module):
     complement: Float[Array, "k k-m"]
     costly: bool = eqx.field(static=True)
 
-    def __init__(self, problem: OptimalControlProblem, singular: tuple[int, ...]) -> None:
+    def __init__(self, problem: OptimalControlProblem, singular: tuple[int, ...], near: Near | None = None) -> None:
         check_splitting(problem, singular)
         self.problem, self.singular = problem, tuple(singular)
-        points = [problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), SAMPLES)]
-        samples = [jax.device_get(_sample(problem, self.singular, q)) for q in points]
+        keys = jax.random.split(jax.random.key(0), SAMPLES)
+        points, samples = zip(*(jax.device_get(_sample(problem, self.singular, key, near)) for key in keys), strict=True)
         directions = _constant_directions(problem, self.singular, samples)
         columns = np.linalg.qr(directions, mode="complete")[0]
         self.directions, self.inverse = jnp.asarray(directions), jnp.asarray(np.linalg.pinv(directions))
@@ -88,6 +94,11 @@ class GohReduction(eqx.Module):
         """Point of ``Q_r`` and ``s``."""
         others, x = self.part.split(q)
         return self._pack(others, self.complement.T @ x), self.inverse @ x
+
+    def below(self, q: Ambient, u: Float[Array, " r+m"]) -> Near:
+        """The point of ``Q_r`` and the control ``(v, s)`` of the reduced problem, of a state and a control of the problem."""
+        q_r, s = self.coordinates(q)
+        return q_r, jnp.concatenate([jnp.asarray(u)[regular_places(len(u), self.singular)], s])
 
     def point(self, q_r: Ambient, s: Float[Array, " m"]) -> Ambient:
         """The point of Q with these coordinates."""
@@ -154,7 +165,7 @@ def control_rates(problem: OptimalControlProblem, singular: tuple[int, ...], q: 
 
 
 class _Sample(NamedTuple):
-    """At one point: the control fields in the other factors and in the Euclidean part, ``l``, and the second derivatives."""
+    """At one point: the control fields in the other factors and in the Euclidean part, ``l``, and the curvature of H."""
 
     others: Array
     fields: Array
@@ -163,55 +174,78 @@ class _Sample(NamedTuple):
 
 
 @compiled
-def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], q: Ambient) -> _Sample:
-    controls, places = problem.controls, np.asarray(singular)
-    u = controls.random_point(jax.random.key(1))
+def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], key: Array, near: Near | None) -> tuple[Ambient, _Sample]:
+    """A point, and what is found there."""
+    places = np.asarray(singular)
 
-    def along(u: Array) -> tuple[Array, Array, Array]:
-        others, x = EuclideanPart(problem.manifold).split(problem.velocity(q, u))
-        leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(others)]
-        return jnp.concatenate([jnp.zeros(0), *leaves]), x, problem.cost_rate(q, u)
+    def at(z: Point, u: Array) -> tuple[Ambient, _Sample]:
+        def along(u: Array) -> tuple[Array, Array, Array]:
+            others, x = EuclideanPart(problem.manifold).split(problem.velocity(z[0], u))
+            leaves = [jnp.ravel(leaf) for leaf in jax.tree.leaves(others)]
+            return jnp.concatenate([jnp.zeros(0), *leaves]), x, problem.cost_rate(z[0], u)
 
-    others, fields, rates = (leaf[..., places] for leaf in jax.jacfwd(along)(u))
-    second = [jnp.ravel(leaf[..., places, :]) for leaf in jax.hessian(along)(u)]
-    return _Sample(others, fields, rates, jnp.concatenate(second))
+        curvature = relative_curvature(problem, z, u)[places]
+        return z[0], _Sample(*(leaf[..., places] for leaf in jax.jacfwd(along)(u)), curvature)
+
+    return first_finite(jax.vmap(at)(*states_near(problem, key, near)))
 
 
-def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ...], samples: list[_Sample]) -> np.ndarray:
+def states_near(problem: OptimalControlProblem, key: Array, near: Near | None) -> tuple[Point, Array]:
+    """Batches of states, around ``near`` nearer and nearer to it, and of controls."""
+    first, second, third, fourth = jax.random.split(key, 4)
+    manifold, shares = problem.manifold, jnp.asarray(NEARER)
+    q, u = near or (manifold.random_point(first), jnp.zeros(problem.controls.dimension))
+    direction, turn = manifold.random_tangent(second, q), jax.random.normal(third, u.shape, u.dtype)
+    move = default_retraction(manifold)
+    points = jax.vmap(lambda share: move(q, vec.scale(share, direction)))(shares)
+    return (points, jax.vmap(lambda q: manifold.random_tangent(fourth, q))(points)), u + shares[:, None] * turn
+
+
+def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ...], samples: tuple[_Sample, ...]) -> np.ndarray:
     """``G``. Raises ``InvalidInputError`` if there is none."""
-    fields = np.stack([sample.fields for sample in samples])
-    size = 1 + np.max(np.abs(fields), initial=0.0)
+    begin = f"no reduction of the problem on {problem.manifold} by the controls {singular}:"
+    others, fields, rates, curvature = (np.stack(parts) for parts in zip(*samples, strict=True))
+    if not all(np.all(np.isfinite(values)) for values in (others, fields, rates, curvature)):
+        raise InvalidInputError(f"{begin} its functions or their derivatives are not finite where they were looked at; give near")
+    size = np.max(np.abs(np.concatenate([others, fields], axis=1)), axis=(0, 1))  # of each field
+    constant = np.finfo(fields.dtype).eps ** CONSTANT_POWER * size
     findings = {
-        "H is not affine in them: its second derivatives reach": [sample.curvature for sample in samples],
-        "their fields have parts along factors that are not Euclidean, of size": [sample.others for sample in samples],
-        "their fields are not constant: between two points they change by": [fields - fields[0]],
+        "H is not affine in them: relative to it, its second derivatives reach": (
+            np.moveaxis(curvature, 1, 2),
+            affine_tolerance(),
+        ),
+        "their fields have parts along factors that are not Euclidean, of size": (others, constant),
+        "their fields are not constant: between two points they change by": (fields - fields[0], constant),
     }
-    for words, values in findings.items():
-        worst = max(np.max(np.abs(value), initial=0.0) for value in values)
-        if not worst <= default_tolerance() * size:
+    for words, (values, allowed) in findings.items():
+        if np.any(np.abs(values) > allowed):
             raise InvalidInputError(
-                f"no reduction of the problem on {problem.manifold} by the controls {singular}: {words} {worst:.3g}, expected 0; "
-                "change coordinates so that they are constant"
+                f"{begin} {words} {np.max(np.abs(values)):.3g}, expected 0; change coordinates so that they are constant"
             )
-    values = np.linalg.svd(fields[0], compute_uv=False)
+    values = np.linalg.svd(fields[0] / np.where(size > 0, size, 1.0), compute_uv=False)
     if len(values) < len(singular) or not values[-1] > default_tolerance() * values[0]:
         raise InvalidInputError(
-            f"no reduction of the problem on {problem.manifold} by the controls {singular}: the singular values of their fields "
-            f"are {values}, expected {len(singular)} positive ones; a control without effect on the motion is gauge, or P_f empty"
+            f"{begin} the singular values of their fields, of size one, are {values}, expected {len(singular)} positive ones; a "
+            "control without effect on the motion is gauge, or P_f empty"
         )
     return fields[0]
 
 
-def _check_potential(reduction: GohReduction, points: list[Ambient]) -> None:
+def _check_potential(reduction: GohReduction, points: tuple[Ambient, ...]) -> None:
     """Raise if the derivative of ``lambda`` by ``s`` is not ``l``."""
     for q in points:
         missed, asymmetric = jax.device_get(_potential_gap(reduction, q))
-        if not asymmetric <= default_tolerance():
+        if not np.isfinite(missed + asymmetric):
             raise InvalidInputError(
-                f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is {asymmetric:.3g}, "
-                "expected 0; reduce by fewer controls"
+                f"the potential of the cost of the controls {reduction.singular} is not finite: their cost has to be so on the "
+                "way along their directions from the origin; move the origin of the coordinates, or use the strategy 'rattle'"
             )
-        if not missed <= 1e-4 * default_tolerance():
+        if asymmetric > np.finfo(asymmetric.dtype).eps ** CONSTANT_POWER:
+            raise InvalidInputError(
+                f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is {asymmetric:.3g} of "
+                "its terms, expected 0; reduce by fewer controls"
+            )
+        if missed > 1e-4 * default_tolerance():
             raise InvalidInputError(
                 f"the potential of the cost of the controls {reduction.singular} misses it by {missed:.3g}: their cost is too "
                 f"rough along their directions for the quadrature with {len(_NODES)} nodes; use the strategy 'rattle'"
@@ -220,12 +254,14 @@ def _check_potential(reduction: GohReduction, points: list[Ambient]) -> None:
 
 @compiled
 def _potential_gap(reduction: GohReduction, q: Ambient) -> tuple[Array, Array]:
-    """Relative size of ``d lambda / ds - l`` and of the brackets of the primary constraints."""
+    """Size of ``d lambda / ds - l`` and of the brackets of the primary constraints, relative to ``l`` and its change."""
     q_r, s = reduction.coordinates(q)
 
     def rates(s: Array) -> Array:
         return control_rates(reduction.problem, reduction.singular, reduction.point(q_r, s))
 
     derivative = jax.grad(lambda s: reduction.potential(reduction.point(q_r, s)))(s)
-    among, size = jax.jacfwd(rates)(s), 1 + vec.size(rates(s))
-    return vec.size(derivative - rates(s)) / size, vec.size(among - among.T) / (1 + vec.size(among))
+    among = jax.jacfwd(rates)(s)
+    size = vec.size(rates(s)) + vec.size(among) * vec.size(s)
+    unit = jnp.where(size > 0, size, 1.0)
+    return vec.size(derivative - rates(s)) / unit, vec.size(among - among.T) * vec.size(s) / unit

@@ -4,16 +4,15 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import sympy
 
 from ..integrability import Signature
+from .field import Expression, UntreatableError, field_of, normal_form
 
 PRECISION = 40  # digits
 LONG = 20  # terms of an equation at which a branch of smaller dimension is left
 
-Expression = Any
 Equation = tuple[Expression, int]  # to be made zero, and the level of the algorithm that asks for it
 History = tuple[tuple[Expression, Expression, int], ...]  # symbols, their values by those found later, and the levels
 
@@ -62,6 +61,14 @@ class SymbolicStratum:
     def solution(self) -> dict[Expression, Expression]:
         """The determined coordinates and controls, by those that are free."""
         return _inserted(self.history)
+
+    @property
+    def treatable(self) -> bool:
+        """Whether all that is determined is a function that exact algebra treats."""
+        try:
+            return bool(self.solution) or True
+        except UntreatableError:
+            return False
 
     @property
     def controls(self) -> dict[Expression, Expression]:
@@ -163,10 +170,9 @@ class SymbolicStratum:
     def _ranks(self, conditions: list[Expression]) -> tuple[int, int]:
         """Ranks at a point of this piece of the derivatives of conditions: by the controls, and by all."""
         states, controls = (*self.phase.q, *self.phase.p), self.phase.u
-        free = _fractions([s for s in (*states, *controls) if s not in self.solution])
-        point = free | {s: e.xreplace(free) for s, e in self.solution.items()}
         column = sympy.Matrix(conditions or [0])
-        of_u, of_states = (column.jacobian(sympy.Matrix(symbols)).xreplace(point) for symbols in (controls, states))
+        slopes = (column.jacobian(sympy.Matrix(symbols)) for symbols in (controls, states))
+        of_u, of_states = (slope.xreplace(self.solution) for slope in slopes)
         return generic_rank(of_u), generic_rank(of_u.row_join(of_states))
 
     def bounds(self, other: "SymbolicStratum") -> bool:
@@ -215,19 +221,10 @@ def generic_ranks(phase: Phase) -> tuple[int, int] | None:
 
 def generic_rank(matrix: sympy.Matrix) -> int:
     """Rank of a matrix of functions at a point with small fractions as coordinates: no larger than the rank almost everywhere."""
-    values = matrix.xreplace(_fractions(sorted(matrix.free_symbols, key=str)))
+    field = field_of(*matrix)
+    point = field.point({s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(sorted(matrix.free_symbols, key=str))})
+    values = matrix.xreplace(field.inside).xreplace(point)
     return values.rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
-
-
-def _fractions(symbols: Iterable[Expression]) -> dict[Expression, Expression]:
-    """A point with small fractions as coordinates."""
-    return {s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(symbols)}
-
-
-def normal_form(expression: Expression) -> Expression:
-    """The same function, such that a rational one that vanishes is zero."""
-    plain = expression.is_rational_function(*expression.free_symbols)
-    return sympy.cancel(expression) if plain else sympy.simplify(expression)
 
 
 def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
@@ -237,31 +234,62 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
         return
     (expression, level), rest = pending[0], pending[1:]
     piece = replace(piece, conditions=(*piece.conditions, (expression, level)))
-    numerator = sympy.numer(sympy.together(piece.reduce(expression)))
-    if numerator == 0:
+    try:
+        terms, contradiction, factors = _factored(expression, piece)
+    except UntreatableError:  # by what was inserted
+        ended.unsolved.append((expression, level))
+        return
+    if terms == 0:
         yield from _explore(piece, rest, ended)
         return
-    if piece.degenerate is not None and len(sympy.Add.make_args(sympy.expand(numerator))) > LONG:
+    if piece.degenerate is not None and terms > LONG:
         ended.unsolved.append((piece.degenerate, level))
         return
-    factors = [f for f, _ in sympy.factor_list(numerator)[1] if not _never_zero(f, piece)]
     if not factors:
-        ended.contradictions.append((sympy.factor(numerator), level))
+        ended.contradictions.append((contradiction, level))
     for factor in factors:
         yield from _with(piece, (factor, level), rest, ended)
 
 
-def _never_zero(factor: Expression, piece: SymbolicStratum) -> bool:
-    if factor.is_zero is False or _without_roots(factor):
-        return True
-    known = {f for e in piece.nonzero for f, _ in sympy.factor_list(sympy.numer(sympy.together(piece.reduce(e))))[1]}
-    return bool({factor, -factor} & known)
+def _factored(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expression, list[Expression]]:
+    """Of an expression on a piece: the number of terms, its numerator, and the irreducible factors of it that may vanish."""
+    reduced = piece.reduce(expression)
+    field = field_of(reduced)
+    numerator = field.fraction(reduced)[0]
+    if numerator == 0:
+        return 0, numerator, []
+    terms = len(sympy.Add.make_args(sympy.expand(numerator)))
+    factors = [f for f in _irreducible(reduced) if not _never_zero(f, piece)]
+    return terms, sympy.factor(numerator).xreplace(field.outside), factors
 
 
-def _without_roots(expression: Expression) -> bool:
-    """Whether it is a polynomial in one variable without real roots."""
-    symbols = expression.free_symbols
-    return len(symbols) == 1 and expression.is_polynomial(*symbols) and sympy.Poly(expression).count_roots() == 0
+def _never_zero(function: Expression, piece: SymbolicStratum) -> bool:
+    """Whether a function is known to vanish nowhere on a piece."""
+    factors = _irreducible(function)
+    known = {f for e in piece.nonzero for f in _irreducible(piece.reduce(e))}
+    return all(f in known or -f in known for f in factors)
+
+
+def _irreducible(function: Expression) -> list[Expression]:
+    """The factors of the numerator that may vanish; ``a - log c`` for ``exp(a) - c``."""
+    field, found = field_of(function), list[Expression]()
+    for factor, _ in sympy.factor_list(field.fraction(function)[0])[1]:
+        if field.never_zero(factor):
+            continue
+        exponent = field.exponent_where_zero(factor)
+        found += [factor.xreplace(field.outside)] if exponent is None else _irreducible(exponent)
+    return found
+
+
+def _contradict(equations: list[Expression], piece: SymbolicStratum) -> bool:
+    """Whether equations have no solution for the relations between their functions, as ``sin x = cos x = 0``."""
+    reduced = [piece.reduce(e) for e in equations]
+    field = field_of(*reduced)
+    if not field.relations:
+        return False
+    polynomials = [field.fraction(e)[0] for e in reduced] + [sympy.fraction(sympy.together(r))[0] for _, r in field.relations]
+    symbols = sorted(set().union(*(e.free_symbols for e in polynomials)), key=sympy.default_sort_key)
+    return sympy.groebner(polynomials, *symbols, order="grevlex").exprs == [1]
 
 
 def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
@@ -272,25 +300,30 @@ def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ende
     if not pivots:
         ended.unsolved.append(equation)
         return
-    _, coefficient = pivots[0]
+    coefficient = pivots[0][1]
     never = _never_zero(coefficient, piece)
     if controls and not never and len(pivots) < len(controls):
         ended.unsolved.append((coefficient, level))  # there a control is determined that is not linear
     further = [] if controls or level >= ended.last else [(piece.phase.rate(expression), level + 1)]
     piece = replace(piece, factors=(*piece.factors, expression))
-    for i, (symbol, slope) in enumerate(pivots if controls and not never else pivots[:1]):
-        solved = replace(piece, history=(*piece.history, (symbol, normal_form(symbol - expression / slope), level)))
+    for i, (symbol, slope, value) in enumerate(pivots if controls and not never else pivots[:1]):
+        solved = replace(piece, history=(*piece.history, (symbol, value, level)))
         if not controls:
             solved = replace(solved, equations=(*piece.equations, equation))
         if not never:
             solved = replace(solved, nonzero=(*piece.nonzero, slope))
+        if not solved.treatable:
+            ended.unsolved.append(equation)
+            continue
         for found in _explore(solved, [*rest, *further], ended):
-            if all(found.reduce(earlier) == 0 for _, earlier in pivots[:i]):  # otherwise the pivot before has it
+            if all(found.reduce(earlier) == 0 for _, earlier, _ in pivots[:i]):  # otherwise the pivot before has it
                 yield found
     if never:
         return
-    # Where one coefficient vanishes another symbol serves, except at points where no derivative is left.
-    special = _gradient(expression, controls or piece.coordinates)
+    # Where the coefficient vanishes another symbol serves, but later equations may vanish there alone.
+    special = sorted(_gradient(expression, controls), key=sympy.count_ops) if controls else [coefficient]
+    if _contradict([expression, *special], piece):
+        return
     here = replace(piece, degenerate=coefficient if piece.degenerate is None else piece.degenerate)
     yield from _explore(here, [*((e, level) for e in special), (expression, level), *rest], ended)
 
@@ -299,7 +332,19 @@ def _gradient(expression: Expression, symbols: Iterable[Expression]) -> list[Exp
     return [e for s in symbols if (e := sympy.diff(expression, s)) != 0]
 
 
-def _pivots(expression: Expression, candidates: list[Expression], piece: SymbolicStratum) -> list[tuple[Expression, Expression]]:
-    """The symbols in which the expression is linear, and their coefficients: those that never vanish first, then the simplest."""
-    linear = [(s, sympy.factor(sympy.diff(expression, s))) for s in candidates if sympy.diff(expression, s, 2) == 0]
-    return sorted(linear, key=lambda pair: (not _never_zero(pair[1], piece), sympy.count_ops(pair[1])))
+def _pivots(
+    expression: Expression, candidates: list[Expression], piece: SymbolicStratum
+) -> list[tuple[Expression, Expression, Expression]]:
+    """The symbols in which the expression is linear, their coefficients and their values.
+
+    Those with coefficients that never vanish first, then those in no function of the Hamiltonian, then the simplest.
+    """
+    slopes = [(s, normal_form(sympy.diff(expression, s))) for s in candidates]
+    linear = [(s, slope, normal_form(s - expression / slope)) for s, slope in slopes if not slope.has(s)]
+    inserted = set().union(*(f.free_symbols for f in piece.phase.hamiltonian.atoms(sympy.Function, sympy.exp)))
+
+    def key(pivot: tuple[Expression, Expression, Expression]) -> tuple[bool, bool, int]:
+        symbol, slope, _ = pivot
+        return not _never_zero(slope, piece), symbol in inserted, sympy.count_ops(sympy.factor(slope))
+
+    return sorted((pivot for pivot in linear if not pivot[2].has(pivot[0])), key=key)

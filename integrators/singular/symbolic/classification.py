@@ -11,7 +11,8 @@ from ...problem import OptimalControlProblem
 from .. import words
 from ..result import IntegrabilityResult
 from ..words import Line
-from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, normal_form, strata
+from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, strata
+from .field import normal_form
 from .trace import trace
 
 LONGEST = 300  # characters of an expression that is printed
@@ -130,7 +131,7 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
         )
     q, p = (_symbols(letter, problem.manifold) for letter in "qp")
     u = _symbols("u", problem.controls)
-    hamiltonian = sympy.simplify(trace(problem.hamiltonian, q, p, u).item())
+    hamiltonian = normal_form(trace(problem.hamiltonian, q, p, u).item())
     phase = Phase(hamiltonian, *(tuple(symbols.ravel()) for symbols in (q, p, u)))
     homogeneous = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p)) == 0
     exclude = exclude_zero_costate

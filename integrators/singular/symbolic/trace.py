@@ -12,27 +12,36 @@ import numpy as np
 import sympy
 
 from ....manifolds import InvalidInputError
+from ....manifolds.numerics.errors import TRACEABLE
 
-# Primitives that only move entries: JAX itself moves the numbers of the entries.
-MOVES = {
-    "broadcast_in_dim",
-    "concatenate",
-    "convert_element_type",
-    "copy",
-    "dynamic_slice",
-    "expand_dims",
-    "gather",
-    "reshape",
-    "rev",
-    "slice",
-    "split",
-    "squeeze",
-    "stack",
-    "transpose",
-    "unstack",
+# Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
+MOVES: dict[str, tuple[int, ...] | None] = {
+    "broadcast_in_dim": None,
+    "concatenate": None,
+    "copy": None,
+    "dynamic_slice": (0,),
+    "dynamic_update_slice": (0, 1),
+    "expand_dims": None,
+    "gather": (0,),
+    "pad": None,
+    "reshape": None,
+    "rev": None,
+    "scatter": (0, 2),
+    "slice": None,
+    "split": None,
+    "squeeze": None,
+    "stack": None,
+    "transpose": None,
+    "unstack": None,
 }
-INDEXED = {"dynamic_slice", "gather"}  # of these only the first operand is moved
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+
+def _power(a: Any, b: Any) -> Any:
+    return a**b if b.is_Rational else sympy.exp(b * sympy.log(a))
+
+
+# By exponentials, sines, cosines, logarithms and rational powers, for which the algebra has rules.
 ENTRYWISE: dict[str, Callable[..., Any]] = {
     "add": operator.add,
     "add_any": operator.add,
@@ -40,28 +49,42 @@ ENTRYWISE: dict[str, Callable[..., Any]] = {
     "mul": operator.mul,
     "div": operator.truediv,
     "neg": operator.neg,
-    "pow": operator.pow,
+    "pow": _power,
     "square": lambda a: a**2,
     "sqrt": sympy.sqrt,
     "rsqrt": lambda a: 1 / sympy.sqrt(a),
+    "cbrt": lambda a: a ** sympy.Rational(1, 3),
     "sin": sympy.sin,
     "cos": sympy.cos,
-    "tan": sympy.tan,
-    "sinh": sympy.sinh,
-    "cosh": sympy.cosh,
-    "tanh": sympy.tanh,
+    "tan": lambda a: sympy.sin(a) / sympy.cos(a),
+    "sinh": lambda a: (sympy.exp(a) - sympy.exp(-a)) / 2,
+    "cosh": lambda a: (sympy.exp(a) + sympy.exp(-a)) / 2,
+    "tanh": lambda a: 1 - 2 / (sympy.exp(2 * a) + 1),
+    "logistic": lambda a: 1 / (1 + sympy.exp(-a)),
     "exp": sympy.exp,
+    "exp2": lambda a: sympy.exp(a * sympy.log(2)),
+    "expm1": lambda a: sympy.exp(a) - 1,
     "log": sympy.log,
+    "log1p": lambda a: sympy.log(1 + a),
 }
+REDUCTIONS = {"reduce_sum": np.sum, "reduce_prod": np.prod}
 
 
 def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     """Value of a JAX function of arrays at arrays of SymPy expressions; floats become fractions by ``fraction``.
 
-    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here.
+    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here, or cannot be traced.
     """
     shapes = [jax.ShapeDtypeStruct(a.shape, jnp.result_type(float)) for a in arguments]
-    closed = jax.make_jaxpr(function)(*shapes)
+    try:
+        closed = jax.make_jaxpr(function)(*shapes)
+    except InvalidInputError:
+        raise
+    except (TypeError, ValueError, IndexError) as error:
+        reason = TRACEABLE if isinstance(error, jax.errors.JAXTypeError) else str(error)
+        raise InvalidInputError(
+            f"the problem's functions fail on arrays of shapes {[a.shape for a in arguments]}: {reason}; try problem.check(q, u)"
+        ) from error
     return _evaluate(closed.jaxpr, closed.consts, list(arguments))[0]
 
 
@@ -82,31 +105,46 @@ def _apply(equation: Any, values: list[Any]) -> list[Any]:
         result = equation.primitive.bind(*map(jnp.asarray, values), **parameters)
         return list(result) if equation.primitive.multiple_results else [result]
     if name in MOVES:
-        return _moved(equation, values)
+        return _moved(equation, values, MOVES[name] or tuple(range(len(values))))
+    if name == "select_n" and not _is_exact(values[0]):
+        return _moved(equation, values, tuple(range(1, len(values))))
+    if name == "convert_element_type" and jnp.issubdtype(parameters["new_dtype"], jnp.floating):
+        return [values[0]]
     exact = [_exact(value) for value in values]
     if name in ENTRYWISE:
         return [np.asarray(np.frompyfunc(ENTRYWISE[name], len(exact), 1)(*exact), dtype=object)]
     if name == "integer_pow":
         return [np.asarray(exact[0] ** parameters["y"], dtype=object)]
-    if name == "reduce_sum":
-        return [np.asarray(np.sum(exact[0], axis=tuple(parameters["axes"])), dtype=object)]
-    if name == "dot_general" and not parameters["dimension_numbers"][1][0]:
-        return [np.asarray(np.tensordot(*exact, axes=parameters["dimension_numbers"][0]), dtype=object)]
+    if name in REDUCTIONS:
+        return [np.asarray(REDUCTIONS[name](exact[0], axis=tuple(parameters["axes"])), dtype=object)]
+    if name == "dot_general":
+        return [_product(*exact, *parameters["dimension_numbers"])]
     raise InvalidInputError(
-        f"the operation {name} of the problem's functions has no exact counterpart; classify it without symbolic=True"
+        f"the problem's functions use the operation {name}; exact algebra treats sums, products, rational powers, exp, log, sin, "
+        "cos, tan, sinh, cosh and tanh, and moves of entries; classify it without symbolic=True"
     )
 
 
-def _moved(equation: Any, values: list[Any]) -> list[Any]:
-    """The entries where JAX moves their numbers."""
-    count = 1 if equation.primitive.name in INDEXED else len(values)
-    data = [_exact(value) for value in values[:count]]
-    pool = np.concatenate([a.ravel() for a in data])
-    starts = np.cumsum([0, *(a.size for a in data)])
-    numbers = [jnp.arange(a.size).reshape(a.shape) + start for a, start in zip(data, starts, strict=False)]
-    if equation.primitive.name == "convert_element_type":
-        return [data[0]]
-    result = equation.primitive.bind(*numbers, *map(jnp.asarray, values[count:]), **equation.params)
+def _product(a: np.ndarray, b: np.ndarray, contracted: Any, batched: Any) -> np.ndarray:
+    """Sums of products over contracted axes, for each index of the batched ones, which come first."""
+    names, count = [list(range(a.ndim)), list(range(a.ndim, a.ndim + b.ndim))], len(batched[0])
+    for pairs in (contracted, batched):
+        for i, j in zip(*pairs, strict=True):
+            names[1][j] = names[0][i]
+    summed = {names[0][i] for i in contracted[0]}
+    first = [names[0][i] for i in batched[0]]
+    rest = [k for k in dict.fromkeys([*names[0], *names[1]]) if k not in summed and k not in first]
+    return np.asarray(np.einsum(a, names[0], b, names[1], [*first[:count], *rest]), dtype=object)
+
+
+def _moved(equation: Any, values: list[Any], places: tuple[int, ...]) -> list[Any]:
+    """The entries of the operands in these places where JAX moves their numbers."""
+    data = {i: _exact(values[i]) for i in places}
+    pool = np.concatenate([a.ravel() for a in data.values()])
+    starts = np.cumsum([0, *(a.size for a in data.values())])
+    numbers = {i: jnp.arange(a.size).reshape(a.shape) + start for (i, a), start in zip(data.items(), starts, strict=False)}
+    operands = [numbers[i] if i in numbers else jnp.asarray(value) for i, value in enumerate(values)]
+    result = equation.primitive.bind(*operands, **equation.params)
     return [
         np.asarray(pool[np.asarray(part)], dtype=object) for part in (result if equation.primitive.multiple_results else [result])
     ]
@@ -129,8 +167,10 @@ def fraction(a: Any) -> Any:
 
     The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a power
     of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
-    ``InvalidInputError`` if it is not finite.
+    ``InvalidInputError`` if it is complex or not finite.
     """
+    if np.iscomplexobj(a):
+        raise InvalidInputError(f"the problem's functions contain the complex constant {a}; classify it without symbolic=True")
     if not np.isfinite(a):
         raise InvalidInputError(f"the problem's functions contain the constant {a}; classify it without symbolic=True")
     if not np.issubdtype(a.dtype, np.floating):

@@ -201,28 +201,6 @@ def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
     assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2, abs=0.2)
 
 
-class Bent(eqx.Module):
-    """The cost of Aly and Chan's problem, of which ``bend`` makes ``P_f`` curved."""
-
-    bend: jax.Array
-
-    def __call__(self, q, u):
-        return (q[1] ** 2 - q[0] ** 2) / 2 + self.bend * (q[0] ** 3 * q[1] + q[1] ** 3)
-
-
-@pytest.mark.slow
-def test_steps_compose_to_rounding_or_not_at_all():
-    """A final manifold that is curved by 1e-7 is no affine one: nodes of many long steps would leave it by 2e-5."""
-    plane, midpoint = known("aly-chan").problem, Midpoint(default_retraction(Euclidean(2)))
-    for bend, strategy in ((0.0, "direct"), (1e-11, "rattle"), (1e-7, "rattle")):
-        problem = OptimalControlProblem(Euclidean(2), plane.dynamics, Bent(jnp.array(bend)), 1)
-        c = classify(problem)
-        method = singular_integrator(c, midpoint)
-        assert method.reason.startswith(strategy), (bend, method.reason)
-        path = integrate(problem, method, c.manifold.nearby((jnp.array([0.5, 0.3]), jnp.array([0.3, 0.0]))), 0.5, 1000)
-        assert np.max(np.abs(jax.vmap(lambda q, p, c=c: c.equations((q, p)))(path.q, path.p))) < 1e-12
-
-
 def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_given():
     problem, z = classified("academic").problem, start("academic")
     ends = {}

@@ -1,0 +1,213 @@
+"""Which strategies apply: swept through numbers that change nothing, and through those that do."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import OptimalControlProblem, classify, integrate
+from retrax.integrators.singular import NotApplicableError, ReducedIntegrator, reduce_until_regular, singular_integrator
+from retrax.integrators.singular.strategies import STRATEGIES
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.retractions import Addition, CotangentLift, Midpoint
+
+from tests.integrators.singular.cases import classified, known
+
+PLANE, SPACE = Euclidean(2), Euclidean(3)
+SCALES = 10.0 ** np.array([-6, -3, 3, 6])
+
+
+def applying(classification) -> list[str]:
+    """The strategies that apply."""
+    lift, names = CotangentLift(Midpoint(Addition(classification.problem.manifold))), []
+    for name, strategy in STRATEGIES.items():
+        try:
+            strategy.suited(classification, lift, None)
+        except NotApplicableError:
+            continue
+        names.append(name)
+    return names
+
+
+def chosen(classification) -> str:
+    """The strategy that is chosen."""
+    return singular_integrator(classification, Midpoint(Addition(classification.problem.manifold))).reason.split(":")[0]
+
+
+class Wave(eqx.Module):
+    """``time (sin(rate x) + scale u1, y)``: the dynamics of the paper's example in other units of time and controls."""
+
+    rate: Array
+    time: Array
+    control: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return self.time * jnp.stack([jnp.sin(self.rate * q[0]) + self.control * u[0], q[1]])
+
+
+class Price(eqx.Module):
+    """Its running cost, in other units of cost and controls."""
+
+    cost: Array
+    control: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        v = self.control * u
+        return self.cost * (q @ q / 2 + q @ v + v[0] ** 2 / 2)
+
+
+def wave(rate: float, time: float = 1.0, cost: float = 1.0, control: float = 1.0) -> OptimalControlProblem:
+    r, t, a, c = map(jnp.asarray, (rate, time, cost, control))
+    return OptimalControlProblem(PLANE, Wave(r, t, c), Price(a, c), 2)
+
+
+def test_the_choice_does_not_depend_on_the_frequency_of_the_paper_s_example_nor_on_units():
+    """Steps that are too long for Newton's method say nothing on whether steps compose."""
+    for rate in np.geomspace(0.05, 3, 17):
+        assert chosen(classify(wave(rate))) == "direct", rate
+    for seed in range(1, 6):
+        for rate in (3.0, 1.0, 0.4, 0.2):
+            assert chosen(classify(wave(rate, seed), seed=seed)) == "direct", (rate, seed)
+    for rate in (0.3, 2.0):
+        for scale in SCALES:
+            for units in np.where(np.eye(3, dtype=bool), scale, 1.0):
+                assert chosen(classify(wave(rate, *units))) == "direct", (rate, units)
+
+
+@pytest.mark.slow
+def test_steps_that_are_solved_at_no_length_are_said_to_be():
+    c = classified("academic")
+    rest = {"t": 0.0}
+    gauge = lambda t, q, p: jnp.where(t > rest["t"], jnp.nan, 0.0)[None]  # noqa: E731
+    with pytest.raises(
+        InvalidInputError, match=r"(?s)not direct: no step with its stage in S_f was solved from any of \d+\s+points"
+    ):
+        singular_integrator(c, Midpoint(Addition(PLANE)), "direct", gauge=gauge)
+
+
+class Bent(eqx.Module):
+    """The cost of Aly and Chan's problem in some units, of which ``bend`` makes ``P_f`` curved."""
+
+    bend: Array
+    size: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return self.size * ((q[1] ** 2 - q[0] ** 2) / 2 + self.bend * (q[0] ** 3 * q[1] + q[1] ** 3))
+
+
+def bent(bend: float, size: float = 1.0) -> OptimalControlProblem:
+    plane = known("aly-chan").problem
+    return OptimalControlProblem(PLANE, plane.dynamics, Bent(jnp.asarray(bend), jnp.asarray(size)), 1)
+
+
+@pytest.mark.slow
+def test_steps_compose_to_rounding_or_not_at_all_and_the_choice_flips_once():
+    bends = np.array([0.0, *10.0 ** np.arange(-16, 1)])
+    choices = [chosen(classify(bent(bend))) for bend in bends]
+    composing = choices.count("direct")
+    assert choices == ["direct"] * composing + ["rattle"] * (len(bends) - composing)
+    assert 1e-14 < bends[composing] < 1e-10
+    for size in SCALES:
+        assert [chosen(classify(bent(bend, size))) for bend in (0.0, 1e-14, 1e-9, 0.1)] == ["direct"] * 2 + ["rattle"] * 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("bend", [1e-11, 1e-7])
+def test_a_final_manifold_that_is_hardly_curved_is_kept(bend):
+    c = classify(bent(bend))
+    method = singular_integrator(c, Midpoint(Addition(PLANE)))
+    path = integrate(c.problem, method, c.manifold.nearby((jnp.array([0.5, 0.3]), jnp.array([0.3, 0.0]))), 0.5, 1000)
+    assert np.max(np.abs(jax.vmap(lambda q, p: c.equations((q, p)))(path.q, path.p))) < 1e-12
+
+
+class Carried(eqx.Module):
+    """``time (y, u1 , u2 + bend x u1)``."""
+
+    bend: Array
+    time: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return self.time * jnp.stack([q[1], u[0], u[1] + self.bend * q[0] * u[0]])
+
+
+class Paid(eqx.Module):
+    """A cost of states, and of the second control, of a size that is a number."""
+
+    weight: Array
+    size: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return self.size * (self.weight * u[1] ** 2 / 2 + q @ q / 2 + q[0] ** 4 / 4)
+
+
+def carried(bend: float, time: float = 1.0, weight: float = 1.0, size: float = 1.0) -> OptimalControlProblem:
+    b, t, w, s = map(jnp.asarray, (bend, time, weight, size))
+    return OptimalControlProblem(SPACE, Carried(b, t), Paid(w, s), 2)
+
+
+def reducible(problem: OptimalControlProblem) -> bool:
+    """Whether Goh's reduction applies; if not, because fields are not constant."""
+    try:
+        reduce_until_regular(problem)
+    except InvalidInputError as error:
+        if "their fields are not constant" in str(error):
+            return False
+        raise
+    return True
+
+
+def test_a_reduction_is_refused_where_fields_change_by_more_than_rounding_whatever_their_units():
+    bends = np.array([0.0, *10.0 ** np.arange(-16, 1)])
+    verdicts = [reducible(carried(bend)) for bend in bends]
+    assert verdicts == sorted(verdicts, reverse=True)
+    assert 1e-14 < bends[verdicts.index(False)] < 1e-10
+    for scale in 10.0 ** np.array([-12, -9, -6, 6, 9, 12]):
+        for units in np.where(np.eye(3, dtype=bool), scale, 1.0)[:, :2]:
+            assert reducible(carried(0.0, units[0], 1.0, units[1]))
+            assert not reducible(carried(0.1, units[0], 1.0, units[1]))
+
+
+def test_constraints_that_do_not_commute_are_refused_in_all_units():
+    class Coupled(eqx.Module):
+        twist: Array
+        size: Array
+
+        def __call__(self, q: Array, u: Array) -> Array:
+            return self.size * (q @ q / 2 + q[1] * u[0] + (1 + self.twist) * q[0] * u[1])
+
+    def verdict(twist: float, size: float) -> str:
+        cost = Coupled(jnp.asarray(twist), jnp.asarray(size))
+        try:
+            reduce_until_regular(OptimalControlProblem(PLANE, lambda q, u: u, cost, 2))
+        except InvalidInputError as error:
+            return str(error)
+        return ""
+
+    for size in 10.0 ** np.array([-9, 0, 9]):
+        assert verdict(0.0, size) == verdict(1e-15, size) == ""
+        for twist in (1e-10, 1e-6, 1e-2):
+            assert "do not commute" in verdict(twist, size), (twist, size)
+
+
+@pytest.mark.slow
+def test_all_verdicts_stay_through_units_and_small_costs():
+    expected = applying(classify(carried(0.0)))
+    assert expected == ["direct", "rattle", "reduced", "project"]
+    for scale in SCALES[::3]:
+        for units in np.where(np.eye(3, dtype=bool), scale, 1.0):
+            assert applying(classify(carried(0.0, *units))) == expected, units
+            assert applying(classify(carried(0.1, *units))) == ["rattle", "project"], units
+
+
+@pytest.mark.slow
+def test_functions_with_a_domain_are_looked_at_where_they_are_finite():
+    """``x' = log y``, ``y' = u``: half of all random states are outside of the domain."""
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: jnp.stack([jnp.log(q[1]), u[0]]), lambda q, u: (q[0] - jnp.sqrt(q[1])) ** 2 / 2 + q[1] ** 2, 1
+    )
+    near = jnp.array([0.3, 1.2]), jnp.array([0.2, 0.0])
+    found = classify(problem, near=near)
+    assert {"rattle", "reduced"} <= set(applying(found))
+    method = singular_integrator(found, Midpoint(Addition(PLANE)), "reduced")
+    assert isinstance(method, ReducedIntegrator)
