@@ -68,8 +68,9 @@ def real_number(name: str, value: Any) -> Array:
         raise InvalidInputError(f"{name} must return a real number, got a complex one; try jnp.real(...) of it, or vdot and abs")
     if not jnp.issubdtype(kind, jnp.number):
         raise InvalidInputError(f"{name} must return a real number, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
-    if np.shape(value) != ():
-        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {np.shape(value)}; sum it or pick an entry")
+    shape = getattr(value, "shape", ())
+    if shape != ():
+        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {shape}; sum it or pick an entry")
     return in_precision(name, value, working_precision())
 
 

@@ -49,11 +49,11 @@ def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: 
 
     def derivatives(c: Array, covector: Ambient) -> tuple[Array, Array]:
         def slope(c: Array) -> tuple[Array, Array]:
-            slope = jax.jacrev(lambda c: parts(problem, q, u, covector, c))(c)
-            return slope, slope
+            value = jax.jacrev(lambda c: parts(problem, q, u, covector, c))(c)
+            return value, value
 
-        curvature, slope = jax.jacfwd(slope, has_aux=True)(c)
-        return slope, curvature
+        curvature, value = jax.jacfwd(slope, has_aux=True)(c)
+        return value, curvature
 
     return Probed(controls, normals, sizes, costs, *jax.vmap(derivatives)(*with_rest(directions, covectors)))
 
@@ -130,9 +130,9 @@ def flats(probed: Probed, directions: np.ndarray) -> list[list[Flat]]:
             # Where the flat direction turns with the control, as around a cone, the line from rest is another one.
             constant = all(_contains(other, d) for other in others)
             lines = here, (0 * d, probed.curvatures[0], _contains(rest, d)) if constant else here
-            bases, both, flat = zip(*lines, strict=True)
-            sizes = np.abs(d @ np.stack(both) @ d) + rounding * (np.abs(d) @ np.abs(both) @ np.abs(d))
-            found[-1].append(Flat(d, k, np.stack(bases), sizes, flat))
+            bases, both = (np.stack([line[i] for line in lines]) for i in (0, 1))
+            sizes = np.abs(d @ both @ d) + rounding * (np.abs(d) @ np.abs(both) @ np.abs(d))
+            found[-1].append(Flat(d, k, bases, sizes, tuple(line[2] for line in lines)))
     return found
 
 
@@ -191,7 +191,8 @@ def bend(flat: Flat, found: AlongLine) -> Bend | None:
     for part in range(len(PARTS)):
         for line in np.flatnonzero(flat.flat):
             with np.errstate(all="ignore"):  # far along the line a function may overflow, and is not looked at there
-                turned, off, jumps = _departures(*(a[line, :, part] for a in found[:2]), flat.curvatures[line, part])
+                along: Any = found.values[line, :, part], found.slopes[line, :, part], flat.curvatures[line, part]
+                turned, off, jumps = _departures(*along)
                 curves = np.abs(found.curvatures[..., part]) * np.maximum(np.abs(LADDER), np.min(REACH))
             if off.any():
                 seen = np.max(curves, where=np.isfinite(curves), initial=0.0)

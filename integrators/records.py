@@ -192,7 +192,8 @@ def _fitted(name: str, value: Any, hint: Any, context: _Context) -> Any:
         hints = get_type_hints(hint, include_extras=True)
         if not (isinstance(value, dict) and set(value) == set(hints)):
             raise InvalidInputError(f"{name} is {_words(value)}, expected the fields {', '.join(hints)}")
-        return hint(**{key: _fitted(f"{name}: {key}", part, hints[key], context) for key, part in value.items()})
+        made: Any = hint
+        return made(**{key: _fitted(f"{name}: {key}", part, hints[key], context) for key, part in value.items()})
     if kind is dict or (kind is Annotated and get_origin(arguments[0]) is dict):
         if not isinstance(value, dict):
             raise InvalidInputError(f"{name} is {_words(value)}, expected values by their names")

@@ -10,7 +10,7 @@ taken. Where a step has brought the residual below a hundredth, the matrices ser
 more digits than that step did.
 """
 
-from typing import NamedTuple, final
+from typing import NamedTuple, cast, final
 
 import equinox as eqx
 import jax
@@ -18,6 +18,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from ..results import Result
+from ..stages import ControlStage
 from .assembly import Assembled, DiscreteTrajectory, Iterate
 from .claims import Residuals, Sizes, correction, own_sizes, residuals
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
@@ -107,7 +108,7 @@ def _next(problem: DiscreteTrajectory, state: _State, tolerance: ArrayLike) -> _
     """Assemble the trial, judge it, and compute the next one."""
     chord = state.fast
     assembled = problem.assemble(state.trial, state.assembled, chord)
-    sizes = own_sizes(problem.stage.problem, state.trial, assembled)
+    sizes = own_sizes(cast(ControlStage, problem.stage).problem, state.trial, assembled)
     units = jax.lax.cond(state.trials == 0, lambda: _units(assembled, sizes), lambda: state.units)
     found = residuals(assembled, sizes, units)
     state, good = _judge(assembled, found, state._replace(units=units), tolerance)

@@ -212,7 +212,7 @@ def _kernel(discrete: DiscreteTrajectory, guess: Guess, tolerance: Array, max_it
     costates = jax.vmap(stage.manifold.projection)(found.nodes, found.costates)
     diagnostics = diagnose(stage, newton.iterate.unknowns, found.nodes, costates)
     trajectory = newton.iterate.unknowns, found.nodes, costates
-    checks = found.cost, *newton.residuals, newton.strict_minimum
+    checks = found.cost, newton.residuals.gap, newton.residuals.stationarity, newton.strict_minimum
     return _Output(*trajectory, *checks, newton.iterations, newton.result == Result.successful, newton.result, diagnostics)
 
 

@@ -92,7 +92,8 @@ def run(system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], ste
     first = node(integrator, carry)
     q, p = jax.tree.map(lambda a: np.empty((saves + 1, *a.shape), a.dtype), (first.q, first.p))
     controls = jax.tree.map(lambda a: np.empty((saves, *a.shape), a.dtype), first.controls)
-    nodes, later = Nodes(q, p, controls), Nodes(*jax.tree.map(lambda a: a[1:], (q, p)), controls)
+    nodes, ends = Nodes(q, p, controls), jax.tree.map(lambda a: a[1:], (q, p))
+    later = Nodes(ends[0], ends[1], controls)
     _put((q, p), slice(0, 1), (first.q, first.p))
     size = min(PIECE_NODES, max(1, PIECE_BYTES // max(1, sum(leaf.nbytes for leaf in jax.tree.leaves(first)))))
     done, count, total = 0, FIRST_PIECE, saves * every

@@ -118,12 +118,12 @@ def integrate(
     warn_about_precision()
     q0, p0 = _checked_start(integrator.manifold, start)
     system = by_data(system)
-    step_size, count, every = jnp.asarray(step_size, float), int(steps) // int(save_every), int(save_every)
-    arguments = system, integrator, (q0, p0), step_size, count, every
+    count, every = int(steps) // int(save_every), int(save_every)
+    arguments = system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every
     transformed = is_transformed(arguments)
     if not transformed:
         integrator.check(system, q0, p0)
-    scanned = transformed or jax.config.jax_disable_jit
+    scanned = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
     trajectory = _scanned(*arguments) if scanned else _in_pieces(*arguments)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)

@@ -121,7 +121,12 @@ class RattleIntegrator(SingularIntegrator):
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
         w = jax.lax.stop_gradient(unknowns[1])
-        last, arrived = find_root(lambda t: split.secondary(*flow(near, t), w), jnp.zeros(m), times)
+
+        def rate(t: Array) -> Array:
+            q, p = flow(near, t)
+            return split.secondary(q, p, w)
+
+        last, arrived = find_root(rate, jnp.zeros(m), times)
         q2, p2 = flow(near, last)
         memory = _Memory(unknowns, (2 * moved + last) / h)
         new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))

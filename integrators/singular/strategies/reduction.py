@@ -185,7 +185,8 @@ def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], key: Arra
             return jnp.concatenate([jnp.zeros(0), *leaves]), x, problem.cost_rate(z[0], u)
 
         curvature = relative_curvature(problem, z, u)[places]
-        return z[0], _Sample(*(leaf[..., places] for leaf in jax.jacfwd(along)(u)), curvature)
+        others, fields, rates = (leaf[..., places] for leaf in jax.jacfwd(along)(u))
+        return z[0], _Sample(others, fields, rates, curvature)
 
     return first_finite(jax.vmap(at)(*states_near(problem, key, near)))
 

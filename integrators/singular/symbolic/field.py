@@ -179,7 +179,7 @@ def _factors(function: Expression) -> dict[Expression, int]:
     factors: dict[Expression, int] = {}
     for part, sign in zip(sympy.fraction(sympy.cancel(function)), (1, -1), strict=True):
         constant, polynomials = sympy.factor_list(part)
-        primes = sympy.factorrat(abs(constant)) if constant.is_Rational else {constant: 1}
+        primes: Any = sympy.factorrat(abs(constant)) if constant.is_Rational else {constant: 1}
         for factor, k in [*polynomials, *primes.items()]:
             factors[factor] = factors.get(factor, 0) + sign * k
     return factors

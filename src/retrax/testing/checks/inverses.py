@@ -37,7 +37,7 @@ def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
     def hint(k: int) -> str:
         singular = f", and D_v R is singular there, its condition is {number(condition[k])}" if condition[k] > SINGULAR else ""
         length = np.linalg.norm(f["v"][k])
-        return f"the domain has this v, {number(length)} long{singular}; try one that ends before" if length > 0 else ""
+        return f"the domain has this v, {number(float(length))} long{singular}; try one that ends before" if length > 0 else ""
 
     return facts.compare("|R_x^-1(R(x, v)) - v|", f, f["back"], f["v"], limit, ("R_x^-1(R(x, v))", "v"), hint)
 
