@@ -1,6 +1,6 @@
 """How the functions of a problem depend on the controls, seen at a few of them: curved, flat, or kinked."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp

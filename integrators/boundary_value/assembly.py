@@ -117,7 +117,7 @@ class DiscreteTrajectory(eqx.Module):
         frames = jax.vmap(self.stage.manifold.basis)(nodes)
         gap = jax.vmap(vec.components)(frames, gaps)
         gap = gap.at[0].multiply(self.start.mask()).at[-1].multiply(self.end.mask())
-        distance = jnp.max(jnp.abs(vec.flatten_frame(gaps)), axis=0)
+        distance = vec.largest(vec.flatten_frame(gaps), axis=0)
         charts = jax.vmap(self.stage.frame)(iterate.unknowns)
         return _AtNodes(charts, nodes, distance, frames, gap, *self._multipliers(iterate.costates, nodes, frames))
 

@@ -63,7 +63,7 @@ def _gap(assembled: Assembled, sizes: Sizes, units: Units) -> Array:
     own = jnp.maximum(sizes.spreads, VALUE * sizes.values)
     along = jnp.maximum(jnp.max(sizes.support * own, axis=1, initial=0.0), SHARE * units.nodes)
     entries = jnp.maximum(own, jnp.max(sizes.support * along[:, None], axis=0, initial=0.0))
-    return jnp.max(assembled.gap / jnp.where(entries > 0, entries, 1.0))
+    return vec.largest(assembled.gap / jnp.where(entries > 0, entries, 1.0))
 
 
 def _stationarity(assembled: Assembled, units: Units) -> Array:
@@ -76,7 +76,7 @@ def _stationarity(assembled: Assembled, units: Units) -> Array:
     parts = d * jnp.max(jnp.abs(assembled.gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
     curvature = d * d * jnp.max(jnp.abs(jnp.diagonal(blocks.hessian, axis1=1, axis2=2)), axis=0)
     scale = jnp.maximum(jnp.maximum(parts, SHARE * curvature), SHARE * jnp.max(parts))
-    return jnp.max(jnp.abs(blocks.slope) * d / jnp.where(scale > 0, scale, 1.0))
+    return vec.largest(blocks.slope * d / jnp.where(scale > 0, scale, 1.0))
 
 
 def correction(solution: BlockSolution, sizes: Sizes, units: Units) -> Array:
@@ -85,4 +85,4 @@ def correction(solution: BlockSolution, sizes: Sizes, units: Units) -> Array:
     It is ``K^-1`` times the residual, rounding included. Where K is singular to rounding, it is as large as the trajectory.
     """
     own = jnp.concatenate([jnp.max(sizes.support * (sizes.spreads + sizes.values), axis=1, initial=0.0), sizes.controls])
-    return jnp.max(jnp.abs(solution.steps) * units.unknowns / jnp.maximum(own, SHARE * units.unknowns))
+    return vec.largest(solution.steps * units.unknowns / jnp.maximum(own, SHARE * units.unknowns))

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from ...manifolds.numerics import ambient as vec
 from ..results import Result
 from ..stages import ControlStage
 from .assembly import Assembled, DiscreteTrajectory, Iterate
@@ -155,13 +156,8 @@ def _units(assembled: Assembled, sizes: Sizes) -> Units:
 
 
 def _solvable(state: _State) -> Array:
-    finite = jnp.isfinite(_largest(state.factors.steps)) & jnp.isfinite(_largest(state.factors.multipliers))
+    finite = jnp.isfinite(vec.largest(state.factors.steps)) & jnp.isfinite(vec.largest(state.factors.multipliers))
     return finite & (state.shift < LARGEST_SHIFT)
-
-
-def _largest(a: Array) -> Array:
-    """Largest absolute entry."""
-    return jnp.max(jnp.abs(a))
 
 
 def _held(assembled: Assembled, units: Units) -> Array:
@@ -266,7 +262,7 @@ def _promise(assembled: Assembled, units: Units, factors: BlockSolution, descend
 def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> Result:
     """The result code of a finished iteration."""
     finite = jnp.isfinite(state.residuals.largest) & jnp.isfinite(state.assembled.cost)
-    meets = jnp.max(jnp.abs(state.assembled.blocks.gap) / state.units.nodes) <= tolerance
+    meets = vec.largest(state.assembled.blocks.gap / state.units.nodes) <= tolerance
     wrong = (state.residuals.stationarity <= tolerance) & meets & (state.residuals.gap > tolerance)
     undetermined = (state.residuals.largest <= tolerance) & ~state.determined
     result = Result.where(state.trials > max_iterations, Result.too_many_iterations, Result.no_improvement)

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool
 
 from ...manifolds import ConvergenceError, PresymplecticManifold
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_traced
 from ...manifolds.symplectic import form_matrix
 from ..compilation import compiled
@@ -40,4 +41,4 @@ def _defect(
     frame = space.manifold.basis(z)
     end, push, solved = jax.linearize(step, z, has_aux=True)
     change = form_matrix(space.form, end, jax.vmap(push)(frame)) - form_matrix(space.form, z, frame)
-    return jnp.max(jnp.abs(change), initial=0.0), solved
+    return vec.largest(change), solved

@@ -91,15 +91,17 @@ def normal(key: Array, ambient: PyTree) -> Ambient:
     return jax.tree.unflatten(structure, drawn)
 
 
+def largest(a: Array, axis: int | None = None) -> Array:
+    """Largest absolute entry along an axis, by default of all; NaN if one is, and zero if there are none."""
+    # Maxima of some thousand arrays at once pass over entries that are NaN (XLA 0.10 on processors).
+    unknown = jnp.any(jnp.isnan(a), axis)
+    return jnp.where(unknown, jnp.nan, jnp.max(jnp.abs(a), axis, initial=0.0))
+
+
 def size(a: Ambient) -> Array:
     """Largest absolute entry ``max |a_i|``; NaN if any entry is."""
-    leaves = [leaf for leaf in jax.tree.leaves(a) if leaf.size]
-    if not leaves:
-        return jnp.zeros(())
-    largest = jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in leaves]))
-    # Maxima of some thousand arrays at once pass over entries that are NaN (XLA 0.10 on processors).
-    unknown = jnp.any(jnp.stack([jnp.any(jnp.isnan(leaf)) for leaf in leaves]))
-    return jnp.where(unknown, jnp.nan, largest)
+    leaves = [largest(leaf) for leaf in jax.tree.leaves(a) if leaf.size]
+    return largest(jnp.stack(leaves)) if leaves else jnp.zeros(())
 
 
 def combine(frame: Frame, coordinates: Coordinates) -> Ambient:

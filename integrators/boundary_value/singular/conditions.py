@@ -87,7 +87,7 @@ def _violations(condition: NodeCondition, z: Pair, rows: Array) -> Iterator[tupl
         here = slice(leaf, leaf + part.leaves)
         missed = [vec.size(a - b) / (1 + vec.size(b)) for a, b in zip(reached[here], wanted[here], strict=True)]
         costate = vec.size(rows[row : row + part.dimension]) / (1 + vec.size(z[1]))
-        yield part_name(part), jnp.max(jnp.stack(missed)) if part.fixed and missed else costate
+        yield part_name(part), vec.largest(jnp.stack(missed)) if part.fixed and missed else costate
         leaf, row = leaf + part.leaves, row + part.dimension
 
 

@@ -162,7 +162,7 @@ def _outcome() -> Callable[..., _Outcome]:
         stage = ControlStage(problem=problem, discretization=discretization, step=shooting.step)
         cost = jnp.sum(jax.vmap(stage.cost)((states, controls)))
         cost = cost + problem.final_cost(jax.tree.map(lambda leaf: leaf[-1], z[0]))
-        residual = jnp.max(jnp.abs(jax.vmap(equations)(z)), initial=0.0)
+        residual = vec.largest(jax.vmap(equations)(z))
         diagnostics = diagnose(stage, (states, controls), *z)
         first, last = (jax.tree.map(lambda leaf, s=s: leaf[s], z) for s in (slice(None, -1), slice(1, None)))
         claims = stationarity(problem, (first, (states, diagnostics.stage_costates), last), controls)

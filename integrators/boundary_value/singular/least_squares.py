@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ....manifolds.numerics import ambient as vec
+
 NEGLIGIBLE = 1e-11  # singular values below this fraction of the largest are taken for zero
 FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-3, 1e4, 10.0  # in units of the largest singular value
 MAX_STEPS = 60
@@ -34,7 +36,7 @@ def least_squares(
 
     def going(state: tuple[Array, Array, Array, Array]) -> Array:
         _, r, damping, count = state
-        return (jnp.max(jnp.abs(r)) > SOLVED) & (damping < LARGEST_DAMPING) & (count < MAX_STEPS)
+        return (vec.largest(r) > SOLVED) & (damping < LARGEST_DAMPING) & (count < MAX_STEPS)
 
     first = residual(start)
     if not first.size:

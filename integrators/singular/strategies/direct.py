@@ -137,7 +137,7 @@ def _departure(final: Manifold, begin: tuple[Ambient, Ambient], end: tuple[Ambie
         return jnp.zeros(())
     values, normals = final.values(end)
     terms = [vec.coordinate_sizes(normals, z) for z in (begin, end)]
-    return jnp.max(jnp.abs(values) / (1 + jnp.maximum(*terms)))
+    return vec.largest(values / (1 + jnp.maximum(*terms)))
 
 
 def _time(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
