@@ -69,13 +69,13 @@ def _gap(assembled: Assembled, sizes: Sizes, units: Units) -> Array:
 def _stationarity(assembled: Assembled, units: Units) -> Array:
     """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
 
-    Where all parts vanish, at an optimum of the cost itself, the curvature sets the scale.
+    Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate sets the scale.
     """
     blocks, d = assembled.blocks, units.unknowns
     starts, ends = shares(blocks, assembled.coordinates)
     parts = d * jnp.max(jnp.abs(assembled.gradient) + jnp.abs(starts) + jnp.abs(ends), axis=0)
     curvature = d * d * jnp.max(jnp.abs(jnp.diagonal(blocks.hessian, axis1=1, axis2=2)), axis=0)
-    scale = jnp.maximum(jnp.maximum(parts, SHARE * curvature), SHARE * jnp.max(parts))
+    scale = jnp.maximum(parts, SHARE * jnp.maximum(jnp.max(parts), jnp.max(curvature)))
     return vec.largest(blocks.slope * d / jnp.where(scale > 0, scale, 1.0))
 
 
