@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..manifolds import DomainError, Manifold, Metric, UnknownRetractionError
+from ..manifolds import DomainError, Manifold, Metric
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import Retraction
@@ -27,21 +27,11 @@ class Geometry(eqx.Module):
     retraction: Retraction
     metric: Metric
     conventions: Conventions
-    known_exponential: Retraction | None
+    exponential: Retraction  # that of the metric
 
     def __init__(self, manifold: Manifold, retraction: Retraction, metric: Metric, conventions: Conventions) -> None:
         self.manifold, self.retraction, self.metric, self.conventions = manifold, retraction, metric, conventions
-        try:
-            self.known_exponential = exponential_map(metric)  # here, where the numbers in the metric are not traced
-        except UnknownRetractionError:
-            self.known_exponential = None
-
-    @property
-    def exponential(self) -> Retraction:
-        """The exponential map of the metric; raises ``NotImplementedError``, which both libraries expect, if none is known."""
-        if self.known_exponential is None:
-            raise NotImplementedError(f"no exponential map is known on {self.manifold}; use the retraction, and its inverse")
-        return self.known_exponential
+        self.exponential = exponential_map(metric)  # here, where the numbers in the metric are not traced
 
     @property
     def is_symmetric(self) -> bool:

@@ -87,7 +87,6 @@ def exponential_map(metric: Metric) -> Retraction:
     """The exponential map of a metric: a closed form where one is known, else geodesics in 8 steps of order 8.
 
     On SE(n), U(n) and SU(n) the embedded metric is meant, whose geodesics are decoupled motions and one-parameter subgroups.
-    Raises ``UnknownRetractionError`` where there is neither a closed form nor a retraction to make steps from.
     """
     metric = split(metric)
     manifold = metric.manifold

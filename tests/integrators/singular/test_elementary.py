@@ -193,7 +193,7 @@ ODD = {
     "jnp.where in place of if": lambda x, y: y if x > 0 else x,
     "jnp.sin in place of np.sin": lambda x, y: np.sin(y),
     "contain the constant nan": lambda x, y: y + jnp.nan,
-    "problem's functions fail on arrays": lambda x, y: jnp.stack([y, jnp.ones(2)]),
+    "problem's functions fail at a point": lambda x, y: jnp.stack([y, jnp.ones(2)]),
 }
 
 
