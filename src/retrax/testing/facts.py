@@ -123,13 +123,11 @@ class Facts(ABC):
         """Derivatives against differences of ``values`` by ``along``, which are as good as the coarser ones say."""
         longest = np.broadcast_to(step, len(exact))
         chosen = [_best_differences(v, h) for v, h in zip(values, longest, strict=True)]
-        fine, unsure, steps = (np.stack(part) for part in zip(*chosen, strict=True))
+        fine, unsure, steps, sizes = (np.stack(part) for part in zip(*chosen, strict=True))
         limit = np.minimum(self.tolerance / steps + unsure, WORST)
         found = self.compare(what, at, exact, fine, limit)
-        hidden = precision().floor * (1 + np.max(np.abs(values.reshape(len(exact), -1)), axis=1)) / steps > WORST * (
-            1 + largest_entries(fine)
-        )
-        return replace(found, hidden=hidden, because="differences as short as the domain are rounding")
+        hidden = precision().floor * (1 + sizes) / steps > WORST * (1 + largest_entries(fine))
+        return replace(found, hidden=hidden, because="where differences of both orders agree they are rounding")
 
     def bound(
         self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most", hint: Hint | None = None
@@ -139,13 +137,13 @@ class Facts(ABC):
         return Comparison(what, measured, np.broadcast_to(np.asarray(limit, float), measured.shape), at, side, hint)
 
 
-def _best_differences(values: np.ndarray, step: float) -> tuple[np.ndarray, float, float]:
-    """Differences of order 6 at the longest step at which those of order 4 agree, how far they are from these, and the step."""
+def _best_differences(values: np.ndarray, step: float) -> tuple[np.ndarray, float, float, float]:
+    """Differences of order 6 at the longest step at which those of order 4 agree; their distance, the step, size of values."""
     found = []
     for part, scale in zip(values, SCALES, strict=False):
         fine, coarse = (d(part, scale * step) for d in (differences, coarse_differences))
         unsure = float(np.nan_to_num(np.max(np.abs(fine - coarse), initial=0.0), nan=np.inf))
-        found.append((fine, unsure, scale * step))
+        found.append((fine, unsure, scale * step, float(np.max(np.abs(part), initial=0.0))))
         if unsure <= 0.1 * WORST * (1 + np.max(np.abs(fine), initial=0.0)):
             break
     return min(found, key=lambda one: one[1])

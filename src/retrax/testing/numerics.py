@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Manifold
+from ..manifolds.manifold import working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 
@@ -101,7 +102,7 @@ _COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
 
 def along(function: Callable, step: Any) -> jax.Array:
     """Values of a function of a number at ``step NODES``, and at shorter steps: of shape ``(steps, nodes, ...)``."""
-    times = step * SCALES[:, None] * NODES
+    times = step * jnp.asarray(SCALES[:, None] * NODES, working_precision())
     values = jax.vmap(function)(times.reshape(-1))
     return values.reshape(times.shape + values.shape[1:])
 

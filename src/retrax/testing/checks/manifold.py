@@ -85,7 +85,7 @@ def _equations(manifold: Manifold, sample: Sample) -> dict:
     def restored(y: jax.Array) -> jax.Array:
         return flat(manifold.restore(back(y)))
 
-    distances = jnp.asarray(precision().distances)
+    distances = jnp.asarray(precision().distances, x.dtype)
     return {
         "on": violation(x),
         "tangent line": jax.vmap(lambda t: violation(x + t * unit))(distances),
