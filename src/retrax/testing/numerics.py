@@ -128,4 +128,4 @@ def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
 
 def is_hidden(errors: np.ndarray, floor: float) -> bool:
     """Whether some errors are above the rounding ``floor``, but too few for a slope."""
-    return 0 < np.sum(errors > floor) < SHOWN
+    return bool(0 < np.sum(errors > floor) < SHOWN)
