@@ -21,7 +21,10 @@ from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
 
 
 class _RotatedProjector(MidpointRetraction):
-    """``R(x, v) = q x q'``; the midpoint projects on the positive eigenspace of ``x0 + x1 - I``."""
+    """``R(x, v) = q x q'``; the midpoint projects on the positive eigenspace of ``x0 + x1 - I``.
+
+    The eigenvalues of that are the cosines of the principal angles, with both signs; where one is lost in rounding it is NaN.
+    """
 
     manifold: Grassmann
 
@@ -36,7 +39,8 @@ class _RotatedProjector(MidpointRetraction):
     def midpoint(self, x0: Array, x1: Array) -> Array:
         eye = jnp.eye(x0.shape[0], dtype=x0.dtype)
         reflection = polar_factor(x0 + x1 - eye)
-        return (eye + (reflection + reflection.T) / 2) / 2
+        least = jnp.min(jnp.abs(jnp.linalg.eigvalsh(jax.lax.stop_gradient(x0 + x1 - eye))))
+        return nan_unless(keeps_half_the_digits(1 / least), (eye + (reflection + reflection.T) / 2) / 2)
 
 
 def _singular_values(v: Array) -> Array:

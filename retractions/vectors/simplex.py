@@ -22,7 +22,9 @@ class SimplexExponential(Retraction):
     manifold: Simplex
 
     def __call__(self, x: Array, v: Array) -> Array:
-        y = jax.nn.softmax(jnp.log(x) + v / x)
+        logs = jnp.log(x) + v / x
+        # Relative to the largest, of which derivatives would be multiplied by 1 - y, a difference, where y is nearly 1.
+        y = jax.nn.softmax(logs - logs[jnp.argmax(logs)])
         return nan_unless(jnp.all(y >= jnp.finfo(y.dtype).tiny), y)
 
     def preimage(self, x: Array, y: Array) -> Array:

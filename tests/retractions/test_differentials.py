@@ -3,10 +3,12 @@
 from functools import lru_cache
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.retractions import DifferentiatedRetraction
+from retrax.manifolds import Simplex
+from retrax.retractions import DifferentiatedRetraction, Exponential
 from retrax.testing.checks.derivatives import flat_retraction
 
 from tests.support.cases import RETRACTIONS, reach
@@ -39,3 +41,18 @@ def test_closed_forms_are_the_derivatives(name, seed, fraction):
     pushed, pulled, forward, reverse = _derivatives(name)(x, v, w, c)
     np.testing.assert_allclose(pushed, forward, rtol=0, atol=1e-14 * (1 + np.max(np.abs(forward))))
     np.testing.assert_allclose(pulled, reverse, rtol=0, atol=1e-14 * (1 + np.max(np.abs(reverse))))
+
+
+def test_derivatives_on_the_simplex_keep_their_digits_however_far_one_entry_prevails():
+    # y = 1 / (1 + e^-gap) and 1 - y, by gap = v_1 / x_1 - v_2 / x_2 = 4 c of the vector (c, -c) at (1/2, 1/2).
+    retraction, x, gaps = Exponential(Simplex(1)), np.array([0.5, 0.5]), np.linspace(-600.0, 600.0, 241)
+
+    def along(c):
+        return retraction(x, jnp.stack([c, -c]))
+
+    first, second = compiled(jax.vmap(lambda c: (jax.jacfwd(along)(c), jax.jacfwd(jax.jacrev(along))(c))))(gaps / 4)
+    small = np.exp(-np.abs(gaps))
+    slope = 4 * small / (1 + small) ** 2
+    curvature = -4 * slope * np.sign(gaps) * (1 - small) / (1 + small)
+    for found, expected in ((first, slope), (second, curvature)):
+        np.testing.assert_allclose(found, np.stack([expected, -expected], axis=1), rtol=1e-12, atol=1e-300)

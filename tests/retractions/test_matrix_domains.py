@@ -2,19 +2,24 @@
 
 from functools import lru_cache
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
 from retrax.manifolds import DomainError, FixedRank, Grassmann, Oblique, Stiefel
+from retrax.manifolds.numerics import ambient as vec
+from retrax.manifolds.numerics.frames import qr_factor
 from retrax.retractions import (
     QR,
     Cayley,
     Columnwise,
     Exponential,
     FixedRankOrthographic,
+    Midpoint,
     Polar,
     Projection,
+    Retraction,
     StiefelCanonicalExponential,
 )
 from scipy.optimize import brentq
@@ -226,3 +231,37 @@ def test_outside_the_image_the_inverse_says_so(name):
     retraction, x, y = OUTSIDE[name]
     with pytest.raises(DomainError, match=rf"outside the image of {type(retraction).__name__} .* take a nearer point"):
         retraction.inverse(jnp.asarray(x), jnp.asarray(y))
+
+
+@lru_cache
+def _midpoint_of_subspaces(retraction: Retraction):
+    """Midpoints of subspaces with given principal angles: how far the inverse's values are from the points, and its vector."""
+    midpoint = Midpoint(retraction)
+
+    def facts(key: jax.Array, angles: jax.Array) -> tuple[jax.Array, ...]:
+        q = qr_factor(jax.random.normal(key, (4, 4)))
+        frame = q[:, :2] * jnp.cos(angles) + q[:, 2:] * jnp.sin(angles)
+        ends = q[:, :2] @ q[:, :2].T, frame @ frame.T
+        x, v = midpoint.preimage(*ends)
+        return vec.size(vec.subtract(midpoint(x, v), ends)), jnp.linalg.svd(v, compute_uv=False)[0]
+
+    return compiled(jax.vmap(jax.vmap(facts, (0, None)), (None, 0)))
+
+
+@pytest.mark.parametrize("double", [True, False], ids=["double", "single"])
+@pytest.mark.parametrize("family", [Cayley, pytest.param(Polar, marks=pytest.mark.slow)])
+def test_the_midpoint_of_subspaces_is_nan_where_the_cosine_of_an_angle_is_rounding(family, double):
+    # Through the right angle at all distances: an angle beyond it is that of nearer points, as subspaces have no orientation.
+    with jax.enable_x64(double):
+        eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)
+        gaps = np.geomspace(eps, 1.0, 30)
+        first = np.concatenate([np.pi / 2 - gaps, np.pi / 2 + gaps])
+        angles = jnp.asarray(np.stack([first, np.full(60, 0.3)], axis=1))
+        missed, length = _midpoint_of_subspaces(family(Grassmann(4, 2)))(jax.random.split(jax.random.key(0), 10), angles)
+    gaps, known = np.tile(gaps, 2), np.isfinite(length)
+    assert np.all(known[gaps > 5 * eps**0.5])
+    assert not np.any(known[gaps < 3 * eps**0.5])
+    assert np.max(missed[known]) < eps**0.5
+    turned = np.broadcast_to(np.minimum(first, np.pi - first)[:, None], length.shape)
+    expected = {Cayley: 4 * np.tan(turned / 4), Polar: 2 * np.tan(turned / 2)}[family]
+    assert np.max(np.abs(length - expected)[known]) < 4 * eps**0.5

@@ -233,11 +233,6 @@ def test_the_reach_asked_for_may_be_any_length():
         check_retraction(Exponential(SPHERE), only=name, reach=3.15)
 
 
-def test_single_precision_is_refused():
-    with jax.enable_x64(False), pytest.raises(InvalidInputError, match="double precision, got single"):
-        check_manifold(SPHERE)
-
-
 @given(x=strategies.points(SPHERE))
 def test_drawn_points_are_points(x):
     assert SPHERE.contains(x, 1e-14)

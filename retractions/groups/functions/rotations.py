@@ -81,7 +81,8 @@ def cayley_inverse(a: Matrix) -> Matrix:
     """``2 (a - I)(a + I)^-1``, skew, for a rotation without the eigenvalue -1."""
     n = a.shape[0]
     if n <= 3:
-        return 2 * (a - a.T) / (4 - n + jnp.trace(a))
+        below = 4 - n + jnp.trace(a)  # at a half turn it is rounding, as is a - a', which may be 0 without it
+        return 2 * (a - a.T) / jnp.where(below > 64 * jnp.finfo(a.dtype).eps, below, jnp.nan)
     omega = general.cayley_inverse(a)
     return (omega - omega.T) / 2
 

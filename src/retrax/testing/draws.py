@@ -1,5 +1,6 @@
 """Random points, tangent vectors and covectors from integer seeds, in flat real coordinates."""
 
+from collections.abc import Iterator
 from functools import cached_property
 
 import jax
@@ -9,9 +10,11 @@ from ..manifolds import CotangentBundle, Manifold, TangentBundle
 from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..retractions import Retraction
-from .numerics import Vector, compiled, flat, unflat
+from .numerics import Vector, compiled, flat, unflat, violation_kernel
+from .precision import precision
 
 RESTORING_STEPS = 12
+HALVINGS = 50
 RUNGS = 16  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
 
 
@@ -41,6 +44,7 @@ class Sampler:
             return vec.flatten_frame(TangentBundle(manifold).spanning_frame((self.unflat(x), self.unflat(v))))
 
         self.random, self.at = compiled(point), compiled(at)
+        self._violation = violation_kernel(manifold)
         self._nearest, self._frame = compiled(nearest), compiled(frame)
 
     def point(self, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -49,9 +53,16 @@ class Sampler:
         return x, *self.at(x, seed)
 
     def near(self, x: np.ndarray, rng: np.random.Generator, distance: float) -> np.ndarray:
-        """A point of the manifold about this far from ``x``, reached through the ambient space."""
+        """A point of the manifold about this far from ``x``, or nearer, reached through the ambient space.
+
+        Nearer where inequalities, which ``restore`` does not see, do not hold so far from ``x``.
+        """
         a = rng.standard_normal(x.size)
-        return self._nearest(x + distance * a / np.linalg.norm(a))
+        u = a / np.linalg.norm(a)
+        return next((y for y in self._candidates(x, distance * u) if self._violation(y)[0] <= precision().half), x)
+
+    def _candidates(self, x: np.ndarray, step: np.ndarray) -> Iterator[np.ndarray]:
+        return (self._nearest(x + 2.0**-k * step) for k in range(HALVINGS))
 
     def bundle_frame(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Frame of the tangent space of ``TM`` at ``(x, v)``, by rows; its second half is ``(0, e_i)``."""
@@ -66,15 +77,15 @@ class Sampler:
 class DomainEdge:
     """How far a retraction's domain reaches from a point in a direction without a gap.
 
-    ``margin`` is how near its edge, relatively, the domain is to be trusted: 1e-8, and 1e-2 where it is derived from a round
-    trip, as there rounding decides whether Newton's method ends. A gap between two of 16 multiples is not seen: domains that
-    lack isolated multiples of a vector are taken to hold them.
+    ``margin`` is how near its edge, relatively, the domain is to be trusted: ``sqrt(eps)``, and 1e-2 where it is derived from
+    a round trip, as there rounding decides whether Newton's method ends. A gap between two of 16 multiples is not seen:
+    domains that lack isolated multiples of a vector are taken to hold them.
     """
 
     def __init__(self, retraction: Retraction) -> None:
         back = unflat(retraction.manifold)
         self._derived = type(retraction).domain is Retraction.domain
-        self.margin, self._bisections = (1e-2, 14) if self._derived else (1e-8, 52)
+        self.margin, self._bisections = (1e-2, 14) if self._derived else (precision().half, 52)
         self._domain = compiled(lambda x, v: retraction.domain(back(x), back(v)))
         self._preimages = compiled(jax.vmap(lambda x, y: flat(retraction.preimage(back(x), back(y))), (None, 0)))
         self.move = compiled(lambda x, v: flat(retraction(back(x), back(v))))

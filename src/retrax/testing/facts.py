@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -11,14 +12,12 @@ import numpy as np
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
-from .numerics import coarse_differences, compiled, differences, require_double_precision, violation_kernel
+from .numerics import SCALES, coarse_differences, compiled, differences, violation_kernel
+from .precision import WORST, precision
 from .report import THE_VALUE, Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
 from .sites import Site, given_sites, special_sites
 
 SEEDS = tuple(range(6))
-TOLERANCE = 1e-12
-# Differences that are known no better than this say nothing.
-WORST_DIFFERENCES = 1e-3
 
 Sample = dict[str, Any]  # names of flat arrays and numbers
 
@@ -27,20 +26,20 @@ class Facts(ABC):
     """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads it.
 
     It is run at a random point for each seed, at points where formulas often fail, as the identity, and at the ``points`` given.
-    ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size.
+    ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size; default: 4500
+    times the machine epsilon of the precision that JAX is set to.
     """
 
     kind: type
     subject: Any
     manifold: Manifold
 
-    def __init__(self, subject: Any, seeds: Iterable[int], points: Iterable[Ambient], tolerance: float) -> None:
-        require_double_precision()
+    def __init__(self, subject: Any, seeds: Iterable[int], points: Iterable[Ambient], tolerance: float | None) -> None:
         if not isinstance(subject, self.kind):
             raise InvalidInputError(f"these are the checks of a {self.kind.__name__}, got {subject!r}; see list_checks(object)")
         self.subject = subject
         self.manifold = manifold = subject if isinstance(subject, Manifold) else subject.manifold
-        self.seeds, self.tolerance = tuple(seeds), tolerance
+        self.seeds, self.tolerance = tuple(seeds), precision().tolerance if tolerance is None else tolerance
         if not self.seeds:
             raise InvalidInputError("the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)")
         if not all(hasattr(leaf, "shape") and hasattr(leaf, "dtype") for leaf in jax.tree.leaves(manifold.ambient)):
@@ -116,17 +115,19 @@ class Facts(ABC):
         size = 1 + largest_entries(expected)
 
         def words(k: int) -> str:
-            return "; ".join(filter(None, (multiple(got[k], expected[k], *names), hint(k) if hint else "")))
+            return "; ".join(filter(None, (multiple(got[k], expected[k], *names, precision().half), hint(k) if hint else "")))
 
         return self.bound(what, at, largest_entries(got - expected) / size, limit, hint=words)
 
     def compare_slopes(self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float) -> Comparison:
-        """Derivatives against differences of ``values`` at ``step NODES``, which are as good as the coarser ones say."""
-        steps = np.broadcast_to(step, len(exact))
-        fine = np.stack([differences(v, h) for v, h in zip(values, steps, strict=True)])
-        coarse = np.stack([coarse_differences(v, h) for v, h in zip(values, steps, strict=True)])
-        limit = np.minimum(1e3 * self.tolerance + largest_entries(fine - coarse), WORST_DIFFERENCES)
-        return self.compare(what, at, exact, fine, limit)
+        """Derivatives against differences of ``values`` by ``along``, which are as good as the coarser ones say."""
+        longest = np.broadcast_to(step, len(exact))
+        chosen = [_best_differences(v, h) for v, h in zip(values, longest, strict=True)]
+        fine, unsure, steps, sizes = (np.stack(part) for part in zip(*chosen, strict=True))
+        limit = np.minimum(self.tolerance / steps + unsure, WORST)
+        found = self.compare(what, at, exact, fine, limit)
+        hidden = precision().floor * (1 + sizes) / steps > WORST * (1 + largest_entries(fine))
+        return replace(found, hidden=hidden, because="where differences of both orders agree they are rounding")
 
     def bound(
         self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most", hint: Hint | None = None
@@ -134,6 +135,18 @@ class Facts(ABC):
         """A measured number at each sample, with what it is expected to be ``at most`` or ``at least``."""
         measured = np.asarray(measured, float)
         return Comparison(what, measured, np.broadcast_to(np.asarray(limit, float), measured.shape), at, side, hint)
+
+
+def _best_differences(values: np.ndarray, step: float) -> tuple[np.ndarray, float, float, float]:
+    """Differences of order 6 at the longest step at which those of order 4 agree; their distance, the step, size of values."""
+    found = []
+    for part, scale in zip(values, SCALES, strict=False):
+        fine, coarse = (d(part, scale * step) for d in (differences, coarse_differences))
+        unsure = float(np.nan_to_num(np.max(np.abs(fine - coarse), initial=0.0), nan=np.inf))
+        found.append((fine, unsure, scale * step, float(np.max(np.abs(part), initial=0.0))))
+        if unsure <= 0.1 * WORST * (1 + np.max(np.abs(fine), initial=0.0)):
+            break
+    return min(found, key=lambda one: one[1])
 
 
 def largest_entries(a: np.ndarray) -> np.ndarray:

@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifolds import InvalidInputError, Manifold
+from ..manifolds import Manifold
+from ..manifolds.manifold import working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 
@@ -37,18 +38,14 @@ def _compiler_options() -> dict[str, int | bool]:
 
 
 def compiled(function: Callable) -> Callable:
-    """``function`` compiled quickly, with numpy arrays as its values."""
+    """``function`` compiled quickly, with numpy arrays as its values: in double precision, for what is made of them."""
     fast = jax.jit(function, compiler_options=_compiler_options())
-    return lambda *arguments: jax.tree.map(np.asarray, fast(*arguments))
+    return lambda *arguments: jax.tree.map(_widened, fast(*arguments))
 
 
-def require_double_precision() -> None:
-    """Raise ``InvalidInputError`` in single precision, in which the facts are not told from rounding."""
-    if not jax.config.read("jax_enable_x64"):
-        raise InvalidInputError(
-            "the facts are measured to rounding in double precision, got single precision; "
-            'try jax.config.update("jax_enable_x64", True) before anything else'
-        )
+def _widened(a: Any) -> np.ndarray:
+    found = np.asarray(a)
+    return found.astype(np.result_type(found, np.float64)) if np.issubdtype(found.dtype, np.inexact) else found
 
 
 def flat(a: Ambient) -> Vector:
@@ -98,7 +95,16 @@ def largest(a: Any) -> float:
 # Differences of orders 6 and 4: f'(0) = sum_k w_k f(k h) / h.
 NODES = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
 WEIGHTS = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60.0
+SCALES = 4.0 ** -np.arange(4)  # of a step: the longest at which both orders agree is read
+SHOWN = 3  # least errors that make a slope
 _COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
+
+
+def along(function: Callable, step: Any) -> jax.Array:
+    """Values of a function of a number at ``step NODES``, and at shorter steps: of shape ``(steps, nodes, ...)``."""
+    times = step * jnp.asarray(SCALES[:, None] * NODES, working_precision())
+    values = jax.vmap(function)(times.reshape(-1))
+    return values.reshape(times.shape + values.shape[1:])
 
 
 def differences(values: np.ndarray, h: float) -> np.ndarray:
@@ -112,6 +118,14 @@ def coarse_differences(values: np.ndarray, h: float) -> np.ndarray:
 
 
 def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
-    """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``; infinite where none is."""
+    """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``.
+
+    It is infinite where none is, and where fewer than three are: see ``is_hidden``.
+    """
     seen = errors > floor
-    return float(np.polyfit(np.log(t[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= 3 else np.inf
+    return float(np.polyfit(np.log(t[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= SHOWN else np.inf
+
+
+def is_hidden(errors: np.ndarray, floor: float) -> bool:
+    """Whether some errors are above the rounding ``floor``, but too few for a slope."""
+    return bool(0 < np.sum(errors > floor) < SHOWN)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..manifolds import RetraxError
 from ..manifolds.numerics.errors import TRACEABLE
+from .precision import precision
 
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
 THE_VALUE = "the value"
@@ -31,7 +32,10 @@ class ConformanceError(RetraxError):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A quantity ``what``, ``measured`` at each sample of ``at``, with its ``limit`` there, ``at most`` or ``at least``."""
+    """A quantity ``what``, ``measured`` at each sample of ``at``, with its ``limit`` there, ``at most`` or ``at least``.
+
+    At samples that are ``hidden`` it says nothing in this precision, ``because`` of something.
+    """
 
     what: str
     measured: np.ndarray
@@ -39,17 +43,25 @@ class Comparison:
     at: Batch
     side: str = "at most"
     hint: Hint | None = None
+    hidden: np.ndarray | None = None
+    because: str = ""
+
+    @property
+    def decided(self) -> np.ndarray:
+        """The samples at which something is said."""
+        return np.ones(len(self.measured), bool) if self.hidden is None else ~self.hidden
 
     @property
     def holds(self) -> np.ndarray:
-        """Whether the limit is kept, at each sample; NaN keeps none."""
-        return self.measured <= self.limit if self.side == "at most" else self.measured >= self.limit
+        """Whether the limit is kept, at each sample at which something is said; NaN keeps none."""
+        kept = self.measured <= self.limit if self.side == "at most" else self.measured >= self.limit
+        return kept | ~self.decided
 
     @property
     def worst(self) -> int:
         """The sample to show: one where the limit is not kept if there is one, and of these one whose value is farthest off."""
         sign = 1 if self.side == "at most" else -1
-        badness = np.nan_to_num(sign * self.measured, nan=np.inf)
+        badness = np.where(self.decided, np.nan_to_num(sign * self.measured, nan=np.inf), -np.inf)
         return int(np.argmax(badness if self.holds.all() else np.where(self.holds, -np.inf, badness)))
 
 
@@ -79,7 +91,7 @@ def fact(measure: Callable[[Any], Comparison | Inapplicable]) -> Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one check: ``status`` is holds, fails, skipped or not applicable; ``words`` say why."""
+    """What came of one check: ``status`` is holds, fails, not decided, skipped or not applicable; ``words`` say why."""
 
     check: Check
     status: str
@@ -103,7 +115,8 @@ class Report:
     def describe(self, outcomes: tuple[Outcome, ...]) -> str:
         """Some of the outcomes in words, under a line that counts all of them."""
         counts = {
-            status: sum(o.status == status for o in self.outcomes) for status in ("fails", "holds", "skipped", "not applicable")
+            status: sum(o.status == status for o in self.outcomes)
+            for status in ("fails", "holds", "not decided", "skipped", "not applicable")
         }
         lines = [
             f"{' '.join(self.subject.split())}: " + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
@@ -133,9 +146,14 @@ def judge(check: Check, facts: Any) -> Outcome:
         return Outcome(check, "fails", f"it could not be measured: {words}", same_as=first)
     if isinstance(found, Inapplicable):
         return Outcome(check, "not applicable", found.reason)
+    unsaid = f"not decided in {precision().name} precision" + (f": {found.because}" if found.because else "")
+    if not found.decided.any():
+        return Outcome(check, "not decided", unsaid)
     k = found.worst
     words = f"{found.what} is {number(found.measured[k])}, expected {found.side} {number(found.limit[k])}"
     if found.holds.all():
+        if not found.decided.all():
+            words += f"; at {np.sum(~found.decided)} of {len(found.decided)} samples it is {unsaid}"
         return Outcome(check, "holds", words, f"at {_place(found.at, k)}")
     hint = NAN if np.isnan(found.measured[k]) else found.hint(k) if found.hint else ""
     return Outcome(check, "fails", words + (f"; {hint}" if hint else ""), f"at {_place(found.at, k)}")
@@ -146,11 +164,11 @@ def number(value: float) -> str:
     return f"{value:.3g}" if value == 0 or 1e-2 <= abs(value) < 1e4 or not np.isfinite(value) else f"{value:.1e}"
 
 
-def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str) -> str:
+def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str, rounding: float) -> str:
     """Words where what came is a multiple of what was expected by another factor than 1; empty where it is none."""
     square = np.sum(expected * expected) if expected.size > 1 or name != THE_VALUE else 0.0  # any two numbers are multiples
     factor = np.sum(got * expected) / square if square > 0 else np.nan
-    if np.max(np.abs(got - factor * expected), initial=0.0) <= 1e-6 * np.sqrt(square) and abs(factor - 1) > 5e-4:
+    if np.max(np.abs(got - factor * expected), initial=0.0) <= rounding * np.sqrt(square) and abs(factor - 1) > 5e-4:
         return f"{name} is {factor:.3f} times {other}"
     return ""
 

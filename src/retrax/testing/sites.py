@@ -14,11 +14,11 @@ from ..manifolds.bundles import VectorBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from .numerics import flat, violation_kernel
+from .precision import precision
 
 Violation = Callable[[np.ndarray], np.ndarray]
 
 SPECIAL = 2  # most special points of one manifold: each is one more sample of every kind
-ROUNDING, BESIDE = 1e-12, 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +74,9 @@ def _is_inside(x: np.ndarray, violation: Violation) -> bool:
 
     A violation without its absolute value is negative inside: such a point is not one either.
     """
-    aside = BESIDE * np.random.default_rng(0).standard_normal(x.size)
-    return violation(x)[1] <= ROUNDING and all(violation(y)[1] <= 1e3 * BESIDE for y in (x - aside, x + aside))
+    tolerance, beside = precision().tolerance, precision().half
+    aside = beside * np.random.default_rng(0).standard_normal(x.size)
+    return violation(x)[1] <= tolerance and all(violation(y)[1] <= 1e3 * beside for y in (x - aside, x + aside))
 
 
 def _candidates(manifold: Manifold) -> Iterator[Any]:

@@ -38,7 +38,7 @@ def tiny_tangent_vectors(manifold: Manifold) -> SearchStrategy[Pair]:
 
 
 def tangent_vectors_near_the_edge(retraction: Retraction, longest: float = 10.0) -> SearchStrategy[Pair]:
-    """Pairs ``(x, v)`` with ``v`` in the domain of a retraction, a relative 1e-8 to 1e-1 from its edge.
+    """Pairs ``(x, v)`` with ``v`` in the domain of a retraction, a relative ``sqrt(eps)`` to 1e-1 from its edge.
 
     For a domain that is derived from a round trip it is 1e-2 to 1e-1. The edge is the first one in the direction of
     ``v``, as the domain need not be star-shaped: it may begin again behind it. Where it reaches farther than ``longest``, that is

@@ -10,7 +10,7 @@ import numpy as np
 from ...manifolds import CotangentBundle, HomogeneousSpace, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CotangentLift, DiscretizationMap
-from ..facts import SEEDS, TOLERANCE, Sample, examine
+from ..facts import SEEDS, Sample, examine
 from ..numerics import Vector, flat, unflat
 from ..report import Comparison, Inapplicable, Report, fact
 from . import discretization as maps
@@ -29,7 +29,7 @@ class CotangentLiftFacts(DiscretizationFacts):
         reach: float = REACH,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         super().__init__(lift, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance)
         if not isinstance(self.manifold, CotangentBundle):
@@ -128,7 +128,7 @@ def check_cotangent_lift(
     reach: float = REACH,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...retractions import DifferentiatedRetraction, Retraction, adjoint, differentiated
 from ..facts import Facts, Sample
-from ..numerics import NODES, Vector, flat, unflat
+from ..numerics import Vector, along, flat, unflat
 from ..report import Comparison, Inapplicable, fact
 
 
@@ -26,7 +26,7 @@ def first_derivatives(retraction: Retraction, sample: Sample) -> dict:
     return {
         "forward": forward,
         "push": jnp.stack(push) if push else in_fibre[:, 0],
-        "values": jax.vmap(lambda t: move(*(z + t * d)))(sample["step"] * NODES),
+        "values": along(lambda t: move(*(z + t * d)), sample["step"]),
     }
 
 
@@ -35,17 +35,17 @@ def _second(retraction: Retraction, sample: Sample) -> dict:
     move, z, d, c = flat_retraction(retraction), jnp.stack([sample["x"], sample["v"]]), sample["d"], sample["c"]
     gradient = jax.grad(lambda z: c @ move(*z))
 
-    def along(z: jax.Array) -> Vector:
+    def pushed(z: jax.Array) -> Vector:
         return jax.jvp(lambda z: move(*z), (z,), (d,))[1]
 
-    forward, twice_forward = jax.jvp(along, (z,), (sample["e"],))
+    forward, twice_forward = jax.jvp(pushed, (z,), (sample["e"],))
     reverse, forward_reverse = jax.jvp(gradient, (z,), (d,))
     return {
         "forward": forward,
         "reverse": reverse,
         "forward forward": twice_forward,
         "forward reverse": forward_reverse,
-        "gradients": jax.vmap(lambda t: gradient(z + t * d))(sample["step"] * NODES),
+        "gradients": along(lambda t: gradient(z + t * d), sample["step"]),
     }
 
 

@@ -10,15 +10,15 @@ from ...manifolds import Product
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap
 from ..draws import direction
-from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
-from ..numerics import NODES, Vector, flat, unflat
+from ..facts import SEEDS, Facts, Sample, examine, largest_entries
+from ..numerics import Vector, along, flat, unflat
+from ..precision import WORST, precision
 from ..report import Comparison, Inapplicable, Report, fact
 from ..sites import Site
-from .inverses import WORST_INVERSE, conditioning
+from .inverses import conditioning
 from .manifold import max_violation
 
 REACH = 0.3
-STEP = 2e-3
 
 
 class DiscretizationFacts(Facts):
@@ -38,7 +38,7 @@ class DiscretizationFacts(Facts):
         reach: float = REACH,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         super().__init__(discretization, seeds, points, tolerance)
         self.symmetric, self.reach = symmetric, reach
@@ -94,7 +94,7 @@ def _inverse(discretization: DiscretizationMap, sample: Sample) -> dict:
 def _slopes(discretization: DiscretizationMap, sample: Sample) -> dict:
     """The derivative of the ends along ``d``, and values along it."""
     ends, w, d = flat_ends(discretization), jnp.concatenate([sample["x"], sample["v"]]), sample["d"].reshape(-1)
-    return {"slope": jax.jvp(ends, (w,), (d,))[1], "values": jax.vmap(lambda t: ends(w + t * d))(STEP * NODES)}
+    return {"slope": jax.jvp(ends, (w,), (d,))[1], "values": along(lambda t: ends(w + t * d), precision().step)}
 
 
 def push_of_the_fibre(f: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -151,7 +151,7 @@ def inverse_finds_the_tangent_vector(facts: DiscretizationFacts) -> Comparison:
     f, ends = facts.measure(_inverse, "zero", "inside"), facts.measure(both_ends, "zero", "inside")
     condition = conditioning(ends["push"]) * np.linalg.norm(f["frame"], 2, axis=(1, 2))
     expected = np.concatenate([f["x"], f["v"]], axis=1)
-    limit = np.minimum(10 * facts.tolerance * condition, WORST_INVERSE)
+    limit = np.minimum(10 * facts.tolerance * condition, WORST)
     return facts.compare("|R_d^-1(R_d(x, v)) - (x, v)|", f, f["back"], expected, limit)
 
 
@@ -167,7 +167,7 @@ def map_inverts_its_inverse(facts: DiscretizationFacts) -> Comparison:
 def derivatives_of_the_ends_are_those_of_differences(facts: DiscretizationFacts) -> Comparison:
     """Automatic differentiation along ambient directions agrees with differences of values, at ``v = 0`` and elsewhere."""
     f = facts.measure(_slopes, "zero", "inside")
-    return facts.compare_slopes("|D R_d - differences|", f, f["slope"], f["values"], STEP)
+    return facts.compare_slopes("|D R_d - differences|", f, f["slope"], f["values"], precision().step)
 
 
 DISCRETIZATION_CHECKS = (
@@ -189,7 +189,7 @@ def check_discretization_map(
     reach: float = REACH,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,

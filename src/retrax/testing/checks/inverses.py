@@ -3,12 +3,10 @@
 import numpy as np
 
 from ..facts import largest_entries
+from ..precision import WORST, precision
 from ..report import Comparison, entries, fact, number
 from .derivatives import first_derivatives
 from .retraction_facts import RetractionFacts
-
-# An inverse with fewer than three digits is none, whatever the condition; that grows as 1e8 at 1e-8 from the edge of a domain.
-WORST_INVERSE, SINGULAR = 1e-3, 1e12
 
 
 def conditioning(push: np.ndarray) -> np.ndarray:
@@ -25,17 +23,19 @@ def inverse_finds_the_tangent_vector(facts: RetractionFacts) -> Comparison:
 
 @fact
 def inverse_is_exact_up_to_the_edge_of_the_domain(facts: RetractionFacts) -> Comparison:
-    """``R_x^-1(R(x, v)) = v`` up to 1e-8 from the edge of the domain, to rounding times the condition of ``R_x``."""
+    """``R_x^-1(R(x, v)) = v`` up to ``sqrt(eps)`` from the edge of the domain, to rounding times the condition of ``R_x``."""
     return _inverse_error(facts, "far", "edge")
 
 
 def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
     f, push = facts.inverses(*kinds), facts.measure(first_derivatives, *kinds)["push"]
     condition = conditioning(push)
-    limit = np.minimum(facts.tolerance * condition * np.maximum(1.0, largest_entries(f["value"])), WORST_INVERSE)
+    # An inverse with fewer than three digits is none, whatever the condition; that grows as 1 / d at the distance d from an edge.
+    limit = np.minimum(facts.tolerance * condition * np.maximum(1.0, largest_entries(f["value"])), WORST)
 
     def hint(k: int) -> str:
-        singular = f", and D_v R is singular there, its condition is {number(condition[k])}" if condition[k] > SINGULAR else ""
+        words = f", and D_v R is singular there, its condition is {number(condition[k])}"
+        singular = words if condition[k] * precision().tiny > 1 else ""
         length = np.linalg.norm(f["v"][k])
         return f"the domain has this v, {number(float(length))} long{singular}; try one that ends before" if length > 0 else ""
 
@@ -44,7 +44,7 @@ def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
 
 @fact
 def inverse_keeps_the_accuracy_of_short_vectors(facts: RetractionFacts) -> Comparison:
-    """``R_x^-1(R(x, v)) = v`` for vectors from 1e-12 to 1e-8 long, to the rounding of the two points."""
+    """``R_x^-1(R(x, v)) = v`` for vectors from ``eps^(3/4)`` to ``eps^(1/2)`` long, to the rounding of the two points."""
     f = facts.inverses("tiny")
     limit = 0.01 * facts.tolerance * (1 + largest_entries(f["x"])) ** 2
     return facts.bound("|R_x^-1(R(x, v)) - v|", f, largest_entries(f["back"] - f["v"]), limit)
@@ -73,7 +73,7 @@ def inverse_is_NaN_outside_the_image(facts: RetractionFacts) -> Comparison:
     def hint(k: int) -> str:
         return f"y = {entries(f['far'][k])} has the inverse {entries(f['to far'][k])}; try NaN where no tangent vector leads to y"
 
-    limit = np.sqrt(np.finfo(float).eps)
+    limit = precision().half
     return facts.bound("|R(x, R_x^-1(y)) - y|, relative to the sizes of x and y,", f, f["missed"], limit, hint=hint)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ...manifolds import MatrixLieGroup
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ..facts import SEEDS, TOLERANCE, Sample, examine, largest_entries
+from ..facts import SEEDS, Sample, examine, largest_entries
 from ..numerics import flat, unflat
 from ..report import Comparison, Report, fact
 from ..sites import Site
@@ -28,7 +28,7 @@ class LieGroupFacts(ManifoldFacts):
         *,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         super().__init__(group, seeds=seeds, points=points, tolerance=tolerance)
 
@@ -215,7 +215,7 @@ def check_lie_group(
     *,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,

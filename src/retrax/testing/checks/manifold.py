@@ -10,16 +10,14 @@ import numpy as np
 from ...manifolds import HomogeneousSpace, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine, largest_entries
-from ..numerics import NODES, ambient_size, flat, unflat
+from ..facts import SEEDS, Facts, Sample, examine, largest_entries
+from ..numerics import along, ambient_size, flat, unflat
+from ..precision import precision
 from ..probes import least_seen, least_spread
 from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, number
 from ..sites import Site
 
-# Distances at which errors of first and second order are told apart, and what a second derivative may be there.
-DISTANCES = 2.0 ** -np.arange(8, 15)
-CURVATURE = 100.0
-STEP = 2e-3
+CURVATURE = 100.0  # the largest second derivative that is taken for one
 # Of an equation that is left out a displacement off the manifold shows 1e-2 or less in these units, of one that is there about 1;
 # of random directions the rarest has 0.1 or more, of those along a smaller manifold rounding or its curvature.
 SEEN, SPREAD = 0.05, 0.02
@@ -37,7 +35,7 @@ class ManifoldFacts(Facts):
         *,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         super().__init__(manifold, seeds, points, tolerance)
         self.kernels[self._displace.__name__] = self._displace  # made of compiled parts
@@ -72,7 +70,7 @@ def _projection(manifold: Manifold, sample: Sample) -> dict:
     return {
         "projector": jax.vmap(lambda e: project(x, e))(jnp.eye(x.size)).T,
         "slope": jax.jvp(lambda x: project(x, a), (x,), (d,))[1],
-        "values": jax.vmap(lambda t: project(x + t * d, a))(STEP * NODES),
+        "values": along(lambda t: project(x + t * d, a), precision().step),
     }
 
 
@@ -87,7 +85,7 @@ def _equations(manifold: Manifold, sample: Sample) -> dict:
     def restored(y: jax.Array) -> jax.Array:
         return flat(manifold.restore(back(y)))
 
-    distances = jnp.asarray(DISTANCES)
+    distances = jnp.asarray(precision().distances, x.dtype)
     return {
         "on": violation(x),
         "tangent line": jax.vmap(lambda t: violation(x + t * unit))(distances),
@@ -117,7 +115,7 @@ def random_points_differ(facts: ManifoldFacts) -> Comparison | Inapplicable:
         return Inapplicable("there is one point")
     gaps = np.max(np.abs(f["x"][:, None] - f["x"][None]), axis=2)
     others = gaps[~np.eye(len(gaps), dtype=bool)].reshape(len(gaps), -1)
-    return facts.bound("the distance to the nearest other point", f, np.min(others, axis=1), 1e-9, "at least")
+    return facts.bound("the distance to the nearest other point", f, np.min(others, axis=1), precision().tiny, "at least")
 
 
 @fact
@@ -162,7 +160,7 @@ def projection_is_symmetric(facts: ManifoldFacts) -> Comparison:
 
     def hint(k: int) -> str:
         p = f["projector"][k]
-        if not np.allclose(p @ p, p, atol=1e-6):
+        if not np.allclose(p @ p, p, atol=precision().half):
             return ""
         return (
             "P projects along vectors that are not normal, as one that is orthogonal for another metric does; try that of <a, b>"
@@ -180,7 +178,7 @@ def tangent_spaces_have_the_dimension(facts: ManifoldFacts) -> Comparison:
     def hint(k: int) -> str:
         return f"the trace is {number(rank[k])} and the dimension is {facts.manifold.dimension}"
 
-    return facts.bound("|trace P - dimension|", f, np.abs(rank - facts.manifold.dimension), 1e-6, hint=hint)
+    return facts.bound("|trace P - dimension|", f, np.abs(rank - facts.manifold.dimension), precision().half, hint=hint)
 
 
 @fact
@@ -203,7 +201,7 @@ def basis_spans_the_image_of_the_projection(facts: ManifoldFacts) -> Comparison:
 def derivative_of_the_projection_is_that_of_differences(facts: ManifoldFacts) -> Comparison:
     """Automatic differentiation of ``P_x a`` by ``x`` gives its derivative: the frames of the bundles stand on it."""
     f = facts.measure(_projection, "points")
-    return facts.compare_slopes("|D_x P_x a - differences|", f, f["slope"], f["values"], STEP)
+    return facts.compare_slopes("|D_x P_x a - differences|", f, f["slope"], f["values"], precision().step)
 
 
 @fact
@@ -212,7 +210,7 @@ def tangent_lines_touch_the_manifold(facts: ManifoldFacts) -> Comparison | Inapp
     f = facts.measure(_equations, "points")
     if facts.manifold.dimension == 0:
         return Inapplicable("there is no tangent vector")
-    rate = np.max((f["tangent line"] - f["on"][:, None]) / DISTANCES**2, axis=1)
+    rate = np.max((f["tangent line"] - f["on"][:, None]) / precision().distances ** 2, axis=1)
     return facts.bound("the violation at x + t v over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"])))
 
 
@@ -245,7 +243,7 @@ def restore_makes_errors_second_order(facts: ManifoldFacts) -> Comparison:
     """A point at distance ``t`` from the manifold is restored to one that violates the equations by ``O(t^2)``."""
     # A bound in place of a slope: along some directions the error changes sign, which no power of the distance does.
     f = facts.measure(_equations, "points")
-    rate = np.max((f["after restoring"] - f["on"][:, None]) / DISTANCES**2, axis=1)
+    rate = np.max((f["after restoring"] - f["on"][:, None]) / precision().distances ** 2, axis=1)
     return facts.bound("the violation after restoring x + t a over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"])))
 
 
@@ -297,7 +295,7 @@ def check_manifold(
     *,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,
@@ -305,8 +303,9 @@ def check_manifold(
     """Measure whether an object keeps the promises of ``Manifold``, at one random point for each seed and at special points.
 
     Special points are the identity, zero, poles, barycentres, as far as they are points of the manifold; ``points`` are more of
-    them. ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size. ``only`` names the
-    checks to run (default: all), ``skip`` maps names of checks to the reasons for leaving them out.
+    them. ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size, by default 4500
+    machine epsilons of the precision that JAX is set to: 1e-12 in double, 5e-4 in single. ``only`` names the checks to run
+    (default: all), ``skip`` maps names of checks to the reasons for leaving them out.
     Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
     """
     return examine(ManifoldFacts(manifold, seeds=seeds, points=points, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw)

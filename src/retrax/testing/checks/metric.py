@@ -9,14 +9,12 @@ import numpy as np
 from ...manifolds import Metric
 from ...manifolds.numerics.ambient import Ambient
 from ..draws import direction
-from ..facts import SEEDS, TOLERANCE, Facts, Sample, examine
-from ..numerics import NODES, flat, unflat
+from ..facts import SEEDS, Facts, Sample, examine
+from ..numerics import along, flat, unflat
+from ..precision import WORST, precision
 from ..report import Comparison, Inapplicable, Report, fact
 from ..sites import Site
-from .manifold import STEP, max_violation
-
-# The smallest eigenvalue over the largest of a metric that is degenerate is rounding; inertias of spacecraft have 1e-3 and more.
-DEFINITE = 1e-12
+from .manifold import max_violation
 
 
 class MetricFacts(Facts):
@@ -32,7 +30,7 @@ class MetricFacts(Facts):
         isometries: Mapping[str, Callable] | None = None,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         super().__init__(metric, seeds, points, tolerance)
         self.isometries = dict(isometries or {})
@@ -75,7 +73,7 @@ def _derivatives(metric: Metric, sample: Sample) -> dict:
 
     return {
         "slope": jax.jacrev(values)(sample["x"]) @ sample["d"],
-        "values": jax.vmap(lambda t: values(sample["x"] + t * sample["d"]))(STEP * NODES),
+        "values": along(lambda t: values(sample["x"] + t * sample["d"]), precision().step),
     }
 
 
@@ -120,7 +118,8 @@ def inner_product_is_positive_definite(facts: MetricFacts) -> Comparison | Inapp
         lengths = f"the squares of the lengths of unit vectors go from {values[k, 0]:.3g} to {values[k, -1]:.3g}"
         return f"{lengths}; a metric is one on tangent vectors alone, but on all of them"
 
-    return facts.bound("the smallest eigenvalue of g over the largest", f, ratio, DEFINITE, "at least", hint)
+    # Of a metric that is degenerate the ratio is rounding; inertias of spacecraft have 1e-3 and more.
+    return facts.bound("the smallest eigenvalue of g over the largest", f, ratio, precision().tiny, "at least", hint)
 
 
 @fact
@@ -153,7 +152,7 @@ def energy_is_half_the_square_of_the_velocity(facts: MetricFacts) -> Comparison:
 def _conditioned(facts: MetricFacts, f: dict) -> np.ndarray:
     """The rounding of what goes through the inverse of ``g_x``."""
     condition = np.linalg.cond(np.nan_to_num(f["gram"])) if f["gram"].shape[1] else np.ones(len(f["gram"]))
-    return np.minimum(10 * facts.tolerance * condition, 1e-3)
+    return np.minimum(10 * facts.tolerance * condition, WORST)
 
 
 @fact
@@ -169,7 +168,9 @@ def derivatives_of_the_metric_are_those_of_differences(facts: MetricFacts) -> Co
     """Reverse mode of ``g_x(P_x v, P_x w)`` and ``kinetic_energy(x, p)`` by ``x`` agrees with differences of their values."""
     f = facts.measure(_derivatives, "points")
     scale = np.stack([1 / _scale(g := facts.measure(_products, "points")), _scale(g)], axis=1)
-    return facts.compare_slopes("|D_x g - differences|", f, f["slope"] * scale, f["values"] * scale[:, None], STEP)
+    return facts.compare_slopes(
+        "|D_x g - differences|", f, f["slope"] * scale, f["values"] * scale[:, None, None], precision().step
+    )
 
 
 @fact
@@ -199,7 +200,7 @@ def isometries_keep_inner_products(facts: MetricFacts) -> Comparison | Inapplica
         return f"the worst is the one named {list(facts.isometries)[int(np.argmax(np.nan_to_num(gaps, nan=np.inf)))]!r}"
 
     what = "|g(Df v, Df w) - g(v, w)|, or the violation of the equations,"
-    return facts.bound(what, f, np.max(np.abs(got - expected), axis=1), 100 * facts.tolerance, hint=hint)
+    return facts.bound(what, f, np.max(np.abs(got - expected), axis=1), min(100 * facts.tolerance, WORST), hint=hint)
 
 
 METRIC_CHECKS = (
@@ -221,7 +222,7 @@ def check_metric(
     isometries: Mapping[str, Callable] | None = None,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,

@@ -1,6 +1,7 @@
 """Facts about retractions: axioms, order, inverse and domain, derivatives."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -9,8 +10,9 @@ import numpy as np
 from ...manifolds import Metric
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, acceleration
-from ..facts import SEEDS, TOLERANCE, Sample, examine, largest_entries
-from ..numerics import flat, slope, unflat
+from ..facts import SEEDS, Sample, examine, largest_entries
+from ..numerics import flat, is_hidden, slope, unflat
+from ..precision import precision
 from ..report import Comparison, Inapplicable, Report, entries, fact
 from . import derivatives, inverses
 from .closed_forms import (
@@ -21,17 +23,15 @@ from .closed_forms import (
 from .manifold import max_violation
 from .retraction_facts import REACH, RetractionFacts
 
-# Relative displacement of a value by which the effect of its rounding is measured.
-ROUNDING = 1e-6
-LENGTHS = 2.0 ** -np.arange(4, 15)
+LENGTHS = 2.0 ** -np.arange(4, 15)  # of which those are read at which the error is above rounding
 
 
 def _values(retraction: Retraction, sample: Sample) -> dict:
     """Values at ``(x, v)``, alone and in a batch, and on short multiples of ``u``; violations at the value and off it."""
     move, x, v = derivatives.flat_retraction(retraction), sample["x"], sample["v"]
-    multiples = jnp.concatenate([v[None], 0 * v[None], jnp.asarray(LENGTHS)[:, None] * sample["u"]])
+    multiples = jnp.concatenate([v[None], 0 * v[None], jnp.asarray(LENGTHS, v.dtype)[:, None] * sample["u"]])
     value, at_zero, *short = jax.vmap(move)(jnp.broadcast_to(x, multiples.shape), multiples)
-    off = ROUNDING * (1 + jnp.max(jnp.abs(value))) * jnp.concatenate([sample["d"], sample["e"]])
+    off = precision().half * (1 + jnp.max(jnp.abs(value))) * jnp.concatenate([sample["d"], sample["e"]])
     nearby = value + jnp.concatenate([0 * value[None], off])
     violations = jax.vmap(lambda y: max_violation(retraction.manifold, unflat(retraction.manifold)(y)))(nearby)
     rest = {"violation": violations[0], "violations nearby": violations[1:]}
@@ -52,7 +52,7 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
 
     def hint(k: int) -> str:
         stretched = np.linalg.svd(np.nan_to_num(f["push"][k]), compute_uv=False)
-        return "" if np.ptp(stretched) < 1e-6 else f"its singular values are {entries(stretched)}"
+        return "" if np.ptp(stretched) < precision().half else f"its singular values are {entries(stretched)}"
 
     names = ("D_v R(x, 0)", "the identity")
     return facts.compare("|D_v R(x, 0) E_i - E_i|", f, f["push"], f["frame"], facts.tolerance, names, hint)
@@ -63,22 +63,27 @@ def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -
     """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of ``t``."""
     f = facts.measure(_values, "zero")
     errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
-    floor = 1e3 * np.finfo(float).eps * (1 + largest_entries(f["x"]))
+    floor = precision().floor * (1 + largest_entries(f["x"]))
     slopes = [slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)]
-    return facts.bound("the slope of log error over log t", f, slopes, 1.8, "at least")
+    hidden = [is_hidden(e, limit) for e, limit in zip(errors, floor, strict=True)]
+    found = facts.bound("the slope of log error over log t", f, slopes, 1.8, "at least")
+    return replace(found, hidden=np.array(hidden), because="the errors of most lengths are below rounding")
 
 
 @fact
 def values_stay_on_the_manifold(facts: RetractionFacts) -> Comparison:
     """``R(x, v)`` satisfies the manifold's equations to its rounding, for short vectors and up to the edge of the domain."""
     f = facts.measure(_values, "inside", "far", "edge")
+    displaced = np.max(np.abs(f["violations nearby"] - f["violation"][:, None]), axis=1)
     # Equations such as det x = 1 magnify the rounding of large values: by as much as they do a larger displacement.
-    magnified = np.maximum(1.0 + largest_entries(f["value"]), np.max(f["violations nearby"], axis=1) / ROUNDING)
+    magnified = np.maximum(1.0 + largest_entries(f["value"]), displaced / precision().half)
+    # Not by so much that the points where an inequality begins to be violated count as rounding.
+    limit = np.minimum(facts.tolerance * magnified, precision().quarter * (1.0 + largest_entries(f["value"])))
 
     def hint(k: int) -> str:
         return facts.manifold.contains(facts.sampler.unflat(f["value"][k])).reason
 
-    return facts.bound("the largest violation of the equations", f, f["violation"], facts.tolerance * magnified, hint=hint)
+    return facts.bound("the largest violation of the equations", f, f["violation"], limit, hint=hint)
 
 
 @fact
@@ -107,7 +112,8 @@ def domain_reaches_as_far_as_expected(facts: RetractionFacts) -> Comparison:
     """Tangent vectors up to the length ``reach`` lie in the domain, where the inverse is known to be valid."""
     f = facts.measure(_values, "zero")
     # An edge at this length is found to rounding only.
-    return facts.bound("the length of the domain in a random direction", f, f["edge"], facts.reach * (1 - 1e-8), "at least")
+    limit = facts.reach * (1 - precision().half)
+    return facts.bound("the length of the domain in a random direction", f, f["edge"], limit, "at least")
 
 
 RETRACTION_CHECKS = (
@@ -134,7 +140,7 @@ def check_retraction(
     reach: float = REACH,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     only: Iterable[str] | str | None = None,
     skip: dict[str, str] | None = None,
     throw: bool = True,

@@ -11,28 +11,26 @@ from ...manifolds import EmbeddedMetric, InvalidInputError, Metric
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import MidpointRetraction, Retraction
 from ..draws import DomainEdge, direction
-from ..facts import SEEDS, TOLERANCE, Facts, Sample
+from ..facts import SEEDS, Facts, Sample
 from ..numerics import NODES, Vector, compiled, differences, flat, unflat
+from ..precision import precision
 from ..report import Batch
 from ..sites import Site
 
 # Longest tangent vector of a sample where the domain has no edge, and of those at which derivatives are measured.
 LONGEST, MODERATE = 10.0, 1.0
-# Spacing of the differences where the domain has radius 1: errors of order 6 and rounding divided by it are below 1e-10.
-STEP = 2e-3
 REACH = 0.1
 NEAR = 0.3
-OFF = 1e-8  # violation of the equations, relative to the size of a point, beyond which it is not taken for one
 BEYOND = (1.01, 1.5)  # multiples of a vector to the edge that lead where a point may have no inverse
 
 
 class RetractionFacts(Facts):
     """What is measured of a retraction, at random, special and given points and tangent vectors of several lengths.
 
-    The kinds of samples are ``zero``, ``tiny`` (lengths from 1e-12 to 1e-8), ``short`` (1e-8 to 1e-3), ``inside`` (at most 1
-    long, and at most half way to the domain's edge), ``far`` (evenly up to the edge) and ``edge`` (1e-8 from the edge,
-    relatively; 1e-2 for a domain that is not a closed form). Where the domain reaches farther than length 10, or than ``reach``
-    if that is more, this is taken for its edge.
+    The kinds of samples are ``zero``, ``tiny`` (lengths from ``eps^(3/4)`` to ``eps^(1/2)``), ``short`` (from there to
+    ``eps^(1/5)``), ``inside`` (at most 1 long, and at most half way to the domain's edge), ``far`` (evenly up to the edge) and
+    ``edge`` (``sqrt(eps)`` from the edge, relatively; 1e-2 for a domain that is not a closed form). Where the domain reaches
+    farther than length 10, or than ``reach`` if that is more, this is taken for its edge.
     """
 
     kind = Retraction
@@ -47,7 +45,7 @@ class RetractionFacts(Facts):
         reach: float = REACH,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
     ) -> None:
         if order not in (1, 2):
             raise InvalidInputError(f"a retraction is checked to be of order 1 or 2, got order={order!r}")
@@ -75,11 +73,11 @@ class RetractionFacts(Facts):
         u, w = direction(rng, frame[:1] if site.special else frame), direction(rng, frame)
         if site not in self._edges:
             self._edges[site] = self._edge(x, u, self._longest)
-        edge, fraction = self._edges[site], self.fraction(site)
+        edge, fraction, eps = self._edges[site], self.fraction(site), precision().eps
         length = {
             "zero": 0.0,
-            "tiny": 10.0 ** (-12 + 4 * fraction),
-            "short": 10.0 ** (-8 + 5 * fraction),
+            "tiny": eps ** (0.75 - 0.25 * fraction),
+            "short": eps ** (0.5 - 0.3 * fraction),
             "inside": fraction * min(MODERATE, edge / 2),
             "far": (1 - self._edge.margin) * fraction * edge,
             "edge": edge if edge == self._longest else (1 - self._edge.margin) * edge,
@@ -89,7 +87,7 @@ class RetractionFacts(Facts):
             length = self._edge(x, u, length)
         c, *directions = rng.standard_normal((5, x.size)) / np.sqrt(x.size)
         y = self.sampler.near(x, rng, NEAR * min(1.0, edge, self.reach))
-        step = STEP * min(1.0, max(edge, self.reach))
+        step = precision().step * min(1.0, max(edge, self.reach))
         drawn = {"x": x, "v": length * u, "u": u, "w": w, "frame": frame, "edge": edge, "step": step, "y": y, "c": c}
         return {**drawn, "d": np.stack(directions[:2]), "e": np.stack(directions[2:])}
 
@@ -109,7 +107,7 @@ class RetractionFacts(Facts):
     def _leave(self, sample: Sample) -> Sample:
         x, beyond = sample["x"], sample["edge"] * sample["u"]
         far = [-x, *(site.x for site in self.sites), *(self._edge.move(x, s * beyond) for s in BEYOND)]
-        far = [y for y in far if self.violation(y)[1] <= OFF * (1 + np.max(np.abs(y)))]
+        far = [y for y in far if self.violation(y)[1] <= precision().half * (1 + np.max(np.abs(y)))]
         found = [self._edge.preimage(x, y) for y in far]
         misses = [self._miss(x, y, v) for y, v in zip(far, found, strict=True)]
         worst = int(np.argmax(misses))
@@ -129,7 +127,7 @@ class RetractionFacts(Facts):
     def _vary_inverse(self, sample: Sample) -> Sample:
         curve = self._curve(sample)
         values = [self._edge.preimage(x, y) @ sample["c"] for x, y in zip(curve["xs"], curve["ys"], strict=True)]
-        return {"slope": self._pull_inverse({**sample, **curve}), "values": np.stack(values)[1:, None]}
+        return {"slope": self._pull_inverse({**sample, **curve}), "values": np.stack(values)[None, 1:, None]}
 
     def midpoints_nearby(self) -> Batch:
         """Midpoints of ``x`` and ``y = R(x, v)`` with the way to both, and, as for inverses, a derivative and values."""
@@ -139,7 +137,7 @@ class RetractionFacts(Facts):
         curve = self._curve(sample)
         slope, middles = self._pull_midpoint({**sample, **curve})
         to_x, to_y = (self._edge.preimage(middles[0], curve[ends][0]) for ends in ("xs", "ys"))
-        return {"slope": slope, "values": middles[1:] @ sample["c"][:, None], "to x": to_x, "to y": to_y}
+        return {"slope": slope, "values": (middles[1:] @ sample["c"])[None, :, None], "to x": to_x, "to y": to_y}
 
     def _curve(self, sample: Sample) -> Sample:
         """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)``, these two first, and their directions."""
