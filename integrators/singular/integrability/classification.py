@@ -104,12 +104,12 @@ class Classification(IntegrabilityResult[Stratum]):
     @property
     def reliable(self) -> bool:
         """Whether every level has points where its equations are regular, so that ranks, and with them ``P_f``, are known."""
-        return not any(level.slow and level.slow == level.consistent for level in self.levels)
+        return not any(level.unknown for level in self.levels)
 
     @property
     def sparse(self) -> bool:
         """Whether half of the points or more were left out where equations are irregular, so that pieces may be missing."""
-        return self.reliable and any(level.slow and 2 * level.slow >= level.consistent for level in self.levels)
+        return self.reliable and any(level.left_out and 2 * level.left_out >= level.consistent for level in self.levels)
 
     def require_reliable(self) -> None:
         """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular, so that nothing is known about it."""

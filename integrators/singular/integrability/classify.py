@@ -9,7 +9,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
-from ....manifolds.numerics.rank import numerical_rank
 from ...functions import require_concrete
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
@@ -17,7 +16,9 @@ from .classification import Classification, MorseTest, Stratum
 from .final import final_equations
 from .jets import Pair
 from .levels import Level, PointRanks, Signature, point_ranks, summarise
-from .points import Points, make_consistent, points_beside, random_starts, select, with_order
+from .points import Points, select, with_order
+from .search import make_consistent, points_beside
+from .starts import random_starts
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
@@ -89,9 +90,10 @@ def classify(
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
     levels, morse, points = _run(first, unit_costate=exclude and homogeneous)
     found = select(points, points.reliable)
-    trivial = np.max(np.abs(found.at.costate[:, 1:]), axis=1, initial=0.0) <= VANISHING_COSTATE
+    sizes = points.sizes.action / points.sizes.lengths
+    trivial = np.max(np.abs(found.at.costate) / sizes, axis=1, initial=0.0) <= VANISHING_COSTATE
     excluded = int(np.sum(trivial)) if exclude else 0
-    strata = _strata(select(found, ~trivial) if exclude else found, levels[-1].index)
+    strata = _strata(select(found, ~trivial) if exclude else found)
     return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude))
 
 
@@ -132,16 +134,32 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         level = len(levels)
         if level > points.array.order:
             points = _lengthened(points, first, levels)
-        points = _without_crossings(make_consistent(points, level, unit_costate), level, unit_costate)
-        reliable = np.flatnonzero(points.reliable)
-        ranks = [point_ranks(points, i, level) for i in reliable]
-        levels.append(summarise(points, level, ranks))
+        points = _without_crossings(_known(make_consistent(points, level, unit_costate)), unit_costate)
+        histories = _histories(select(points, points.reliable))
+        levels.append(summarise(points, [history[-1] for history in histories]))
         _require_finite(points, levels[-1])
-        if level == 0 and ranks:
+        if level == 0 and histories:
             morse = _morse(select(points, points.consistent))
-        settled = level > 0 and all(_new_equations(points, i, r, level) == 0 for i, r in zip(reliable, ranks, strict=True))
-        if not ranks or settled:
+        if not histories or (level > 0 and all(_new_equations(history) == 0 for history in histories)):
             return levels, morse, points
+
+
+def _histories(points: Points) -> list[list[PointRanks]]:
+    """Ranks at each point of a batch, at all levels up to that of the batch."""
+    if not len(points.slow):
+        return []
+    levels = [point_ranks(points, level) for level in range(points.level + 1)]
+    return [list(history) for history in zip(*levels, strict=True)]
+
+
+def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
+    return tuple(ranks.signature for ranks in history)
+
+
+def _known(points: Points) -> Points:
+    """The points with those noted at which a rank is not clear."""
+    decided = [all(ranks.decided for ranks in history) for history in _histories(points)]
+    return replace(points, unclear=~np.array(decided))
 
 
 def _require_finite(points: Points, level: Level) -> None:
@@ -155,25 +173,23 @@ def _require_finite(points: Points, level: Level) -> None:
         )
 
 
-def _without_crossings(points: Points, level: int, unit_costate: bool) -> Points:
+def _without_crossings(points: Points, unit_costate: bool) -> Points:
     """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some level."""
-    histories = {i: _signatures(points, i, level) for i in np.flatnonzero(points.reliable)}
-    if len(set(histories.values())) < 2:
+    reliable = np.flatnonzero(points.reliable)
+    own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
+    if len(set(own.values())) < 2:
         return points
-    beside, crossing = points_beside(points, level, unit_costate), points.slow.copy()
-    for i in set(histories).intersection(np.flatnonzero(beside.consistent)):
-        crossing[i] |= beside.slow[i] or _signatures(beside, i, level) != histories[i]
+    beside, crossing = _known(points_beside(points, points.level, unit_costate)), points.slow.copy()
+    compared = [i for i in reliable if beside.consistent[i] and not beside.unclear[i]]
+    histories = _histories(select(beside, compared))
+    for i, history in zip(compared, histories, strict=True):
+        crossing[i] |= beside.slow[i] or _signatures(history) != own[i]
     return replace(points, slow=crossing)
 
 
-def _signatures(points: Points, index: int, level: int) -> tuple[Signature, ...]:
-    """Ranks at a point at all levels up to this one."""
-    return tuple(point_ranks(points, index, k).signature for k in range(level + 1))
-
-
-def _new_equations(points: Points, index: int, ranks: PointRanks, level: int) -> int:
-    """By how many dimensions ``P^level`` is smaller than ``P^{level-1}`` around one of its points, of these ``ranks``."""
-    return ranks.signature.codimension - point_ranks(points, index, level - 1).signature.codimension
+def _new_equations(history: list[PointRanks]) -> int:
+    """By how many dimensions the last ``P^k`` is smaller than the one before around a point."""
+    return history[-1].signature.codimension - history[-2].signature.codimension
 
 
 def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
@@ -184,7 +200,7 @@ def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
             f"the integrability algorithm still finds new conditions after {len(levels)} levels: "
             f"{[level.strata for level in levels]}; check that the functions of the problem are smooth"
         )
-    return replace(with_order(points, higher[0]), units=with_order(first, higher[0]).units)
+    return replace(with_order(points, higher[0]), sizes=with_order(first, higher[0]).sizes, slow=points.slow, away=points.away)
 
 
 def _morse(points: Points) -> MorseTest:
@@ -193,33 +209,33 @@ def _morse(points: Points) -> MorseTest:
     Where these are irregular equations, ``D(dH/du)`` is singular on them though not near them.
     """
     by_state, by_jet = points.matrices(0)
-    size = by_jet.shape[1]
-    family = [numerical_rank(np.concatenate(pair, axis=1), unit=1.0) for pair in zip(by_state, by_jet, strict=True)]
-    hessian = [numerical_rank(matrix, unit=1.0) for matrix in by_jet]
-    worst = [min(ranks, key=lambda rank: rank.singular_values[-1]).singular_values for ranks in (family, hessian)]
+    size, ranks = by_jet.shape[1], point_ranks(points, 0)
+    values = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.concatenate([by_state, by_jet], axis=2), by_jet)]
+    worst = [batch[np.argmin(batch[:, -1])] for batch in values]
     return MorseTest(
         count=len(by_jet),
         states=points.at.z,
         controls=points.at.control,
-        family=not points.slow.any() and all(rank.rank == size for rank in family),
+        family=not points.slow.any() and all(r.signature.codimension == r.signature.free_controls for r in ranks),
         family_singular_values=worst[0],
-        regular=not points.slow.any() and all(rank.rank == size for rank in hessian),
+        regular=not points.slow.any() and all(r.signature.free_controls == 0 for r in ranks),
         hessian_singular_values=worst[1],
-        gap=min(rank.gap for rank in [*family, *hessian]),
+        gap=min(r.gap for r in ranks),
     )
 
 
-def _strata(points: Points, last: int) -> tuple[Stratum, ...]:
+def _strata(points: Points) -> tuple[Stratum, ...]:
     """Points clustered by piece, each cluster with the equations through its best conditioned point.
 
     Pieces differ in their ranks at the last level, in the controls that they determine, or in their tangent spaces.
     """
-    final = [point_ranks(points, i, last) for i in range(len(points.residuals))]
+    histories = _histories(points)
+    final = [history[-1] for history in histories]
     groups: dict[tuple[Signature, tuple[bool, ...]], list[int]] = {}
     for i, ranks in enumerate(final):
         groups.setdefault((ranks.signature, tuple(ranks.determined)), []).append(i)
     told = ([group] if points.slow[group].any() else _told_apart(group, final) for group in groups.values())
-    made = [_stratum(points, members, final, last) for pieces in told for members in pieces]
+    made = [_stratum(points, members, histories) for pieces in told for members in pieces]
     return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
 
 
@@ -230,8 +246,7 @@ def _told_apart(group: list[int], final: list[PointRanks]) -> list[list[int]]:
     points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer dimensions than it
     could bend in.
     """
-    tangents = [final[i].tangents for i in group]
-    joint = np.array([[len(a) if a is b else _joint_rank(a, b) for b in tangents] for a in tangents])
+    joint = _joint_ranks([final[i].tangents for i in group])
     least, clusters = np.min(joint, axis=1), list[list[int]]()
     for i in range(len(group)):
         for cluster in clusters:
@@ -245,25 +260,29 @@ def _told_apart(group: list[int], final: list[PointRanks]) -> list[list[int]]:
     return [*told, rest] if rest else told
 
 
-def _joint_rank(a: np.ndarray, b: np.ndarray) -> int:
-    """Rank of two tangent spaces together."""
-    return int(np.linalg.matrix_rank(np.concatenate([a, b], axis=1), tol=SAME))
+def _joint_ranks(tangents: list[np.ndarray]) -> np.ndarray:
+    """Ranks of pairs of tangent spaces together; of one with itself the dimension of all space, which is no less."""
+    count, (height, _) = len(tangents), tangents[0].shape
+    joint, (i, j) = np.full((count, count), height), np.triu_indices(count, 1)
+    if len(i):
+        spaces = np.array(tangents)
+        joint[i, j] = joint[j, i] = np.linalg.matrix_rank(np.concatenate([spaces[i], spaces[j]], axis=2), tol=SAME)
+    return joint
 
 
-def _stratum(points: Points, members: list[int], final: list[PointRanks], last: int) -> Stratum:
-    histories = {i: [*(point_ranks(points, i, level) for level in range(last)), final[i]] for i in members}
+def _stratum(points: Points, members: list[int], histories: list[list[PointRanks]]) -> Stratum:
     # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
-    stops = {i: _stops(history) for i, history in histories.items()}
+    stops = {i: _stops(histories[i]) for i in members}
     ((usual, _),) = Counter(stops.values()).most_common(1)
-    index = max((i for i in members if stops[i] == usual), key=lambda i: final[i].gap)
+    index = max((i for i in members if stops[i] == usual), key=lambda i: histories[i][-1].gap)
     history, (k_f, base) = histories[index], usual
-    ranks, signature = history[-1], history[-1].signature
-    point = select(points, index)
+    ranks, point = history[-1], select(points, index)
+    tangents = np.array([histories[i][-1].tangents for i in members])
     z = jax.tree.map(jnp.asarray, point.at.z)
     return Stratum(
-        signature=signature,
+        signature=ranks.signature,
         count=len(members),
-        flat=all(_joint_rank(ranks.tangents, final[i].tangents) == ranks.tangents.shape[1] for i in members),
+        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
         k_f=k_f,
         k_f_base=base,
         determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(point.at.jet.shape[-1])),

@@ -5,7 +5,7 @@ the unknowns ``U = (u, u', ...)``, which leaves equations in ``z`` alone. ``P_f`
 were solved for are functions of ``z`` (and of the free controls) by the implicit function theorem.
 """
 
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import equinox as eqx
 import jax
@@ -22,7 +22,6 @@ from .points import Points
 
 Indices = tuple[int, ...]
 EXPLICIT = 1e-10  # largest derivative by a control of a row that does not involve it, in units
-INDEPENDENT = 1e-6  # smallest remainder of a row that is independent of those before it, in units
 
 
 class Pivots(NamedTuple):
@@ -87,71 +86,30 @@ class FinalEquations(eqx.Module):
 
 def final_equations(points: Points, index: int, level: int, ranks: PointRanks) -> FinalEquations:
     """The equations of the stratum through one point of a batch that is consistent to ``level``."""
-    by_state, by_jet = points.matrices(level)
-    pivots = _pivots(by_state[index], by_jet[index], ranks.directions, points.at.jet.shape[-1])
-    kept = by_jet[:, pivots.kept]
+    by_jet = points.matrices(level)[1][index]
+    pivots = _pivots(ranks.pivots, points.at.jet.shape[-1], len(by_jet))
     return FinalEquations(
         array=DerivativeArray(points.array.problem, level),
         center=jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), points.centers),
         jet=jnp.asarray(points.at.jet[index, : level + 1]),
-        rows=jnp.asarray(points.units.rows[: level + 1].reshape(-1)),
-        columns=jnp.asarray(points.units.jet[: level + 1].reshape(-1)),
+        rows=jnp.asarray(points.units.rows[index, : level + 1].reshape(-1)),
+        columns=jnp.asarray(points.units.jet[index, : level + 1].reshape(-1)),
         pivots=pivots,
-        explicit=bool(np.max(np.abs(kept), initial=0.0) <= EXPLICIT),
+        explicit=bool(np.max(np.abs(by_jet[list(pivots.kept)]), initial=0.0) <= EXPLICIT),
     )
 
 
-def _pivots(by_state: np.ndarray, by_jet: np.ndarray, directions: np.ndarray, size: int) -> Pivots:
-    free = sorted(_leading(directions.T, directions.shape[1]))
-    determined = [i for i in range(size) if i not in free]
-    higher = by_jet[:, size:]
-    rest = higher - _onto(by_jet[:, determined]) @ higher
-    candidates = determined + [size + i for i in _independent(rest)]
-    solved = sorted(_independent_rows(by_jet[:, candidates], size))
-    eliminated = sorted(candidates[i] for i in _leading(by_jet[np.ix_(solved, candidates)], len(solved)))
-    block = np.linalg.solve(by_jet[np.ix_(solved, eliminated)], by_state[solved])
-    reduced = by_state - by_jet[:, eliminated] @ block
-    reduced[solved] = 0.0
-    return Pivots(tuple(solved), tuple(eliminated), tuple(sorted(_independent_rows(reduced, size))), tuple(free))
+def _pivots(rows: np.ndarray, m: int, width: int) -> Pivots:
+    """Indices from the rows solved for ``u'``, ..., then ``u``, then ``z``: ``width`` unknowns of which ``m`` are ``u``."""
+    unknowns = np.roll(np.arange(width), -m)
+    solved = rows[:width] >= 0
+    return Pivots(
+        solved=_sorted(rows[:width][solved]),
+        eliminated=_sorted(unknowns[solved]),
+        kept=_sorted(rows[width:][rows[width:] >= 0]),
+        free=_sorted(unknowns[width - m :][~solved[width - m :]]),
+    )
 
 
-def _leading(matrix: np.ndarray, count: int) -> list[int]:
-    """The first ``count`` columns that pivoting picks."""
-    return [int(i) for i in _pivoted(matrix)[1][:count]] if count else []
-
-
-def _independent(matrix: np.ndarray) -> list[int]:
-    """A maximal set of independent columns, picked by pivoting."""
-    if not matrix.size:
-        return []
-    r, order = _pivoted(matrix)
-    return [int(i) for i in order[: int(np.sum(np.abs(np.diagonal(r)) > INDEPENDENT))]]
-
-
-def _independent_rows(matrix: np.ndarray, size: int) -> list[int]:
-    """A maximal set of independent rows: earlier levels, of ``size`` rows each, first, and within a level the largest."""
-    chosen: list[int] = []
-    basis = np.zeros((0, matrix.shape[1]))
-    for start in range(0, len(matrix), size):
-        rest = matrix[start : start + size]
-        for _ in range(size):
-            rest = rest - (rest @ basis.T) @ basis
-            norms = np.linalg.norm(rest, axis=1)
-            largest = int(np.argmax(norms))
-            if norms[largest] <= INDEPENDENT:
-                break
-            chosen.append(start + largest)
-            basis = np.concatenate([basis, rest[largest : largest + 1] / norms[largest]])
-    return chosen
-
-
-def _pivoted(matrix: np.ndarray) -> Any:
-    """Triangular factor and order of the columns of a QR factorisation with pivoting."""
-    from scipy.linalg import qr  # here, because its import takes as long as that of this whole package
-
-    return qr(matrix, mode="r", pivoting=True)
-
-
-def _onto(columns: np.ndarray) -> np.ndarray:
-    """Orthogonal projection on the span of columns."""
-    return columns @ np.linalg.pinv(columns)
+def _sorted(indices: np.ndarray) -> Indices:
+    return tuple(sorted(int(i) for i in indices))

@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....manifolds.numerics.rank import null_space, numerical_rank
-from .points import Points
-
-DETERMINED = 1e-6  # largest change of a determined component along a unit vector of free directions
+from .elimination import COUNTED, eliminate, significance
+from .points import Points, relative
 
 
 class Signature(NamedTuple):
@@ -22,24 +20,30 @@ class Signature(NamedTuple):
 
 @dataclass(frozen=True)
 class PointRanks:
-    """Ranks at one consistent point, with the smallest gap between singular values counted and not counted.
+    """Ranks at one consistent point, and whether they are clear.
 
-    ``kernel``: independent rows that span the kernel of the form on ``T P^k``, in the frame of ``T_z T*Q``. ``directions``:
-    a basis of the directions in which the controls are free, one column each; ``determined``: which components of the
-    control do not change along them. ``tangents``: an orthonormal basis of ``T P^k`` in units, one column each.
+    ``gap``: of the significance of what was counted over that of what was not. ``kernel``: independent rows that span the
+    kernel of the form on ``T P^k``, in the frame of ``T_z T*Q``. ``determined``: which components of the control are the same
+    wherever the others are free. ``tangents``: an orthonormal basis of ``T P^k`` in typical sizes, one column each.
+    ``pivots``: the row of the array that was solved for each of ``u'``, ..., ``u``, ``z``, -1 where none was.
     """
 
     signature: Signature
+    decided: bool
     gap: float
     kernel: np.ndarray
-    directions: np.ndarray
     determined: np.ndarray
     tangents: np.ndarray
+    pivots: np.ndarray
 
 
 @dataclass(frozen=True)
 class Level:
-    """A level of the algorithm: how many of the points tried reached ``P^k``, and the strata that they lie in."""
+    """A level of the algorithm: how many of the points tried reached ``P^k``, and the strata that they lie in.
+
+    ``slow`` and ``unclear``: at how many of them equations are irregular, and ranks not decided; ``left_out``: at how many
+    either.
+    """
 
     index: int
     tried: int
@@ -48,47 +52,68 @@ class Level:
     gap: float
     residual: float
     slow: int
+    unclear: int
+    left_out: int
 
     @property
     def empty(self) -> bool:
         """Whether no consistent point was found."""
         return self.consistent == 0
 
-
-def point_ranks(points: Points, index: int, level: int) -> PointRanks:
-    """Codimension, free controls and rank of the form at one point of a batch."""
-    by_state, by_jet = (matrix[index] for matrix in points.matrices(level))
-    full, vertical = numerical_rank(np.concatenate([by_state, by_jet], axis=1), unit=1.0), numerical_rank(by_jet, unit=1.0)
-    codimension = full.rank - vertical.rank
-    conormals = null_space(by_jet.T, unit=1.0).T @ by_state
-    tangents = np.linalg.svd(conormals)[2][codimension:].T
-    units = points.units.state
-    omega = points.at.omega[index] * np.outer(units, units)
-    restricted = tangents.T @ omega @ tangents / np.max(np.abs(omega))
-    form = numerical_rank(restricted, unit=1.0)
-    kernel = np.linalg.qr(units[:, None] * (tangents @ null_space(restricted, unit=1.0)))[0].T
-    free = null_space(by_jet, unit=1.0)[: points.at.jet.shape[-1]]
-    controls = numerical_rank(free, unit=1.0)
-    directions = np.linalg.svd(free, full_matrices=False)[0][:, : controls.rank]
-    return PointRanks(
-        signature=Signature(codimension, controls.rank, form.rank),
-        gap=min(full.gap, vertical.gap, form.gap, controls.gap),
-        kernel=kernel,
-        directions=directions,
-        determined=np.linalg.norm(directions, axis=1) <= DETERMINED,
-        tangents=tangents,
-    )
+    @property
+    def unknown(self) -> bool:
+        """Whether points were found and ranks are known at none of them."""
+        return 0 < self.consistent == self.left_out
 
 
-def summarise(points: Points, level: int, ranks: list[PointRanks]) -> Level:
-    """The record of a level."""
+def point_ranks(points: Points, level: int) -> list[PointRanks]:
+    """Codimension, free controls and rank of the form at each point of a batch.
+
+    Rows of the array are solved for the derivatives of the control first, then for the control, then for the state.
+    """
+    m, n = points.at.jet.shape[-1], points.at.velocity.shape[1]
+    by_state, by_jet = points.stacks(level)
+    width = by_jet.shape[-1]
+    control, state = slice(width - m, width), slice(width, width + n)
+    matrix = np.concatenate([by_jet[..., m:], by_jet[..., :m], by_state], axis=-1)
+    found = eliminate(matrix, (slice(0, width - m), control, state), np.arange(width) // m)
+    tangents = found.null_basis(state)
+    units = points.units.state[:, :, None]
+    omega = points.stack("omega") * (units * np.swapaxes(units, 1, 2))[:, None]
+    form = eliminate(np.swapaxes(tangents, 2, 3) @ omega @ tangents, (slice(0, n),), np.zeros(n, int))
+    kernels = units * tangents[:, 0] @ form.null_basis(slice(0, n))[:, 0]
+    bases = units / points.sizes.state[:, None] * tangents[:, 0]
+    smallest, largest = np.minimum(found.smallest, form.smallest), np.maximum(found.largest, form.largest)
+    determined = np.max(significance(found.null_basis(control)), axis=2, initial=0.0) <= COUNTED
+    ranks = []
+    for i, rows in enumerate(found.rows):
+        free, held = rows[state] < 0, form.rows[i] >= 0
+        ranks.append(
+            PointRanks(
+                signature=Signature(int(np.sum(~free)), int(np.sum(rows[control] < 0)), int(np.sum(held))),
+                decided=bool(found.decided[i] and form.decided[i]),
+                gap=float(smallest[i] / largest[i]) if largest[i] > 0 else np.inf,
+                kernel=np.linalg.qr(kernels[i][:, free & ~held])[0].T,
+                determined=determined[i],
+                tangents=np.linalg.qr(bases[i][:, free])[0],
+                pivots=rows,
+            )
+        )
+    return ranks
+
+
+def summarise(points: Points, ranks: list[PointRanks]) -> Level:
+    """The record of a level: ``ranks`` at the points that are reliable."""
     consistent = points.consistent
+    starts = relative(points.at, points.sizes.rows, points.level)
     return Level(
-        index=level,
+        index=points.level,
         tried=len(consistent),
         consistent=int(consistent.sum()),
         strata=dict(Counter(rank.signature for rank in ranks).most_common()),
         gap=min((rank.gap for rank in ranks), default=np.inf),
-        residual=float(np.max(points.residuals[consistent], initial=0.0) if consistent.any() else np.min(points.residuals)),
+        residual=float(np.max(points.residuals[consistent]) if consistent.any() else np.min(np.max(starts, axis=1))),
         slow=int(np.sum(points.slow & consistent)),
+        unclear=int(np.sum(points.unclear & consistent)),
+        left_out=int(np.sum((points.slow | points.unclear) & consistent)),
     )

@@ -1,8 +1,8 @@
-"""Consistent points of the derivative array: batched, damped Levenberg-Marquardt steps of least norm from random starts."""
+"""Points of the jet space over ``T*Q`` with the derivative array linearised there, and at points a tiny step away."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -10,28 +10,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import CotangentBundle, Euclidean, Manifold
-from ....manifolds.manifold import default_tolerance
+from ....manifolds import CotangentBundle
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
-from ...problem import OptimalControlProblem
+from .elimination import COUNTED, ZERO, significance
 from .jets import DerivativeArray, Pair, hamiltonian_field
+from .units import Sizes, Units, sizes_at_starts, units_at
 
-CONVERGED = 1e-10  # norm of the array, in its units
-ITERATIONS = 100
-SMALLEST_DAMPING = 1e-3
-PSEUDO_INVERSE_CUTOFF = 1e-9
-LARGEST_SHIFT = 1e-2
-DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
-NEGLIGIBLE = 1e-7  # a row this much smaller than the terms that it sums is rounding
-SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
-LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
-BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
-PRICE = 100.0  # least cost of a control of size one, over the rounding of all cost
-NEARBY = 0.1  # how far starts near a state are from it; costates relative to their size
+CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
+RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
 
 
 class Linearised(NamedTuple):
@@ -44,9 +34,10 @@ class Linearised(NamedTuple):
     array: Array  # (order + 1, m): F_0 ... F_order
     by_state: Array  # (order + 1, m, 2n): derivatives along that frame
     by_jet: Array  # (order + 1, m, order + 1, m)
+    position: Array  # (n,): components of the point along the frame's horizontal part, its coordinates in R^n
     velocity: Array  # (2n,): X_H in that frame
     omega: Array  # (2n, 2n): the canonical form in that frame
-    costate: Array  # (1 + 2n,): (|p|^2 - 1) / 2 and its derivative along that frame
+    costate: Array  # (n,): components of p along the frame's horizontal part
     cost_rate: Array
 
 
@@ -58,7 +49,6 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
     moved = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.zeros((jet.size, *leaf.shape[1:]))]), frame)
     value, slopes = jax.vmap(lambda a, b: jax.jvp(function, (z, jet), (a, b)), out_axes=(None, 0))(moved, along)
     slopes = jnp.moveaxis(slopes, 0, -1)
-    size, slope = jax.vmap(lambda a: jax.jvp(lambda y: (vec.pairing(y[1], y[1]) - 1) / 2, (z,), (a,)), out_axes=(None, 0))(frame)
     base, control = array.problem.manifold.basis(z[0]), array.problem.steer(center, jet[0])
     return Linearised(
         z=z,
@@ -68,9 +58,10 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
         array=value,
         by_state=slopes[..., :count],
         by_jet=slopes[..., count:].reshape(*jet.shape, *jet.shape),
+        position=vec.components(base, z[0]),
         velocity=jnp.concatenate([vec.components(base, part) for part in hamiltonian_field(array.problem, z, control)]),
         omega=form_matrix(bundle.two_form, z, frame),
-        costate=jnp.concatenate([size[None], slope]),
+        costate=vec.components(base, z[1]),
         cost_rate=array.problem.cost_rate(z[0], control),
     )
 
@@ -94,293 +85,121 @@ def _kernel() -> Callable[..., Linearised]:
 
 
 @dataclass(frozen=True)
-class Units:
-    """Typical sizes of the array, ``(order + 1, m)``, and of the coordinates of state, ``(2n,)``, and jet, ``(order + 1, m)``."""
-
-    rows: np.ndarray
-    state: np.ndarray
-    jet: np.ndarray
-
-    @property
-    def both(self) -> np.ndarray:
-        """Of state and jet, raveled."""
-        return np.concatenate([self.state, self.jet.reshape(-1)])
-
-
-@dataclass(frozen=True)
 class Points:
     """A batch of points of the jet space, with the array linearised there, and how the search for them ended.
 
-    ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed long, as where ``e^u`` is to vanish.
+    ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the equations
+    that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed
+    long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided.
     """
 
     array: DerivativeArray
     centers: Ambient
     at: Linearised
-    units: Units
-    residuals: np.ndarray
+    beside: Linearised
+    sizes: Sizes
+    level: int
     slow: np.ndarray
     away: np.ndarray
+    unclear: np.ndarray
 
-    @property
+    @cached_property
+    def units(self) -> Units:
+        """Of each point by itself."""
+        return units_at(self.at, self.sizes)
+
+    @cached_property
+    def residuals(self) -> np.ndarray:
+        """The largest value of an equation up to the level, over what that equation is made of at the point."""
+        return np.max(relative(self.at, self.units.rows, max(self.level, 0)), axis=1)
+
+    @cached_property
     def consistent(self) -> np.ndarray:
-        """Which points satisfy the equations they were moved to."""
-        return (self.residuals <= CONVERGED) & ~self.away
+        """Which points satisfy every equation up to the level: its value is small, and also beside what tiny steps make of it."""
+        known = significance(self.stack("array")[:, :, : self.level + 1])
+        zero = np.max(known, axis=(1, 2), initial=0.0) <= ZERO
+        return (self.residuals <= CONVERGED) & zero & ~self.away & (self.level >= 0)
 
     @property
     def reliable(self) -> np.ndarray:
         """Consistent points whose ranks can be read: not where equations are irregular, unless they are so at all points."""
-        regular = self.consistent & ~self.slow
+        regular = self.consistent & ~self.slow & ~self.unclear
         return regular if regular.any() else self.consistent
 
-    def matrices(self, level: int) -> tuple[Any, Any]:
-        """``F_z`` and ``F_U`` of the levels up to this one in units: ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
-        batch, rows = len(self.residuals), (level + 1) * self.at.jet.shape[-1]
-        scale = self.units.rows[: level + 1].reshape(-1, 1)
-        by_state = self.at.by_state[:, : level + 1].reshape(batch, rows, -1) / scale * self.units.state
-        by_jet = self.at.by_jet[:, : level + 1, :, : level + 1].reshape(batch, rows, rows)
-        return by_state, by_jet / scale * self.units.jet[: level + 1].reshape(-1)
+    def stack(self, name: str) -> np.ndarray:
+        """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""
+        return np.concatenate([getattr(self.at, name)[:, None], np.moveaxis(getattr(self.beside, name), 0, 1)], axis=1)
+
+    def stacks(self, level: int) -> tuple[np.ndarray, np.ndarray]:
+        """``F_z`` and ``F_U`` of the levels up to this one, at the points and beside them, in units.
+
+        Shapes ``(batch, 1 + SAMPLES, rows, 2n)`` and ``(batch, 1 + SAMPLES, rows, rows)``.
+        """
+        return in_units(self.stack("by_state"), self.stack("by_jet"), self.units, level)
+
+    def matrices(self, level: int) -> tuple[np.ndarray, np.ndarray]:
+        """The same at the points alone, ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
+        by_state, by_jet = in_units(self.at.by_state[:, None], self.at.by_jet[:, None], self.units, level)
+        return by_state[:, 0], by_jet[:, 0]
 
 
-def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: int, near: Pair | None) -> Points:
-    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control; with ``near`` it and points around it."""
-    keys = jax.random.split(jax.random.key(seed), count)
-    (q, p), centers, first, (speed, cost) = jax.tree.map(np.asarray, _draw()(problem, keys))
-    size, _ = _sizes(cost, speed)
-    z = (q, jax.tree.map(lambda leaf: size * leaf, p)) if near is None else _around(problem.manifold, near, keys, size)
-    jets = np.zeros((count, order + 1, problem.controls.dimension))
-    jets[:, 0] = first
-    return _evaluated(DerivativeArray(problem, order), z, centers, jets)
+def in_units(by_state: np.ndarray, by_jet: np.ndarray, units: Units, level: int) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the levels up to this one, ``(batch, samples, ...)``, with rows and columns scaled and raveled."""
+    k = level + 1
+    batch, samples, _, m = by_state.shape[:4]
+    scale = units.rows[:, None, :k].reshape(batch, 1, k * m, 1)
+    along = units.jet[:, None, None, :k].reshape(batch, 1, 1, k * m)
+    with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
+        states = by_state[:, :, :k].reshape(batch, samples, k * m, by_state.shape[-1]) / scale * units.state[:, None, None]
+        jets = by_jet[:, :, :k, :, :k].reshape(batch, samples, k * m, k * m) / scale * along
+    return states, jets
 
 
-@lru_cache
-def _draw() -> Callable[..., Any]:
-    """Points of ``T*Q``, centers of charts of U and coordinates in them, and sizes of the velocity and the cost there.
-
-    A Euclidean U has one chart, around zero, and controls that cost as much as there is of it without them, or, where they cost
-    nothing of second order, change the velocity by as much as there is of it: their unit is no size.
-    """
-
-    def one(problem: OptimalControlProblem, key: Array) -> tuple[Pair, Ambient, Array]:
-        first, second = jax.random.split(key)
-        u = problem.controls.random_point(second)
-        z = CotangentBundle(problem.manifold).random_point(first)
-        if isinstance(problem.controls, Euclidean):
-            return z, vec.zeros(problem.controls.ambient), jnp.ravel(u)
-        return z, u, jnp.zeros(problem.controls.dimension)
-
-    def sizes(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
-        return vec.size(problem.velocity(q, u)), jnp.abs(problem.cost_rate(q, u))
-
-    def batch(problem: OptimalControlProblem, keys: Array) -> Any:
-        z, centers, first = jax.lax.map(lambda key: one(problem, key), keys)
-        first = _priced(problem, z[0], centers, _balance(problem, z[0], centers, first)) * first
-        controls = jax.vmap(problem.steer)(centers, first)
-        return z, centers, first, jax.lax.map(lambda at: sizes(problem, *at), (z[0], controls))
-
-    return compiled(batch, quickly=True)
+def relative(at: Linearised, rows: np.ndarray, level: int) -> np.ndarray:
+    """Equations up to a level in units, ``(batch, equations)``; infinite where one, or a function of the problem, is not finite."""
+    k, batch = level + 1, len(at.array)
+    parts = at.array[:, :k], at.by_state[:, :k], at.by_jet[:, :k, :, :k], at.cost_rate, at.velocity
+    finite = np.all([np.isfinite(part.reshape(batch, -1)).all(axis=1) for part in parts], axis=0)
+    with np.errstate(all="ignore"):
+        return np.where(finite[:, None], np.abs(at.array / rows)[:, :k].reshape(batch, -1), np.inf)
 
 
-def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
-    """Typical size of the velocity at the centers over that of its change by these controls; one where either is zero."""
-
-    def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
-        q, center, c = at
-        still = problem.velocity(q, center)
-        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem.steer(center, c)), still))
-
-    drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
-    least = default_tolerance() * jnp.maximum(drift, change)
-    return jnp.where((drift > least) & (change > least), drift / jnp.where(change > 0, change, 1.0), 1.0)
-
-
-def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes: Array) -> Array:
-    """Controls of which each costs, in second order, as much as there is of cost at the centers; ``sizes`` where none is."""
-
-    def costs(at: tuple[Ambient, Ambient]) -> tuple[Array, Array]:
-        q, center = at
-        cost = jax.hessian(lambda c: problem.cost_rate(q, problem.steer(center, c)))
-        return jnp.abs(problem.cost_rate(q, center)), jnp.abs(jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))) / 2
-
-    cost, price = (jnp.mean(a, axis=0) for a in jax.lax.map(costs, (q, centers)))
-    paid = (price > PRICE * jnp.finfo(price.dtype).eps * cost) & (cost > 0)
-    return jnp.where(paid, jnp.sqrt(cost / jnp.where(paid, price, 1.0)), sizes)
+def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, lengths: np.ndarray) -> Points:
+    """Starts, with the sizes that the array has there; ``lengths``: sizes of the coordinates of Q."""
+    count = len(jets)
+    at = moved(array, z, centers, jets)
+    unknown = np.zeros(jets.shape[1:], bool)
+    sizes = sizes_at_starts(at, lengths, unknown)
+    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *np.zeros((3, count), bool))
+    slopes = np.concatenate([points.stack(name).reshape(count, 1 + SAMPLES, *unknown.shape, -1) for name in ("by_state", "by_jet")], -1)
+    rounding = np.max(np.nan_to_num(significance(slopes)), axis=-1) <= COUNTED
+    return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
 
 
-def _around(manifold: Manifold, z: Pair, keys: Array, costate: float) -> Pair:
-    """The point, and random ones near it; ``costate`` is the typical size of one, for a ``p`` that is zero."""
-    bundle, move = CotangentBundle(manifold), BundleRetraction(default_retraction(manifold))
-    extent = float(vec.size(z[1])) or costate
-    lengths = NEARBY * jnp.repeat(jnp.array([1.0, extent]), manifold.dimension)
-    steps = jax.vmap(lambda key: lengths * jax.random.normal(key, lengths.shape))(keys).at[0].set(0.0)
-    return jax.tree.map(np.asarray, jax.lax.map(lambda d: move(z, vec.combine(bundle.spanning_frame(z), d)), steps))
+def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:
+    """The array linearised at points, moved by coordinates ``d`` if these are given."""
+    size = CotangentBundle(array.problem.manifold).dimension + jets[0].size
+    d = np.zeros((len(jets), size)) if d is None else d
+    return jax.tree.map(np.asarray, _kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(d)))
+
+
+def tiny_steps(array: DerivativeArray, centers: Ambient, at: Linearised, units: Units) -> Linearised:
+    """The array linearised a tiny random step away, several times."""
+    steps = RESOLUTION * np.random.default_rng(0).standard_normal((SAMPLES, *units.both.shape)) * units.both
+    found = [moved(array, at.z, centers, at.jet, d) for d in steps]
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
 
 
 def with_order(points: Points, order: int) -> Points:
-    """The same points with an array of this order, and no knowledge of units yet."""
+    """The same points with an array of this order, and sizes as if they were starts."""
     more = order - points.array.order
-    jets = np.concatenate([points.at.jet, np.zeros((len(points.residuals), more, points.at.jet.shape[-1]))], axis=1)
-    return _evaluated(DerivativeArray(points.array.problem, order), points.at.z, points.centers, jets)
-
-
-def _evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray) -> Points:
-    count = len(jets)
-    still = np.zeros((count, CotangentBundle(array.problem.manifold).dimension + jets[0].size))
-    at = _host(_kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(still)))
-    never = np.full(count, np.inf)
-    return Points(array, centers, at, _units(at), never, *np.zeros((2, count), bool))
-
-
-def _host(at: Linearised) -> Linearised:
-    return jax.tree.map(np.asarray, at)
-
-
-def _units(at: Linearised) -> Units:
-    """Rows by their typical largest entry, unless it is rounding of the terms they sum; then columns by their largest one.
-
-    Entries are weighed with the sizes that a state, a costate, a control and its derivatives have at the starts, so that the
-    answers do not depend on the units of time, cost and controls.
-    """
-    costate, rate = _sizes(np.asarray(at.cost_rate), np.linalg.norm(at.velocity[:, : at.velocity.shape[1] // 2], axis=1))
-    across = np.repeat([1.0, costate], at.velocity.shape[1] // 2)
-    control = np.sqrt(np.mean(at.jet[:, 0] ** 2, axis=0))
-    along = np.where(control > 0, control, 1.0) * (rate ** np.arange(at.jet.shape[1]))[:, None]
-    by_state, by_jet = np.abs(at.by_state) * across, np.abs(at.by_jet) * along
-    largest = np.max(np.concatenate([by_state, by_jet.reshape(*at.array.shape, -1)], axis=-1), axis=-1)
-    rows = _typical(np.maximum(largest, np.abs(at.array)))
-    shifted = np.concatenate([np.abs(at.jet[:, 1:]), np.zeros_like(at.jet[:, :1])], axis=1)
-    terms = np.einsum("bkms,bs->bkm", np.abs(at.by_state), np.abs(at.velocity))
-    terms += np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), shifted)
-    floor = NEGLIGIBLE * np.concatenate([[np.max(rows[0])], np.max(terms, axis=(0, 2))[:-1]])
-    rows = np.maximum(rows, floor[:, None])
-    rows = np.where(rows > 0, rows, 1.0)
-    capped = np.maximum(largest, rows)
-    state = np.max(by_state / capped[..., None], axis=(0, 1, 2))
-    jet = np.max(by_jet / capped[..., None, None], axis=(0, 1, 2))
-    return Units(rows, across * _reciprocal(state), along * _reciprocal(jet))
-
-
-def _sizes(costs: np.ndarray, speeds: np.ndarray) -> tuple[float, float]:
-    """Costates for which ``<p, X>`` and the cost are comparable, and the rate of change of a state of size one."""
-    cost, speed = float(np.mean(np.abs(costs))), float(np.mean(speeds))
-    return (cost / speed if cost > 0 and speed > 0 else 1.0), (speed if speed > 0 else 1.0)
-
-
-def _typical(sizes: np.ndarray) -> np.ndarray:
-    """Medians over a batch, which one point near a pole does not move; largest values where more than half are zero."""
-    medians = np.median(sizes, axis=0)
-    return np.where(medians > 0, medians, np.max(sizes, axis=0))
-
-
-def _reciprocal(sizes: np.ndarray) -> np.ndarray:
-    largest = np.max(sizes)
-    return 1 / np.where(sizes > NEGLIGIBLE * largest, sizes, largest) if largest > 0 else np.ones_like(sizes)
-
-
-def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
-    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` if asked, by damped steps of least norm.
-
-    Those that come to irregular ones, as where pieces cross, are tried once more with ``DESCENTS`` steps of descent before.
-    """
-    direct = _moved(points, level, unit_costate, np.ones(len(points.slow), bool), 0)
-    stuck = direct.slow & direct.consistent & ~points.slow
-    if not stuck.any():
-        return direct
-    again = _moved(points, level, unit_costate, stuck, DESCENTS)
-    better = stuck & again.consistent & ~again.slow
-    pairs = ((found.at, found.residuals, found.slow) for found in (again, direct))
-    at, residuals, slow = jax.tree.map(lambda a, b: _where(better, a, b), *pairs)
-    return replace(direct, at=at, residuals=residuals, slow=slow)
-
-
-def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, descents: int) -> Points:
-    at, damping = points.at, np.where(which, 1.0, 0.0)
-    slow = np.zeros(len(which), int)
-    residual = _residuals(points, at, level, unit_costate)
-    for i in range(ITERATIONS):
-        active = (residual > CONVERGED * 1e-3) & (damping > SMALLEST_DAMPING)
-        if not active.any():
-            break
-        d = np.where(active, damping, 0.0)[:, None] * _directions(replace(points, at=at), level, unit_costate, i < descents)
-        tried = _host(_kernel()(points.array, at.z, points.centers, jnp.asarray(at.jet), jnp.asarray(d)))
-        now = _residuals(points, tried, level, unit_costate)
-        better = active & (now < (1 - 1e-4 * damping) * residual)
-        at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
-        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
-        residual = np.where(better, now, residual)
-        damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
-    ended, slow = replace(points, at=at, residuals=residual), slow >= SLOW_STEPS
-    steps = np.linalg.norm(_directions(ended, level, unit_costate, False) / points.units.both, axis=1)
-    return replace(ended, slow=points.slow | slow, away=points.away | (slow & (steps > LONG)))
-
-
-def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The points of ``a`` that are ``which``, the others of ``b``."""
-    return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
-
-
-def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
-    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
-    count, reach = len(points.residuals), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
-    lengths = BESIDE * points.units.both
-    lengths[reach:] = 0.0  # derivatives of the control that do not enter
-    d = lengths * np.random.default_rng(0).standard_normal((count, lengths.size))
-    at = _host(_kernel()(points.array, points.at.z, points.centers, jnp.asarray(points.at.jet), jnp.asarray(d)))
-    return make_consistent(replace(points, at=at, slow=np.zeros(count, bool)), level, unit_costate)
-
-
-def _residuals(points: Points, at: Linearised, level: int, unit_costate: bool) -> np.ndarray:
-    """Norm of the equations in units; infinite where one, or a function of the problem, is not finite."""
-    entries = np.abs(at.array / points.units.rows)[:, : level + 1].reshape(len(at.array), -1)
-    if unit_costate:
-        entries = np.concatenate([entries, np.abs(at.costate[:, :1])], axis=1)
-    finite = np.isfinite(at.cost_rate) & np.all(np.isfinite(at.velocity), axis=1)
-    return np.where(finite, np.nan_to_num(np.linalg.norm(entries, axis=1), nan=np.inf), np.inf)
-
-
-def _directions(points: Points, level: int, unit_costate: bool, descent: bool) -> np.ndarray:
-    """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; shape ``(batch, 2n + jet)``.
-
-    With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the state: these
-    go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
-    """
-    at, units = points.at, points.units
-    by_state, by_jet = points.matrices(level)
-    batch, rows, count = by_state.shape
-    matrix = np.concatenate([by_state, by_jet], axis=2)
-    values = (at.array / units.rows)[:, : level + 1].reshape(batch, rows)
-    if unit_costate:
-        extra = np.concatenate([at.costate[:, 1:] * units.state, np.zeros((batch, by_jet.shape[2]))], axis=1)
-        matrix = np.concatenate([matrix, extra[:, None]], axis=1)
-        values = np.concatenate([values, at.costate[:, :1]], axis=1)
-    finite = np.asarray(np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1))
-    matrix = np.where(finite[:, None, None], matrix, 0.0)
-    values = np.where(finite[:, None], values, 0.0)
-    ease = np.where(descent & (np.arange(matrix.shape[2]) >= count), EASE, 1.0)
-    step = -ease * _regularised(matrix * ease, values, descent)
-    scale = np.concatenate([units.state, units.jet[: level + 1].reshape(-1)])
-    full = np.zeros((batch, count + at.jet[0].size))
-    full[:, : len(scale)] = step * scale
-    return full
-
-
-def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.ndarray:
-    """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
-
-    Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them
-    [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and Newton
-    are drawn to where pieces cross. With ``descent`` ``d`` is at least the square of the largest singular value.
-    """
-    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
-    shift = np.minimum(np.sum(values**2, axis=1), LARGEST_SHIFT)[:, None]
-    shift = np.maximum(shift, sizes[:, :1] ** 2) if descent else shift
-    counted = sizes > PSEUDO_INVERSE_CUTOFF * sizes[:, :1]
-    filtered = np.where(counted, sizes / np.where(counted, sizes**2 + shift, 1.0), 0.0)
-    return np.einsum("bri,br,bkr,bk->bi", right, filtered, left, values)
+    jets = np.concatenate([points.at.jet, np.zeros((len(points.slow), more, points.at.jet.shape[-1]))], axis=1)
+    return evaluated(DerivativeArray(points.array.problem, order), points.at.z, points.centers, jets, points.sizes.lengths)
 
 
 def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
-    part = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
-    evidence = points.residuals[which], points.slow[which], points.away[which]
-    return Points(points.array, part[0], part[1], points.units, *evidence)
+    centers, at = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
+    beside = jax.tree.map(lambda leaf: leaf[:, which], points.beside)
+    evidence = points.slow[which], points.away[which], points.unclear[which]
+    return Points(points.array, centers, at, beside, points.sizes, points.level, *evidence)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
-from retrax.integrators.singular.integrability.points import random_starts
+from retrax.integrators.singular.integrability.starts import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics.rank import numerical_rank
 from retrax.problems import SINGULAR

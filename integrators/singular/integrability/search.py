@@ -1,0 +1,130 @@
+"""The search for consistent points: batched, damped Levenberg-Marquardt steps of least norm."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from .points import CONVERGED, Linearised, Points, in_units, moved, relative, tiny_steps
+from .units import units_at
+
+ITERATIONS = 100
+SMALLEST_DAMPING = 1e-3
+PSEUDO_INVERSE_CUTOFF = 1e-9
+LARGEST_SHIFT = 1e-2
+DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
+SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
+BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
+
+
+def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
+    """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` in units if asked, by damped steps of least norm.
+
+    Those that come to irregular ones, as where pieces cross, are tried once more with ``DESCENTS`` steps of descent before.
+    """
+    direct = _moved(points, level, unit_costate, np.ones(len(points.slow), bool), 0)
+    stuck = direct.slow & direct.consistent & ~points.slow
+    if not stuck.any():
+        return direct
+    again = _moved(points, level, unit_costate, stuck, DESCENTS)
+    better = stuck & again.consistent & ~again.slow
+    at = jax.tree.map(lambda a, b: _where(better, a, b), again.at, direct.at)
+    beside = jax.tree.map(lambda a, b: np.stack([_where(better, *pair) for pair in zip(a, b, strict=True)]), again.beside, direct.beside)
+    return replace(direct, at=at, beside=beside, slow=np.where(better, again.slow, direct.slow))
+
+
+def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, descents: int) -> Points:
+    """Steps are taken if the equations shrink in the units of the point before, or in those of the point after."""
+    search = _Search(points, level, unit_costate)
+    at, damping, slow = points.at, np.where(which, 1.0, 0.0), np.zeros(len(which), int)
+    residual = search.residual(at, at)
+    for i in range(ITERATIONS):
+        active = (residual > CONVERGED * 1e-3) & (damping > SMALLEST_DAMPING)
+        if not active.any():
+            break
+        d = np.where(active, damping, 0.0)[:, None] * search.directions(at, i < descents)
+        tried = moved(points.array, at.z, points.centers, at.jet, d)
+        now, own = search.residual(tried, at), search.residual(tried, tried)
+        better = active & (np.minimum(now, own) < (1 - 1e-4 * damping) * residual)
+        at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
+        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
+        residual = np.where(better, own, residual)
+        damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
+    units, slow = units_at(at, points.sizes), slow >= SLOW_STEPS
+    steps = np.linalg.norm(search.directions(at, False) / units.both, axis=1)
+    beside, unclear = tiny_steps(points.array, points.centers, at, units), np.zeros_like(slow)
+    away = points.away | (slow & (steps > LONG))
+    return replace(points, at=at, beside=beside, level=level, slow=points.slow | slow, away=away, unclear=unclear)
+
+
+def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """The points of ``a`` that are ``which``, the others of ``b``."""
+    return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
+
+
+def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
+    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
+    count, reach = len(points.slow), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
+    d = BESIDE * points.units.both * np.random.default_rng(0).standard_normal(points.units.both.shape)
+    d[:, reach:] = 0.0  # derivatives of the control that do not enter
+    at = moved(points.array, points.at.z, points.centers, points.at.jet, d)
+    return make_consistent(replace(points, at=at, slow=np.zeros(count, bool)), level, unit_costate)
+
+
+class _Search(NamedTuple):
+    """Which equations are solved."""
+
+    points: Points
+    level: int
+    unit_costate: bool
+
+    def residual(self, at: Linearised, before: Linearised) -> np.ndarray:
+        """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not finite."""
+        values = relative(at, units_at(before, self.points.sizes).rows, self.level)
+        return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
+
+    def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:
+        """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not asked."""
+        sizes, n = self.points.sizes.state, at.costate.shape[1]
+        slope = np.concatenate([np.zeros_like(at.costate), at.costate / sizes[n:]], axis=1)
+        value = (np.sum(slope**2, axis=1, keepdims=True) - 1) / 2
+        return value[:, : int(self.unit_costate)], (slope / sizes)[:, None][:, : int(self.unit_costate)]
+
+    def directions(self, at: Linearised, descent: bool) -> np.ndarray:
+        """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; ``(batch, 2n + jet)``.
+
+        With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the state:
+        these go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
+        """
+        units, k = units_at(at, self.points.sizes), self.level + 1
+        by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
+        size, slope = self.normalisation(at)
+        slope = np.concatenate([slope * units.state[:, None], np.zeros((*slope.shape[:2], by_jet.shape[2]))], axis=2)
+        matrix = np.concatenate([np.concatenate([by_state, by_jet], axis=2), slope], axis=1)
+        with np.errstate(all="ignore"):  # points where functions overflow stay where they are
+            values = np.concatenate([(at.array / units.rows)[:, :k].reshape(len(matrix), -1), size], axis=1)
+            finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1) & np.isfinite(np.sum(values**2, axis=1))
+        matrix, values = np.where(finite[:, None, None], matrix, 0.0), np.where(finite[:, None], values, 0.0)
+        ease = np.where(descent & (np.arange(matrix.shape[2]) >= by_state.shape[2]), EASE, 1.0)
+        scale = np.concatenate([units.state, units.jet[:, :k].reshape(len(matrix), -1)], axis=1)
+        step = -ease * _regularised(matrix * ease, values, descent) * scale
+        return np.pad(step, ((0, 0), (0, units.both.shape[1] - step.shape[1])))
+
+
+def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.ndarray:
+    """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
+
+    Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them
+    [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and Newton
+    are drawn to where pieces cross. With ``descent`` ``d`` is at least the square of the largest singular value.
+    """
+    left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
+    shift = np.minimum(np.sum(values**2, axis=1), LARGEST_SHIFT)[:, None]
+    shift = np.maximum(shift, sizes[:, :1] ** 2) if descent else shift
+    counted = sizes > PSEUDO_INVERSE_CUTOFF * sizes[:, :1]
+    filtered = np.where(counted, sizes / np.where(counted, sizes**2 + shift, 1.0), 0.0)
+    return np.einsum("bri,br,bkr,bk->bi", right, filtered, left, values)
+
+
