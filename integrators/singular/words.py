@@ -99,14 +99,14 @@ def approached_words(residual: float) -> str:
     """That no point was found, though not for a contradiction."""
     return (
         f"no point found: its conditions are approached (residual {residual:.0e}) and not reached, perhaps at infinity or at the "
-        "edge of the domain of the problem's functions; not shown to be empty"
+        "edge of the domain of the problem's functions, or for lack of precision; not shown to be empty; try near=(q, p)"
     )
 
 
 def sparse_words(left_out: int, count: int) -> str:
     """That pieces may be missing."""
     return (
-        f"{left_out} of {count} points, where equations are irregular: pieces of P_f may be missing; try more starts, or "
+        f"{left_out} of {count} points, where equations are irregular or ranks not decided: pieces of P_f may be missing; try more starts, or "
         "near=(q, p) where one is expected"
     )
 
@@ -114,6 +114,10 @@ def sparse_words(left_out: int, count: int) -> str:
 CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
 EXCLUDED = "p = 0 is excluded"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
+UNDECIDED = (
+    "at every point some number is neither clearly zero nor clearly not, beside what it changes by within the point's precision: "
+    "what follows is no statement about P_f; try near=(q, p) elsewhere, or functions that are less steep"
+)
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
 
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Literal, NamedTuple, overload
 
 import jax
 import jax.numpy as jnp
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
-SAME, FEWEST = 1e-6, 3  # largest difference of directions that are the same, in units, and points that show a piece
+SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
 
 
 @overload
@@ -88,13 +88,9 @@ def classify(
     exclude = exclude_zero_costate
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
-    levels, morse, points = _run(first, unit_costate=exclude and homogeneous)
-    found = select(points, points.reliable)
-    sizes = points.sizes.action / points.sizes.lengths
-    trivial = np.max(np.abs(found.at.costate) / sizes, axis=1, initial=0.0) <= VANISHING_COSTATE
-    excluded = int(np.sum(trivial)) if exclude else 0
-    strata = _strata(select(found, ~trivial) if exclude else found)
-    return Classification(problem, strata, morse, tuple(levels), excluded, bool(exclude))
+    levels, morse, found = _run(first, unit_costate=exclude and homogeneous)
+    kept = [item for item in found if not (exclude and item.trivial)]
+    return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude))
 
 
 def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
@@ -123,25 +119,48 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
     problem.require_no_kink(problem.manifold.random_point(jax.random.key(0)) if near is None else near[0])
 
 
-def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, Points]:
-    """The levels until ``P^k`` stops around each of its points or none is consistent, and the points at the last of them.
+class _Found(NamedTuple):
+    """A point around which ``P^k`` stopped, in a batch of its own, and its ranks at all levels."""
+
+    points: Points
+    history: list[PointRanks]
+
+    @property
+    def ranks(self) -> PointRanks:
+        """At the last level."""
+        return self.history[-1]
+
+    @property
+    def trivial(self) -> bool:
+        """Whether the costate vanishes."""
+        sizes = self.points.sizes
+        return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
+
+
+def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, list[_Found]]:
+    """The levels until ``P^k`` stops around each of its points or none is consistent, and the points where it stopped.
 
     ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
-    changes after it. The batch keeps its size, so that one kernel serves all levels up to the order of the array.
+    changes after it, and the point goes no further.
     """
-    points, levels, morse = first, [], None
+    points, levels, morse, found = first, [], None, list[_Found]()
     while True:
         level = len(levels)
         if level > points.array.order:
             points = _lengthened(points, first, levels)
         points = _without_crossings(_known(make_consistent(points, level, unit_costate)), unit_costate)
-        histories = _histories(select(points, points.reliable))
-        levels.append(summarise(points, [history[-1] for history in histories]))
+        reliable = np.flatnonzero(points.reliable)
+        histories = _histories(select(points, reliable))
+        levels.append(summarise(points, [item.ranks for item in found], [history[-1] for history in histories]))
         _require_finite(points, levels[-1])
         if level == 0 and histories:
             morse = _morse(select(points, points.consistent))
-        if not histories or (level > 0 and all(_new_equations(history) == 0 for history in histories)):
-            return levels, morse, points
+        settled = [level > 0 and _new_equations(history) == 0 for history in histories]
+        ended = [_Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops]
+        found += ended
+        if len(ended) == len(histories):
+            return levels, morse, found
+        points = select(points, np.setdiff1d(np.arange(len(points.slow)), reliable[settled]))
 
 
 def _histories(points: Points) -> list[list[PointRanks]]:
@@ -224,29 +243,27 @@ def _morse(points: Points) -> MorseTest:
     )
 
 
-def _strata(points: Points) -> tuple[Stratum, ...]:
+def _strata(found: list[_Found]) -> tuple[Stratum, ...]:
     """Points clustered by piece, each cluster with the equations through its best conditioned point.
 
     Pieces differ in their ranks at the last level, in the controls that they determine, or in their tangent spaces.
     """
-    histories = _histories(points)
-    final = [history[-1] for history in histories]
-    groups: dict[tuple[Signature, tuple[bool, ...]], list[int]] = {}
-    for i, ranks in enumerate(final):
-        groups.setdefault((ranks.signature, tuple(ranks.determined)), []).append(i)
-    told = ([group] if points.slow[group].any() else _told_apart(group, final) for group in groups.values())
-    made = [_stratum(points, members, histories) for pieces in told for members in pieces]
+    groups: dict[tuple[Signature, tuple[bool, ...]], list[_Found]] = {}
+    for item in found:
+        groups.setdefault((item.ranks.signature, tuple(item.ranks.determined)), []).append(item)
+    told = ([group] if any(item.points.slow for item in group) else _told_apart(group) for group in groups.values())
+    made = [_stratum(members) for pieces in told for members in pieces]
     return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
 
 
-def _told_apart(group: list[int], final: list[PointRanks]) -> list[list[int]]:
+def _told_apart(group: list[_Found]) -> list[list[_Found]]:
     """The pieces that points of equal ranks lie on, as far as their tangent spaces tell them apart.
 
     The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it is not,
     points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer dimensions than it
-    could bend in.
+    could bend in. Few points show no piece: beside a single one they are where that is flat to rounding.
     """
-    joint = _joint_ranks([final[i].tangents for i in group])
+    joint = _joint_ranks([item.ranks.tangents for item in group])
     least, clusters = np.min(joint, axis=1), list[list[int]]()
     for i in range(len(group)):
         for cluster in clusters:
@@ -255,9 +272,11 @@ def _told_apart(group: list[int], final: list[PointRanks]) -> list[list[int]]:
                 break
         else:
             clusters.append([i])
-    told = [[group[i] for i in cluster] for cluster in clusters if len(cluster) >= FEWEST]
-    rest = [i for i in group if not any(i in cluster for cluster in told)]
-    return [*told, rest] if rest else told
+    told = [cluster for cluster in clusters if len(cluster) >= FEWEST]
+    if len(told) < 2:
+        return [group]
+    rest = [i for i in range(len(group)) if not any(i in cluster for cluster in told)]
+    return [[group[i] for i in cluster] for cluster in (*told, rest) if cluster]
 
 
 def _joint_ranks(tangents: list[np.ndarray]) -> np.ndarray:
@@ -270,29 +289,26 @@ def _joint_ranks(tangents: list[np.ndarray]) -> np.ndarray:
     return joint
 
 
-def _stratum(points: Points, members: list[int], histories: list[list[PointRanks]]) -> Stratum:
+def _stratum(members: list[_Found]) -> Stratum:
     # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
-    stops = {i: _stops(histories[i]) for i in members}
-    ((usual, _),) = Counter(stops.values()).most_common(1)
-    index = max((i for i in members if stops[i] == usual), key=lambda i: histories[i][-1].gap)
-    history, (k_f, base) = histories[index], usual
-    ranks, point = history[-1], select(points, index)
-    tangents = np.array([histories[i][-1].tangents for i in members])
-    z = jax.tree.map(jnp.asarray, point.at.z)
+    ((usual, _),) = Counter(_stops(item.history) for item in members).most_common(1)
+    (points, history), (k_f, base) = max((m for m in members if _stops(m.history) == usual), key=lambda m: m.ranks.gap), usual
+    ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
+    z, u, frame = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (points.at.z, points.at.control, points.at.frame))
     return Stratum(
         signature=ranks.signature,
         count=len(members),
         flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
         k_f=k_f,
         k_f_base=base,
-        determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(point.at.jet.shape[-1])),
+        determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(points.at.jet.shape[-1])),
         q=z[0],
         p=z[1],
-        u=jax.tree.map(jnp.asarray, point.at.control),
-        kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), point.at.frame),
-        states=select(points, np.array(members)).at.z,
-        equations=final_equations(points, index, base, history[base]),
-        feedback=final_equations(points, index, k_f, history[k_f]),
+        u=u,
+        kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), frame),
+        states=jax.tree.map(lambda *leaves: np.concatenate(leaves), *(item.points.at.z for item in members)),
+        equations=final_equations(points, base, history[base]),
+        feedback=final_equations(points, k_f, history[k_f]),
     )
 
 

@@ -84,16 +84,16 @@ class FinalEquations(eqx.Module):
         return tuple(ordinal(row // self.jet.shape[-1]) for row in self.pivots.kept)
 
 
-def final_equations(points: Points, index: int, level: int, ranks: PointRanks) -> FinalEquations:
-    """The equations of the stratum through one point of a batch that is consistent to ``level``."""
-    by_jet = points.matrices(level)[1][index]
+def final_equations(points: Points, level: int, ranks: PointRanks) -> FinalEquations:
+    """The equations of the stratum through the one point of a batch, consistent to ``level``."""
+    by_jet = points.matrices(level)[1][0]
     pivots = _pivots(ranks.pivots, points.at.jet.shape[-1], len(by_jet))
     return FinalEquations(
         array=DerivativeArray(points.array.problem, level),
-        center=jax.tree.map(lambda leaf: jnp.asarray(leaf[index]), points.centers),
-        jet=jnp.asarray(points.at.jet[index, : level + 1]),
-        rows=jnp.asarray(points.units.rows[index, : level + 1].reshape(-1)),
-        columns=jnp.asarray(points.units.jet[index, : level + 1].reshape(-1)),
+        center=jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), points.centers),
+        jet=jnp.asarray(points.at.jet[0, : level + 1]),
+        rows=jnp.asarray(points.units.rows[0, : level + 1].reshape(-1)),
+        columns=jnp.asarray(points.units.jet[0, : level + 1].reshape(-1)),
         pivots=pivots,
         explicit=bool(np.max(np.abs(by_jet[list(pivots.kept)]), initial=0.0) <= EXPLICIT),
     )

@@ -42,7 +42,7 @@ class Level:
     """A level of the algorithm: how many of the points tried reached ``P^k``, and the strata that they lie in.
 
     ``slow`` and ``unclear``: at how many of them equations are irregular, and ranks not decided; ``left_out``: at how many
-    either.
+    either; ``opposed``: equations contradict each other at all others.
     """
 
     index: int
@@ -54,6 +54,7 @@ class Level:
     slow: int
     unclear: int
     left_out: int
+    opposed: bool
 
     @property
     def empty(self) -> bool:
@@ -102,18 +103,20 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
     return ranks
 
 
-def summarise(points: Points, ranks: list[PointRanks]) -> Level:
-    """The record of a level: ``ranks`` at the points that are reliable."""
-    consistent = points.consistent
-    starts = relative(points.at, points.sizes.rows, points.level)
+def summarise(points: Points, ended: list[PointRanks], ranks: list[PointRanks]) -> Level:
+    """The record of a level: ``ranks`` at its points that are reliable, ``ended`` at those where ``P^k`` stopped before."""
+    consistent, before = points.consistent, len(ended)
+    with np.errstate(all="ignore"):
+        starts = np.max(relative(points.at, points.sizes.rows, points.level), axis=1)
     return Level(
         index=points.level,
-        tried=len(consistent),
-        consistent=int(consistent.sum()),
-        strata=dict(Counter(rank.signature for rank in ranks).most_common()),
+        tried=before + len(consistent),
+        consistent=before + int(consistent.sum()),
+        strata=dict(Counter(rank.signature for rank in (*ended, *ranks)).most_common()),
         gap=min((rank.gap for rank in ranks), default=np.inf),
-        residual=float(np.max(points.residuals[consistent]) if consistent.any() else np.min(np.max(starts, axis=1))),
+        residual=float(np.max(points.residuals[consistent]) if consistent.any() else np.min(starts)),
         slow=int(np.sum(points.slow & consistent)),
         unclear=int(np.sum(points.unclear & consistent)),
         left_out=int(np.sum((points.slow | points.unclear) & consistent)),
+        opposed=bool(np.all(points.opposed)),
     )

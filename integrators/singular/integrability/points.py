@@ -22,6 +22,7 @@ from .units import Sizes, Units, sizes_at_starts, units_at
 
 CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
+BATCH = 20  # points that the kernel takes
 
 
 class Linearised(NamedTuple):
@@ -90,7 +91,8 @@ class Points:
 
     ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the equations
     that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed
-    long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided.
+    long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided; ``opposed``: no direction makes all
+    equations smaller.
     """
 
     array: DerivativeArray
@@ -102,6 +104,7 @@ class Points:
     slow: np.ndarray
     away: np.ndarray
     unclear: np.ndarray
+    opposed: np.ndarray
 
     @cached_property
     def units(self) -> Units:
@@ -170,17 +173,26 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     at = moved(array, z, centers, jets)
     unknown = np.zeros(jets.shape[1:], bool)
     sizes = sizes_at_starts(at, lengths, unknown)
-    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *np.zeros((3, count), bool))
-    slopes = np.concatenate([points.stack(name).reshape(count, 1 + SAMPLES, *unknown.shape, -1) for name in ("by_state", "by_jet")], -1)
+    points = Points(
+        array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *np.zeros((4, count), bool)
+    )
+    slopes = np.concatenate(
+        [points.stack(name).reshape(count, 1 + SAMPLES, *unknown.shape, -1) for name in ("by_state", "by_jet")], -1
+    )
     rounding = np.max(np.nan_to_num(significance(slopes)), axis=-1) <= COUNTED
     return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
 
 
 def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:
-    """The array linearised at points, moved by coordinates ``d`` if these are given."""
+    """The array linearised at points, moved by coordinates ``d`` if these are given.
+
+    Batches are filled up with their first point to a multiple of ``BATCH``: there is one kernel for those that shrink.
+    """
     size = CotangentBundle(array.problem.manifold).dimension + jets[0].size
     d = np.zeros((len(jets), size)) if d is None else d
-    return jax.tree.map(np.asarray, _kernel()(array, z, centers, jnp.asarray(jets), jnp.asarray(d)))
+    filled = np.pad(np.arange(len(jets)), (0, -len(jets) % BATCH))
+    arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf)[filled], (z, centers, jets, d))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(jets)], _kernel()(array, *arguments))
 
 
 def tiny_steps(array: DerivativeArray, centers: Ambient, at: Linearised, units: Units) -> Linearised:
@@ -201,5 +213,5 @@ def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
     centers, at = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
     beside = jax.tree.map(lambda leaf: leaf[:, which], points.beside)
-    evidence = points.slow[which], points.away[which], points.unclear[which]
+    evidence = points.slow[which], points.away[which], points.unclear[which], points.opposed[which]
     return Points(points.array, centers, at, beside, points.sizes, points.level, *evidence)

@@ -53,11 +53,13 @@ def _level(level: Level) -> str:
 
 
 def _irregular(level: Level) -> str:
-    if not level.slow:
-        return ""
-    if level.slow == level.consistent:
+    notes = [(level.unclear, "where ranks are not decided")] if level.unclear else []
+    notes += [(level.slow, "where equations are irregular, as where pieces cross")] if level.slow else []
+    if level.unknown and level.slow == level.consistent:
         return ", equations irregular at all of them: ranks not reliable"
-    return f", {level.slow} of them where equations are irregular, as where pieces cross: not counted"
+    return "".join(
+        f", {count} of them {where}: {'ranks not reliable' if level.unknown else 'not counted'}" for count, where in notes
+    )
 
 
 def _gap(gap: float) -> str:
@@ -69,12 +71,13 @@ def _empty(c: Classification) -> Iterator[Line]:
         yield "P_f", words.EMPTY_WITHOUT_IT
     else:
         level = c.levels[-1]
-        yield "P_f", words.unmet_words(level.index) if level.residual > APPROACHED else words.approached_words(level.residual)
+        met = level.residual <= APPROACHED
+        yield "P_f", words.approached_words(level.residual) if met or not level.opposed else words.unmet_words(level.index)
 
 
 def _final(c: Classification) -> Iterator[Line]:
     if c.sparse:
-        yield "LEFT OUT", words.sparse_words(max(level.slow for level in c.levels), c.levels[-1].consistent)
+        yield "LEFT OUT", words.sparse_words(max(level.left_out for level in c.levels), c.levels[-1].consistent)
     if c.stratified:
         yield "strata", words.strata_words(len(c.strata))
     for i, stratum in enumerate(c.strata):
@@ -89,7 +92,7 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     seen = f", {many(s.count, 'point')}" if c.stratified else ""
     irregular = "" if len(s.equations.names) == codimension else ", others irregular"
     if not c.reliable:
-        yield "NOT RELIABLE", words.UNRELIABLE
+        yield "NOT RELIABLE", words.UNRELIABLE if any(level.slow == level.consistent for level in c.levels) else words.UNDECIDED
     yield "P_f", words.final_words(total - codimension, total, s.equations.names) + irregular + seen
     if c.irregular and c.reliable and not s.flat:
         yield "pieces", words.CURVED

@@ -16,6 +16,7 @@ LARGEST_SHIFT = 1e-2
 DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
 LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
+STATIONARY = 1e-2  # of the equations that a step of size one takes away, where they contradict each other
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
 
 
@@ -31,7 +32,9 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     again = _moved(points, level, unit_costate, stuck, DESCENTS)
     better = stuck & again.consistent & ~again.slow
     at = jax.tree.map(lambda a, b: _where(better, a, b), again.at, direct.at)
-    beside = jax.tree.map(lambda a, b: np.stack([_where(better, *pair) for pair in zip(a, b, strict=True)]), again.beside, direct.beside)
+    beside = jax.tree.map(
+        lambda a, b: np.stack([_where(better, *pair) for pair in zip(a, b, strict=True)]), again.beside, direct.beside
+    )
     return replace(direct, at=at, beside=beside, slow=np.where(better, again.slow, direct.slow))
 
 
@@ -55,8 +58,10 @@ def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, de
     units, slow = units_at(at, points.sizes), slow >= SLOW_STEPS
     steps = np.linalg.norm(search.directions(at, False) / units.both, axis=1)
     beside, unclear = tiny_steps(points.array, points.centers, at, units), np.zeros_like(slow)
-    away = points.away | (slow & (steps > LONG))
-    return replace(points, at=at, beside=beside, level=level, slow=points.slow | slow, away=away, unclear=unclear)
+    away, opposed = points.away | (slow & (steps > LONG)), search.slopes(at) <= STATIONARY
+    return replace(
+        points, at=at, beside=beside, level=level, slow=points.slow | slow, away=away, unclear=unclear, opposed=opposed
+    )
 
 
 def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -83,7 +88,19 @@ class _Search(NamedTuple):
     def residual(self, at: Linearised, before: Linearised) -> np.ndarray:
         """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not finite."""
         values = relative(at, units_at(before, self.points.sizes).rows, self.level)
-        return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
+        with np.errstate(over="ignore"):
+            return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
+
+    def slopes(self, at: Linearised) -> np.ndarray:
+        """How much of the equations, in the sizes that they have at the starts, a step of size one can take away."""
+        rows = np.broadcast_to(self.points.sizes.rows, at.array.shape)
+        units = replace(units_at(at, self.points.sizes), rows=rows)
+        by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
+        with np.errstate(all="ignore"):  # not finite where functions are not
+            values = (at.array / rows)[:, : self.level + 1].reshape(len(rows), -1)
+            sizes = np.sum(values**2, axis=1, keepdims=True)
+            slopes = np.einsum("br,bri->bi", values / sizes, np.concatenate([by_state, by_jet], axis=2))
+            return np.linalg.norm(slopes, axis=1)
 
     def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not asked."""
@@ -105,7 +122,9 @@ class _Search(NamedTuple):
         matrix = np.concatenate([np.concatenate([by_state, by_jet], axis=2), slope], axis=1)
         with np.errstate(all="ignore"):  # points where functions overflow stay where they are
             values = np.concatenate([(at.array / units.rows)[:, :k].reshape(len(matrix), -1), size], axis=1)
-            finite = np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1) & np.isfinite(np.sum(values**2, axis=1))
+            finite = (
+                np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1) & np.isfinite(np.sum(values**2, axis=1))
+            )
         matrix, values = np.where(finite[:, None, None], matrix, 0.0), np.where(finite[:, None], values, 0.0)
         ease = np.where(descent & (np.arange(matrix.shape[2]) >= by_state.shape[2]), EASE, 1.0)
         scale = np.concatenate([units.state, units.jet[:, :k].reshape(len(matrix), -1)], axis=1)
@@ -126,5 +145,3 @@ def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.nd
     counted = sizes > PSEUDO_INVERSE_CUTOFF * sizes[:, :1]
     filtered = np.where(counted, sizes / np.where(counted, sizes**2 + shift, 1.0), 0.0)
     return np.einsum("bri,br,bkr,bk->bi", right, filtered, left, values)
-
-

@@ -84,9 +84,7 @@ def _draw() -> Callable[..., Drawn]:
     return compiled(batch, quickly=True)
 
 
-def _state(
-    problem: OptimalControlProblem, key: Array, apart: Array, near: Pair | None, lengths: Array
-) -> tuple[Pair, Array]:
+def _state(problem: OptimalControlProblem, key: Array, apart: Array, near: Pair | None, lengths: Array) -> tuple[Pair, Array]:
     """A random state, and the step to it from ``near``; without ``near`` its coordinates are scaled by their sizes."""
     move = default_retraction(problem.manifold)
     if near is None:
@@ -184,5 +182,3 @@ def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes:
     cost, price = (jnp.mean(a, axis=0) for a in jax.lax.map(costs, (q, centers)))
     paid = (price > PRICE * jnp.finfo(price.dtype).eps * cost) & (cost > 0)
     return jnp.where(paid, jnp.sqrt(cost / jnp.where(paid, price, 1.0)), sizes)
-
-
