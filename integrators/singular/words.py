@@ -106,8 +106,8 @@ def approached_words(residual: float) -> str:
 def sparse_words(left_out: int, count: int) -> str:
     """That pieces may be missing."""
     return (
-        f"{left_out} of {count} points, where equations are irregular or ranks not decided: pieces of P_f may be missing; try more starts, or "
-        "near=(q, p) where one is expected"
+        f"{left_out} of {count} points, where equations are irregular or ranks not decided: pieces of P_f may be missing; try "
+        "more starts, or near=(q, p) where one is expected"
     )
 
 

@@ -149,7 +149,8 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         if level > points.array.order:
             points = _lengthened(points, first, levels)
         points = _without_crossings(_known(make_consistent(points, level, unit_costate)), unit_costate)
-        reliable = np.flatnonzero(points.reliable)
+        # Where equations are irregular at all points, what is read off there is shown, as not reliable.
+        reliable = np.flatnonzero(points.regular if found or points.regular.any() else points.consistent)
         histories = _histories(select(points, reliable))
         levels.append(summarise(points, [item.ranks for item in found], [history[-1] for history in histories]))
         _require_finite(points, levels[-1])
@@ -194,7 +195,7 @@ def _require_finite(points: Points, level: Level) -> None:
 
 def _without_crossings(points: Points, unit_costate: bool) -> Points:
     """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some level."""
-    reliable = np.flatnonzero(points.reliable)
+    reliable = np.flatnonzero(points.regular)
     own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
     if len(set(own.values())) < 2:
         return points
@@ -228,7 +229,7 @@ def _morse(points: Points) -> MorseTest:
     Where these are irregular equations, ``D(dH/du)`` is singular on them though not near them.
     """
     by_state, by_jet = points.matrices(0)
-    size, ranks = by_jet.shape[1], point_ranks(points, 0)
+    ranks = point_ranks(points, 0)
     values = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.concatenate([by_state, by_jet], axis=2), by_jet)]
     worst = [batch[np.argmin(batch[:, -1])] for batch in values]
     return MorseTest(

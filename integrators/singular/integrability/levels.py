@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .elimination import COUNTED, eliminate, significance
-from .points import Points, relative
+from .points import Points
 
 
 class Signature(NamedTuple):
@@ -106,15 +106,13 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
 def summarise(points: Points, ended: list[PointRanks], ranks: list[PointRanks]) -> Level:
     """The record of a level: ``ranks`` at its points that are reliable, ``ended`` at those where ``P^k`` stopped before."""
     consistent, before = points.consistent, len(ended)
-    with np.errstate(all="ignore"):
-        starts = np.max(relative(points.at, points.sizes.rows, points.level), axis=1)
     return Level(
         index=points.level,
         tried=before + len(consistent),
         consistent=before + int(consistent.sum()),
         strata=dict(Counter(rank.signature for rank in (*ended, *ranks)).most_common()),
         gap=min((rank.gap for rank in ranks), default=np.inf),
-        residual=float(np.max(points.residuals[consistent]) if consistent.any() else np.min(starts)),
+        residual=float(np.max(points.residuals[consistent]) if consistent.any() else np.min(points.approach)),
         slow=int(np.sum(points.slow & consistent)),
         unclear=int(np.sum(points.unclear & consistent)),
         left_out=int(np.sum((points.slow | points.unclear) & consistent)),

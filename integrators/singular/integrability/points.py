@@ -21,6 +21,7 @@ from .jets import DerivativeArray, Pair, hamiltonian_field
 from .units import Sizes, Units, sizes_at_starts, units_at
 
 CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
+APPROACHED = 1e-6  # largest one over what the equation is made of at the starts, which may be much less
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
 BATCH = 20  # points that the kernel takes
 
@@ -118,16 +119,33 @@ class Points:
 
     @cached_property
     def consistent(self) -> np.ndarray:
-        """Which points satisfy every equation up to the level: its value is small, and also beside what tiny steps make of it."""
-        known = significance(self.stack("array")[:, :, : self.level + 1])
-        zero = np.max(known, axis=(1, 2), initial=0.0) <= ZERO
+        """Which points satisfy every equation up to the level, by its value in units and beside what tiny steps change it by.
+
+        These steps do not leave the domain of the functions.
+        """
+        level = max(self.level, 0)
+        zero = np.max(significance(self.stack("array")[:, :, : level + 1]), axis=(1, 2)) <= ZERO
+        inside = np.isfinite(
+            [relative(jax.tree.map(lambda leaf, i=i: leaf[i], self.beside), self.sizes.rows, level) for i in range(SAMPLES)]
+        )
+        zero &= (self.approach <= APPROACHED) & inside.all(axis=(0, 2))
         return (self.residuals <= CONVERGED) & zero & ~self.away & (self.level >= 0)
 
+    @cached_property
+    def approach(self) -> np.ndarray:
+        """The largest value of an equation up to the level, over what that equation is made of at the starts."""
+        return np.max(relative(self.at, self.sizes.rows, max(self.level, 0)), axis=1)
+
     @property
-    def reliable(self) -> np.ndarray:
-        """Consistent points whose ranks can be read: not where equations are irregular, unless they are so at all points."""
-        regular = self.consistent & ~self.slow & ~self.unclear
-        return regular if regular.any() else self.consistent
+    def regular(self) -> np.ndarray:
+        """Consistent points whose ranks can be read."""
+        return self.consistent & ~self.slow & ~self.unclear
+
+    def rounding(self) -> np.ndarray:
+        """Which rows of the linearised array are zero but for rounding, ``(batch, order + 1, m)``."""
+        stacks = [self.stack(name) for name in ("by_state", "by_jet")]
+        slopes = np.concatenate([stack.reshape(*stack.shape[:4], -1) for stack in stacks], axis=-1)
+        return ~(significance(slopes) > COUNTED).any(axis=-1)
 
     def stack(self, name: str) -> np.ndarray:
         """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""
@@ -159,7 +177,7 @@ def in_units(by_state: np.ndarray, by_jet: np.ndarray, units: Units, level: int)
 
 
 def relative(at: Linearised, rows: np.ndarray, level: int) -> np.ndarray:
-    """Equations up to a level in units, ``(batch, equations)``; infinite where one, or a function of the problem, is not finite."""
+    """Equations up to a level in units, ``(batch, equations)``; infinite where they or the functions are not finite."""
     k, batch = level + 1, len(at.array)
     parts = at.array[:, :k], at.by_state[:, :k], at.by_jet[:, :k, :, :k], at.cost_rate, at.velocity
     finite = np.all([np.isfinite(part.reshape(batch, -1)).all(axis=1) for part in parts], axis=0)
@@ -176,11 +194,8 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     points = Points(
         array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *np.zeros((4, count), bool)
     )
-    slopes = np.concatenate(
-        [points.stack(name).reshape(count, 1 + SAMPLES, *unknown.shape, -1) for name in ("by_state", "by_jet")], -1
-    )
-    rounding = np.max(np.nan_to_num(significance(slopes)), axis=-1) <= COUNTED
-    return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
+    vanishing = 2 * points.rounding().sum(axis=0) > count
+    return replace(points, sizes=sizes_at_starts(at, lengths, vanishing))
 
 
 def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:

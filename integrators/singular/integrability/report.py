@@ -10,8 +10,7 @@ from .. import words
 from ..words import Line, many
 from .classification import Classification, Stratum
 from .levels import Level
-
-APPROACHED = 1e-6  # smallest relative residual of conditions that contradict each other
+from .points import APPROACHED
 
 
 def report_text(classification: Classification) -> str:

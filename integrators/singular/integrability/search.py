@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from .points import CONVERGED, Linearised, Points, in_units, moved, relative, tiny_steps
-from .units import units_at
+from .units import Units, units_at
 
 ITERATIONS = 100
 SMALLEST_DAMPING = 1e-3
@@ -23,24 +23,29 @@ BESIDE = 1e-3  # how far, in units, points are taken beside others to see whethe
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` in units if asked, by damped steps of least norm.
 
-    Those that come to irregular ones, as where pieces cross, are tried once more with ``DESCENTS`` steps of descent before.
+    Those that come to irregular ones, as where pieces cross, are tried again: without making much of equations that are small
+    there, as ``x^2 y`` is beside ``x y^2`` on ``x = 0``, then with ``DESCENTS`` steps of descent before as well.
     """
-    direct = _moved(points, level, unit_costate, np.ones(len(points.slow), bool), 0)
-    stuck = direct.slow & direct.consistent & ~points.slow
-    if not stuck.any():
-        return direct
-    again = _moved(points, level, unit_costate, stuck, DESCENTS)
-    better = stuck & again.consistent & ~again.slow
-    at = jax.tree.map(lambda a, b: _where(better, a, b), again.at, direct.at)
+    best = _moved(points, _Search(points, level, unit_costate, False), np.ones(len(points.slow), bool), 0)
+    for descents in (0, DESCENTS):
+        stuck = best.slow & best.consistent & ~points.slow
+        if stuck.any():
+            again = _moved(points, _Search(points, level, unit_costate, True), stuck, descents)
+            best = _better(stuck & again.consistent & ~again.slow, again, best)
+    return best
+
+
+def _better(which: np.ndarray, again: Points, points: Points) -> Points:
+    """The points with those that came to regular equations at another try."""
+    at = jax.tree.map(lambda a, b: _where(which, a, b), again.at, points.at)
     beside = jax.tree.map(
-        lambda a, b: np.stack([_where(better, *pair) for pair in zip(a, b, strict=True)]), again.beside, direct.beside
+        lambda a, b: np.stack([_where(which, *pair) for pair in zip(a, b, strict=True)]), again.beside, points.beside
     )
-    return replace(direct, at=at, beside=beside, slow=np.where(better, again.slow, direct.slow))
+    return replace(points, at=at, beside=beside, slow=points.slow & ~which)
 
 
-def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, descents: int) -> Points:
+def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
     """Steps are taken if the equations shrink in the units of the point before, or in those of the point after."""
-    search = _Search(points, level, unit_costate)
     at, damping, slow = points.at, np.where(which, 1.0, 0.0), np.zeros(len(which), int)
     residual = search.residual(at, at)
     for i in range(ITERATIONS):
@@ -55,13 +60,7 @@ def _moved(points: Points, level: int, unit_costate: bool, which: np.ndarray, de
         slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, own, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
-    units, slow = units_at(at, points.sizes), slow >= SLOW_STEPS
-    steps = np.linalg.norm(search.directions(at, False) / units.both, axis=1)
-    beside, unclear = tiny_steps(points.array, points.centers, at, units), np.zeros_like(slow)
-    away, opposed = points.away | (slow & (steps > LONG)), search.slopes(at) <= STATIONARY
-    return replace(
-        points, at=at, beside=beside, level=level, slow=points.slow | slow, away=away, unclear=unclear, opposed=opposed
-    )
+    return search.ended(at, slow >= SLOW_STEPS)
 
 
 def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -79,15 +78,34 @@ def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
 
 
 class _Search(NamedTuple):
-    """Which equations are solved."""
+    """Which equations are solved, and whether none is given a smaller unit than at the starts."""
 
     points: Points
     level: int
     unit_costate: bool
+    coarse: bool
+
+    def units(self, at: Linearised) -> Units:
+        """In which equations and steps are measured at points."""
+        units = units_at(at, self.points.sizes)
+        return replace(units, rows=np.maximum(units.rows, self.points.sizes.rows)) if self.coarse else units
+
+    def ended(self, at: Linearised, slow: np.ndarray) -> Points:
+        """The points where the search ended."""
+        points, units = self.points, units_at(at, self.points.sizes)
+        steps = np.linalg.norm(self.directions(at, False) / units.both, axis=1)
+        points = replace(points, at=at, beside=tiny_steps(points.array, points.centers, at, units), level=self.level)
+        return replace(
+            points,
+            slow=points.slow | slow,
+            away=points.away | (slow & (steps > LONG)),
+            unclear=np.zeros_like(slow),
+            opposed=self.slopes(at) <= STATIONARY,
+        )
 
     def residual(self, at: Linearised, before: Linearised) -> np.ndarray:
         """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not finite."""
-        values = relative(at, units_at(before, self.points.sizes).rows, self.level)
+        values = relative(at, self.units(before).rows, self.level)
         with np.errstate(over="ignore"):
             return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
 
@@ -115,7 +133,7 @@ class _Search(NamedTuple):
         With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the state:
         these go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
         """
-        units, k = units_at(at, self.points.sizes), self.level + 1
+        units, k = self.units(at), self.level + 1
         by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
         size, slope = self.normalisation(at)
         slope = np.concatenate([slope * units.state[:, None], np.zeros((*slope.shape[:2], by_jet.shape[2]))], axis=2)
