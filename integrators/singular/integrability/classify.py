@@ -220,7 +220,8 @@ def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
             f"the integrability algorithm still finds new conditions after {len(levels)} levels: "
             f"{[level.strata for level in levels]}; check that the functions of the problem are smooth"
         )
-    return replace(with_order(points, higher[0]), sizes=with_order(first, higher[0]).sizes, slow=points.slow, away=points.away)
+    longer, sizes = with_order(points, higher[0]), with_order(first, higher[0]).sizes
+    return replace(longer, sizes=sizes, slow=points.slow, away=points.away, stiff=points.stiff)
 
 
 def _morse(points: Points) -> MorseTest:

@@ -18,10 +18,11 @@ from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
 from .elimination import COUNTED, ZERO, significance
 from .jets import DerivativeArray, Pair, hamiltonian_field
-from .units import Sizes, Units, sizes_at_starts, units_at
+from .units import Sizes, Units, own_sizes, sizes_at_starts, units_at
 
 CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
-APPROACHED = 1e-6  # largest one over what the equation is made of at the starts, which may be much less
+APPROACHED = 1e-6  # largest one, in units at the starts, of equations that are nearly met
+LOOSE = 1e4  # of what is met as well as at the starts: how much worse by the sizes that all variables have at the point
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
 BATCH = 20  # points that the kernel takes
 
@@ -93,7 +94,7 @@ class Points:
     ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the equations
     that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed
     long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided; ``opposed``: no direction makes all
-    equations smaller.
+    equations smaller; ``stiff``: the costate is moved less than the state.
     """
 
     array: DerivativeArray
@@ -106,6 +107,7 @@ class Points:
     away: np.ndarray
     unclear: np.ndarray
     opposed: np.ndarray
+    stiff: np.ndarray
 
     @cached_property
     def units(self) -> Units:
@@ -128,7 +130,8 @@ class Points:
         inside = np.isfinite(
             [relative(jax.tree.map(lambda leaf, i=i: leaf[i], self.beside), self.sizes.rows, level) for i in range(SAMPLES)]
         )
-        zero &= (self.approach <= APPROACHED) & inside.all(axis=(0, 2))
+        rows = np.maximum(self.sizes.rows, LOOSE * own_sizes(self.at))
+        zero &= (np.max(relative(self.at, rows, level), axis=1) <= CONVERGED) & inside.all(axis=(0, 2))
         return (self.residuals <= CONVERGED) & zero & ~self.away & (self.level >= 0)
 
     @cached_property
@@ -191,9 +194,8 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     at = moved(array, z, centers, jets)
     unknown = np.zeros(jets.shape[1:], bool)
     sizes = sizes_at_starts(at, lengths, unknown)
-    points = Points(
-        array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *np.zeros((4, count), bool)
-    )
+    flags, stiff = np.zeros((4, count), bool), np.arange(count) % 2 == 1
+    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *flags, stiff)
     vanishing = 2 * points.rounding().sum(axis=0) > count
     return replace(points, sizes=sizes_at_starts(at, lengths, vanishing))
 
@@ -228,5 +230,5 @@ def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
     centers, at = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
     beside = jax.tree.map(lambda leaf: leaf[:, which], points.beside)
-    evidence = points.slow[which], points.away[which], points.unclear[which], points.opposed[which]
+    evidence = [part[which] for part in (points.slow, points.away, points.unclear, points.opposed, points.stiff)]
     return Points(points.array, centers, at, beside, points.sizes, points.level, *evidence)

@@ -13,7 +13,8 @@ ITERATIONS = 100
 SMALLEST_DAMPING = 1e-3
 PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
-DESCENTS, EASE = 30, 10.0  # steps of descent, and how much rather they move the control than the state
+DESCENTS = 30  # steps of descent
+EASE = 10.0  # how much rather these move the control than the state, and steps of stiff points the state than the costate
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
 LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
 STATIONARY = 1e-2  # of the equations that a step of size one takes away, where they contradict each other
@@ -144,9 +145,11 @@ class _Search(NamedTuple):
                 np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1) & np.isfinite(np.sum(values**2, axis=1))
             )
         matrix, values = np.where(finite[:, None, None], matrix, 0.0), np.where(finite[:, None], values, 0.0)
-        ease = np.where(descent & (np.arange(matrix.shape[2]) >= by_state.shape[2]), EASE, 1.0)
+        n, column = at.costate.shape[1], np.arange(matrix.shape[2])
+        ease = np.where(descent & (column >= 2 * n), EASE, 1.0)
+        ease = np.where(self.points.stiff[:, None] & (column >= n) & (column < 2 * n), 1 / EASE, ease)
         scale = np.concatenate([units.state, units.jet[:, :k].reshape(len(matrix), -1)], axis=1)
-        step = -ease * _regularised(matrix * ease, values, descent) * scale
+        step = -ease * _regularised(matrix * ease[:, None], values, descent) * scale
         return np.pad(step, ((0, 0), (0, units.both.shape[1] - step.shape[1])))
 
 

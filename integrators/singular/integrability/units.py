@@ -86,5 +86,11 @@ def units_at(at: "Linearised", sizes: Sizes) -> Units:
     return Units(np.where(np.isfinite(rows) & (rows > 0), rows, 1.0), state, jet)
 
 
+def own_sizes(at: "Linearised") -> np.ndarray:
+    """What each equation is made of by the values that the variables have at the point, ``(batch, order + 1, m)``."""
+    with np.errstate(all="ignore"):
+        return np.nan_to_num(_weighed(at, np.abs(np.concatenate([at.position, at.costate], axis=1)), np.abs(at.jet)))
+
+
 def _weighed(at: "Linearised", state: np.ndarray, jet: np.ndarray) -> np.ndarray:
     return np.einsum("bkms,bs->bkm", np.abs(at.by_state), state) + np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), jet)
