@@ -103,21 +103,27 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @property
     def reliable(self) -> bool:
-        """Whether every level has points where its equations are regular, so that ranks, and with them ``P_f``, are known."""
+        """Whether every level has points where its equations are regular and ranks clear, so that ``P_f`` is known."""
         return not any(level.unknown for level in self.levels)
 
     @property
     def sparse(self) -> bool:
-        """Whether half of the points or more were left out where equations are irregular, so that pieces may be missing."""
-        return self.reliable and any(level.left_out and 2 * level.left_out >= level.consistent for level in self.levels)
+        """Whether half of the points or more are missing: not found, or left out for irregular equations or unclear ranks."""
+        return self.reliable and not self.empty and any(2 * level.missing >= level.tried for level in self.levels)
 
     def require_reliable(self) -> None:
-        """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular, so that nothing is known about it."""
-        if not self.reliable or (not self.empty and len(self.equations.names) != self.codimension):
+        """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular or ranks not clear, so that nothing is known."""
+        if self.reliable:
+            return
+        if any(level.unknown and level.slow == level.consistent for level in self.levels):
             raise InvalidInputError(
                 "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so they do not "
                 f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
             )
+        raise InvalidInputError(
+            "P_f is not known: at every point found some number is neither clearly zero nor clearly not, or functions drown in "
+            f"the rounding of others\n{self}\ntry near=(q, p), a state where they do not, or other units"
+        )
 
     @property
     def gauge_components(self) -> tuple[int, ...]:

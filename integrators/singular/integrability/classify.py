@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
 SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
+ALIKE, APART = 1e-11, 1e-7  # differences between these are not clear: a curved piece is flat there, but for that
 
 
 @overload
@@ -83,9 +84,13 @@ def classify(
     if symbolic:
         return _symbolic(problem, exclude_zero_costate, near)
     warn_about_precision()
+    with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
+        return _classify(problem, starts, seed, exclude_zero_costate, near)
+
+
+def _classify(problem: OptimalControlProblem, starts: int, seed: int, exclude: bool | None, near: Pair | None) -> Classification:
     first = random_starts(problem, ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or bool(np.all(first.at.cost_rate == 0))
-    exclude = exclude_zero_costate
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
     levels, morse, found = _run(first, unit_costate=exclude and homogeneous)
@@ -179,7 +184,7 @@ def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
 def _known(points: Points) -> Points:
     """The points with those noted at which a rank is not clear."""
     decided = [all(ranks.decided for ranks in history) for history in _histories(points)]
-    return replace(points, unclear=~np.array(decided))
+    return replace(points, unclear=~np.array(decided) | points.drowned)
 
 
 def _require_finite(points: Points, level: Level) -> None:
@@ -265,7 +270,9 @@ def _told_apart(group: list[_Found]) -> list[list[_Found]]:
     points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer dimensions than it
     could bend in. Few points show no piece: beside a single one they are where that is flat to rounding.
     """
-    joint = _joint_ranks([item.ranks.tangents for item in group])
+    joint, clear = _joint_ranks([item.ranks.tangents for item in group])
+    if not clear:
+        return [group]
     least, clusters = np.min(joint, axis=1), list[list[int]]()
     for i in range(len(group)):
         for cluster in clusters:
@@ -281,14 +288,16 @@ def _told_apart(group: list[_Found]) -> list[list[_Found]]:
     return [[group[i] for i in cluster] for cluster in (*told, rest) if cluster]
 
 
-def _joint_ranks(tangents: list[np.ndarray]) -> np.ndarray:
-    """Ranks of pairs of tangent spaces together; of one with itself the dimension of all space, which is no less."""
+def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
+    """Ranks of pairs of tangent spaces together, and whether all are clear; of one with itself more than of any pair."""
     count, (height, _) = len(tangents), tangents[0].shape
     joint, (i, j) = np.full((count, count), height), np.triu_indices(count, 1)
-    if len(i):
-        spaces = np.array(tangents)
-        joint[i, j] = joint[j, i] = np.linalg.matrix_rank(np.concatenate([spaces[i], spaces[j]], axis=2), tol=SAME)
-    return joint
+    if not len(i):
+        return joint, True
+    spaces = np.array(tangents)
+    values = np.linalg.svd(np.concatenate([spaces[i], spaces[j]], axis=2), compute_uv=False)
+    joint[i, j] = joint[j, i] = np.sum(values > SAME, axis=1)
+    return joint, not np.any((values > ALIKE) & (values <= APART))
 
 
 def _stratum(members: list[_Found]) -> Stratum:

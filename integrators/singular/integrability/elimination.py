@@ -51,6 +51,12 @@ def significance(stack: np.ndarray) -> np.ndarray:
     return size / np.where(size > 0, np.maximum(change, size / MOST), 1.0)
 
 
+def without_steady(stack: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """The stack with zeros for entries of at most these sizes that do not change."""
+    size, change = np.abs(stack[:, 0]), np.max(np.abs(stack[:, 1:] - stack[:, :1]), axis=1)
+    return np.where(((size <= least) & (change <= JITTER * size))[:, None], 0.0, stack)
+
+
 def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -> Echelon:
     """Gauss-Jordan elimination of blocks of columns in turn, with the largest balanced pivot in the lowest level of rows."""
     finite = np.isfinite(stack).all(axis=(1, 2, 3))

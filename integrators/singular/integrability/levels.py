@@ -62,6 +62,11 @@ class Level:
         return self.consistent == 0
 
     @property
+    def missing(self) -> int:
+        """How many points are not found or left out."""
+        return self.tried - self.consistent + self.left_out
+
+    @property
     def unknown(self) -> bool:
         """Whether points were found and ranks are known at none of them."""
         return 0 < self.consistent == self.left_out

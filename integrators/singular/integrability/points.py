@@ -16,13 +16,14 @@ from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
-from .elimination import COUNTED, ZERO, significance
+from .elimination import COUNTED, ZERO, significance, without_steady
 from .jets import DerivativeArray, Pair, hamiltonian_field
-from .units import Sizes, Units, own_sizes, sizes_at_starts, units_at
+from .units import LEAST, Sizes, Units, own_sizes, sizes_at_starts, units_at
 
 CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
 APPROACHED = 1e-6  # largest one, in units at the starts, of equations that are nearly met
 LOOSE = 1e4  # of what is met as well as at the starts: how much worse by the sizes that all variables have at the point
+DROWNED = 1e-13  # largest derivative, in units, by a coordinate that enters only in the rounding of all equations
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
 BATCH = 20  # points that the kernel takes
 
@@ -144,11 +145,34 @@ class Points:
         """Consistent points whose ranks can be read."""
         return self.consistent & ~self.slow & ~self.unclear
 
-    def rounding(self) -> np.ndarray:
-        """Which rows of the linearised array are zero but for rounding, ``(batch, order + 1, m)``."""
-        stacks = [self.stack(name) for name in ("by_state", "by_jet")]
-        slopes = np.concatenate([stack.reshape(*stack.shape[:4], -1) for stack in stacks], axis=-1)
-        return ~(significance(slopes) > COUNTED).any(axis=-1)
+    @cached_property
+    def slopes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives along the state and the jet as stacks, without what is rounding of their terms.
+
+        Rounding that is the same beside a point, as that of constants, is told by its size alone.
+        """
+        least = LEAST * self.units.terms[..., None]
+        by_state, by_jet = self.stack("by_state"), self.stack("by_jet")
+        return (
+            without_steady(by_state, least / self.units.state[:, None, None]),
+            without_steady(by_jet, least[..., None] / self.units.jet[:, None, None]),
+        )
+
+    def known(self) -> np.ndarray:
+        """Which derivatives along the state are not zero, nor rounding, ``(batch, order + 1, m, 2n)``."""
+        return significance(self.slopes[0]) > COUNTED
+
+    @cached_property
+    def drowned(self) -> np.ndarray:
+        """Where functions of the state vanish to all digits that do not elsewhere, or are less than the rounding of the others.
+
+        So does ``exp(-800)``, and beside 1 ``exp(-50)``; ranks there are those of another problem.
+        """
+        k = max(self.level, 0) + 1
+        silent = (self.stack("by_state") == 0).all(axis=1) & self.sizes.pattern
+        sizes = np.where(self.known(), np.abs(self.at.by_state), 0.0)[:, :k] / self.units.rows[:, :k, :, None]
+        largest = np.max(sizes, axis=(1, 2)) * self.units.state
+        return silent[:, :k].any(axis=(1, 2, 3)) | ((largest > 0) & (largest < DROWNED)).any(axis=1)
 
     def stack(self, name: str) -> np.ndarray:
         """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""
@@ -159,7 +183,7 @@ class Points:
 
         Shapes ``(batch, 1 + SAMPLES, rows, 2n)`` and ``(batch, 1 + SAMPLES, rows, rows)``.
         """
-        return in_units(self.stack("by_state"), self.stack("by_jet"), self.units, level)
+        return in_units(*self.slopes, self.units, level)
 
     def matrices(self, level: int) -> tuple[np.ndarray, np.ndarray]:
         """The same at the points alone, ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
@@ -196,8 +220,10 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     sizes = sizes_at_starts(at, lengths, unknown)
     flags, stiff = np.zeros((4, count), bool), np.arange(count) % 2 == 1
     points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *flags, stiff)
-    vanishing = 2 * points.rounding().sum(axis=0) > count
-    return replace(points, sizes=sizes_at_starts(at, lengths, vanishing))
+    slopes, known = significance(points.slopes[1].reshape(count, 1 + SAMPLES, *unknown.shape, -1)), points.known()
+    rounding = ~((slopes > COUNTED).any(axis=-1) | known.any(axis=-1))
+    sizes = sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count)
+    return replace(points, sizes=replace(sizes, pattern=known.sum(axis=0) > 1))
 
 
 def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:

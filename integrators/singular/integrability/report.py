@@ -76,7 +76,8 @@ def _empty(c: Classification) -> Iterator[Line]:
 
 def _final(c: Classification) -> Iterator[Line]:
     if c.sparse:
-        yield "LEFT OUT", words.sparse_words(max(level.left_out for level in c.levels), c.levels[-1].consistent)
+        worst = max(c.levels, key=lambda level: level.missing)
+        yield "LEFT OUT", words.sparse_words(worst.missing, worst.tried)
     if c.stratified:
         yield "strata", words.strata_words(len(c.strata))
     for i, stratum in enumerate(c.strata):
@@ -89,10 +90,12 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     total, codimension = 2 * c.problem.manifold.dimension, s.codimension
     kernel = total - codimension - s.rank
     seen = f", {many(s.count, 'point')}" if c.stratified else ""
-    irregular = "" if len(s.equations.names) == codimension else ", others irregular"
     if not c.reliable:
-        yield "NOT RELIABLE", words.UNRELIABLE if any(level.slow == level.consistent for level in c.levels) else words.UNDECIDED
-    yield "P_f", words.final_words(total - codimension, total, s.equations.names) + irregular + seen
+        yield (
+            "NOT RELIABLE",
+            words.UNRELIABLE if any(level.unknown and level.slow == level.consistent for level in c.levels) else words.UNDECIDED,
+        )
+    yield "P_f", words.final_words(total - codimension, total, s.equations.names) + seen
     if c.irregular and c.reliable and not s.flat:
         yield "pieces", words.CURVED
     if c.stratified:

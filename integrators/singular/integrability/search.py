@@ -15,9 +15,10 @@ PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 DESCENTS = 30  # steps of descent
 EASE = 10.0  # how much rather these move the control than the state, and steps of stiff points the state than the costate
-SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+SLOW_RATIO, SLOW_STEPS = 0.1, 4  # tiny residuals that shrink slower, this often: an irregular constraint
+TINY = 1e-11, 1e-6  # what is less is rounding
 LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
-STATIONARY = 1e-2  # of the equations that a step of size one takes away, where they contradict each other
+STATIONARY = 0.3  # of the equations that a step of size one takes away, where they contradict each other
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
 
 
@@ -46,7 +47,7 @@ def _better(which: np.ndarray, again: Points, points: Points) -> Points:
 
 
 def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
-    """Steps are taken if the equations shrink in the units of the point before, or in those of the point after."""
+    """Steps are taken if the equations shrink in the units of the point before."""
     at, damping, slow = points.at, np.where(which, 1.0, 0.0), np.zeros(len(which), int)
     residual = search.residual(at, at)
     for i in range(ITERATIONS):
@@ -56,9 +57,9 @@ def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) 
         d = np.where(active, damping, 0.0)[:, None] * search.directions(at, i < descents)
         tried = moved(points.array, at.z, points.centers, at.jet, d)
         now, own = search.residual(tried, at), search.residual(tried, tried)
-        better = active & (np.minimum(now, own) < (1 - 1e-4 * damping) * residual)
+        better = active & (now < (1 - 1e-4 * damping) * residual)
         at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
-        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
+        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now > TINY[0]) & (now < TINY[1])
         residual = np.where(better, own, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
     return search.ended(at, slow >= SLOW_STEPS)

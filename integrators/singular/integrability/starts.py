@@ -50,11 +50,20 @@ def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: 
     if not tried[0][1].finite.all():
         tried += [(c * sizes, _drawn(problem, keys, near, c * sizes)) for c in CLOSER]
     sizes, drawn = max(tried, key=lambda pair: pair[1].finite.sum())
-    lengths = np.minimum(sizes, REACH * np.quantile(drawn.lengths, STEEP, axis=0, method="lower"))
-    drawn = drawn if np.all(lengths == sizes) else _drawn(problem, keys, near, lengths)
+    lengths = np.minimum(sizes, REACH * _steepness(drawn))
+    if not np.all(lengths == sizes):
+        closer = _drawn(problem, keys, near, lengths)
+        # As exp(-1/x) is steeper, beside x, the closer x is to zero: what is drawn closer is to be less steep there.
+        lengths = np.where(_steepness(closer) / lengths > _steepness(drawn) / sizes, lengths, sizes)
+        drawn = _drawn(problem, keys, near, lengths)
     jets = np.zeros((count, order + 1, problem.controls.dimension))
     jets[:, 0] = drawn.first
     return evaluated(DerivativeArray(problem, order), drawn.z, drawn.centers, jets, lengths)
+
+
+def _steepness(drawn: Drawn) -> np.ndarray:
+    """Lengths over which functions change along each coordinate of Q, at the steepest of the starts."""
+    return np.quantile(drawn.lengths, STEEP, axis=0, method="lower")
 
 
 def _drawn(problem: OptimalControlProblem, keys: Array, near: Pair | None, lengths: np.ndarray) -> Drawn:

@@ -17,7 +17,8 @@ class Sizes:
     """Typical sizes at the starts, shared by a batch.
 
     ``lengths``: of the coordinates of Q, ``(n,)``; ``action``: of a costate times these; ``rate``: of change, over them;
-    ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``, and ``vanishing``: which of them are rounding.
+    ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``. ``vanishing``: which of these are rounding; ``pattern``:
+    which of their derivatives by the state are not, at some starts, ``(order + 1, m, 2n)``.
     """
 
     lengths: np.ndarray
@@ -26,6 +27,7 @@ class Sizes:
     control: np.ndarray
     rows: np.ndarray
     vanishing: np.ndarray
+    pattern: np.ndarray | bool = False
 
     @property
     def state(self) -> np.ndarray:
@@ -35,9 +37,13 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Units:
-    """Units at each point: of the array and the jet, ``(batch, order + 1, m)``, and of the state, ``(batch, 2n)``."""
+    """Units at each point: of the array and the jet, ``(batch, order + 1, m)``, and of the state, ``(batch, 2n)``.
+
+    ``terms``: what the array is made of before anything cancels, of which the rows are a unit if that is not rounding.
+    """
 
     rows: np.ndarray
+    terms: np.ndarray
     state: np.ndarray
     jet: np.ndarray
 
@@ -82,8 +88,8 @@ def units_at(at: "Linearised", sizes: Sizes) -> Units:
         terms = _weighed(at, np.abs(at.velocity), along)
         first = np.max(rows[:, :1] * jet[:, :1], axis=2, keepdims=True) / jet[:, :1]
         terms = np.concatenate([first, terms[:, :-1]], axis=1)
-        rows = np.maximum(rows, np.where(sizes.vanishing, 1.0, LEAST) * terms)
-    return Units(np.where(np.isfinite(rows) & (rows > 0), rows, 1.0), state, jet)
+        rows, terms = np.maximum(rows, np.where(sizes.vanishing, 1.0, LEAST) * terms), np.maximum(rows, terms)
+    return Units(np.where(np.isfinite(rows) & (rows > 0), rows, 1.0), terms, state, jet)
 
 
 def own_sizes(at: "Linearised") -> np.ndarray:

@@ -80,4 +80,4 @@ def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
     c = classify(half)
     assert c.sparse
     assert c.gauge_components == (1,)
-    assert f"{c.levels[-1].slow} of 20 points, where equations are irregular: pieces of P_f may be missing" in str(c)
+    assert f"{max(level.missing for level in c.levels)} of 20 points, which were not found" in str(c)
