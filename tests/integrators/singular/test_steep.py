@@ -1,0 +1,188 @@
+"""The classification of problems with steep functions and in odd units, against Poisson brackets and exact algebra."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import OptimalControlProblem, classify
+from retrax.manifolds import Euclidean
+
+EXPONENTS = (1.0, 20.0, 50.0, 200.0, 500.0)
+
+
+class Rocket(eqx.Module):
+    """Goddard's: ``h' = v``, ``v' = (3.5 u - 310 v^2 exp(-k (h - 1))) / m - 1/h^2``, ``m' = -7 u``, in units of h, v, m, t."""
+
+    steepness: Array
+    units: Array
+
+    def __call__(self, q, u):
+        (h, v, m), time = q / self.units[:3], self.units[3]
+        drag = 310.0 * v**2 * jnp.exp(-self.steepness * (h - 1))
+        return jnp.stack([v, (3.5 * u[0] - drag) / m - 1 / h**2, -7 * u[0]]) * self.units[:3] / time
+
+
+def rocket(steepness, units=(1.0, 1.0, 1.0, 1.0)):
+    dynamics = Rocket(jnp.array(steepness), jnp.array(units))
+    return OptimalControlProblem(Euclidean(3), dynamics, lambda q, u: jnp.zeros(()), 1, terminal_cost=lambda q: -q[0])
+
+
+def near(units=(1.0, 1.0, 1.0)):
+    sizes = jnp.array(units[:3])
+    return jnp.array([1.004, 0.13, 0.9]) * sizes, jnp.array([3.0, 0.3, 0.1667]) / sizes
+
+
+def bracket(f, g):
+    """``{f, g} = <f_q, g_p> - <f_p, g_q>``, and the sizes of its terms."""
+
+    def value(q, p):
+        fq, fp = jax.grad(f, argnums=(0, 1))(q, p)
+        gq, gp = jax.grad(g, argnums=(0, 1))(q, p)
+        return fq @ gp - fp @ gq
+
+    return value
+
+
+def terms(function, q, p):
+    """What a function is made of: its derivatives times the values of the variables."""
+    by_q, by_p = jax.grad(function, argnums=(0, 1))(q, p)
+    return jnp.abs(by_q) @ jnp.abs(q) + jnp.abs(by_p) @ jnp.abs(p)
+
+
+@eqx.filter_jit
+def brackets(problem, q, p, u):
+    """``H1``, ``{H0, H1}`` and ``{H0 + u H1, {H0, H1}}`` at points, over the sizes of their terms; the last by u alone."""
+    zero, one = (lambda q, p, c=c: problem.hamiltonian(q, p, jnp.array([c])) for c in (0.0, 1.0))
+    drift, control = zero, lambda q, p: one(q, p) - zero(q, p)
+    second = bracket(drift, control)
+    third, by_control = bracket(drift, second), bracket(control, second)
+
+    def at(q, p):
+        values = [f(q, p) / terms(f, q, p) for f in (control, second)]
+        singular = third(q, p) + u[0] * by_control(q, p)
+        sizes = terms(third, q, p) + jnp.abs(u[0]) * terms(by_control, q, p)
+        return jnp.stack(values), singular / sizes, by_control(q, p) / terms(by_control, q, p)
+
+    return jax.vmap(at)(q, p)
+
+
+def certify(c):
+    """Its points satisfy the brackets in their own units, and its control the one that determines it."""
+    s = c.stratum
+    values, _, determining = brackets(c.problem, *s.states, s.u)
+    assert np.max(np.abs(values)) < 1e-9, str(c)
+    assert np.min(np.abs(determining)) > 1e-9
+    _, singular, _ = brackets(c.problem, s.q[None], s.p[None], s.u)
+    assert abs(singular[0]) < 1e-9
+
+
+UNITS = [(1e6, 1e6, 1.0, 1.0), (1e-6, 1e-6, 1.0, 1.0), (1.0, 1e-6, 1.0, 1e6), (1.0, 1e6, 1.0, 1e-6), (1.0, 1.0, 1e6, 1.0),
+         (1.0, 1.0, 1e-6, 1.0), (6.4e6, 7.9e3, 1e5, 8.1e2)]  # fmt: skip
+
+
+def test_the_singular_arc_of_goddard_s_rocket_for_all_exponents_and_units():
+    cases = [(k, (1.0, 1.0, 1.0, 1.0)) for k in EXPONENTS] + [(500.0, units) for units in UNITS]
+    for steepness, units in cases:
+        c = classify(rocket(steepness, units), near=near(units))
+        assert (c.dimension, c.rank, c.gauge_controls, c.k_f, c.stratified) == (4, 4, 0, 2, False), (steepness, units, str(c))
+        assert c.reliable
+        certify(c)
+
+
+def test_where_functions_overflow_nothing_is_said_of_p_f():
+    """Random starts of Goddard's rocket are below its planet: drag is ``exp(500)`` there."""
+    c = classify(rocket(500.0))
+    assert c.empty
+    assert "not shown to be empty" in str(c)
+
+
+def test_where_functions_drown_in_rounding_nothing_is_decided():
+    """Drag is ``exp(-k (h - 1))``, at ``h = 1.5``, from where it counts to where it is no part of any sum."""
+    q, p = near()
+    answers = []
+    for steepness in (1.0, 20.0, 100.0, 500.0):
+        c = classify(rocket(steepness), near=(q.at[0].set(1.5), p))
+        decided = c.reliable and not c.empty
+        answers.append(decided)
+        assert not decided or (c.dimension, c.rank, c.gauge_controls) == (4, 4, 0), (steepness, str(c))
+        assert decided or "not decided" in str(c) or "not shown to be empty" in str(c)
+    assert answers[0]
+    assert not answers[-1]
+
+
+class Plane(eqx.Module):
+    """``x' = y``, ``y' = u - y^2 exp(-k x)``, in units of length and time."""
+
+    steepness: Array
+    units: Array
+
+    def __call__(self, q, u):
+        length, time = self.units[:2]
+        x, y = q[0] / length, q[1] * time / length
+        return jnp.stack([q[1], (u[0] - y**2 * jnp.exp(-self.steepness * x)) * length / time**2])
+
+
+class PlaneCost(eqx.Module):
+    """``(y^2 + exp(-k x)) / 2``, in units of length, time and cost."""
+
+    steepness: Array
+    units: Array
+
+    def __call__(self, q, u):
+        length, time, cost = self.units
+        x, y = q[0] / length, q[1] * time / length
+        return cost / time * (y**2 + jnp.exp(-self.steepness * x)) / 2
+
+
+def test_a_steep_problem_in_the_plane_for_all_exponents_and_units():
+    """``P_f = {p2 = 0, {H0, p2} = 0}``, symplectic, and ``u`` is determined at level 2."""
+    scales = [(1.0, 1.0, 1.0), (1e-6, 1.0, 1e6), (1e6, 1e6, 1e-6), (1.0, 1e-6, 1.0), (1e3, 1e-3, 1e6)]
+    for steepness, units in [(k, scales[0]) for k in EXPONENTS] + [(20.0, units) for units in scales[1:]]:
+        data = jnp.array(steepness), jnp.array(units)
+        c = classify(OptimalControlProblem(Euclidean(2), Plane(*data), PlaneCost(*data), 1))
+        assert {s.signature for s in c.strata} == {(2, 0, 2)}, (steepness, units, str(c))
+        assert c.k_f == 2
+        certify(c)
+
+
+class Bilinear(eqx.Module):
+    """``q' = A q + sum_a u_a (b_a + C_a q)``."""
+
+    drift: Array
+    constant: Array
+    linear: Array
+
+    def __call__(self, q, u):
+        return self.drift @ q + self.constant @ u + jnp.einsum("aij,j,a->i", self.linear, q, u)
+
+
+class Quadratic(eqx.Module):
+    """``<q, W q> / 2``."""
+
+    weights: Array
+
+    def __call__(self, q, u):
+        return q @ self.weights @ q / 2
+
+
+def totally_singular(seed, bilinear):
+    """A problem in the plane with two controls that cost nothing and small whole numbers for data."""
+    draw = np.random.default_rng(seed)
+    drift, constant, linear, weights = (draw.integers(-2, 3, s).astype(float) for s in ((2, 2), (2, 2), (2, 2, 2), (2, 2)))
+    arrays = [jnp.array(a) for a in (drift, constant, linear * bilinear, weights + weights.T)]
+    return OptimalControlProblem(Euclidean(2), Bilinear(*arrays[:3]), Quadratic(arrays[3]), 2), constant, linear
+
+
+@pytest.mark.parametrize("seed", [0, 2, 5, pytest.param(7, marks=pytest.mark.slow)])
+def test_both_pieces_of_a_bilinear_problem_with_two_controls(seed):
+    """``<p, g_a> = 0``: ``p = 0``, which leaves a rest ``q = 0``, or ``det(g_1, g_2) = 0``, where ``{H1, H2}`` determines both."""
+    problem, constant, linear = totally_singular(seed, 1.0)
+    c = classify(problem)
+    assert {(s.signature, s.k_f) for s in c.strata} == {((2, 0, 2), 1), ((4, 0, 0), 2)}, str(c)
+    curve = next(s for s in c.strata if s.codimension == 2)
+    for q, p in zip(*curve.states, strict=True):
+        fields = constant + np.einsum("aij,j->ia", linear, q)
+        assert np.max(np.abs(p @ fields)) < 1e-9 * np.max(np.abs(p)) * np.max(np.abs(fields))
+        assert abs(np.linalg.det(fields)) < 1e-9 * np.max(np.abs(fields)) ** 2
