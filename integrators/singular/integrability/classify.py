@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
 SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
-ALIKE, APART = 1e-11, 1e-7  # differences between these are not clear: a curved piece is flat there, but for that
+APART = 1e-7  # larger differences are clear: between, a curved piece may be nearly flat
 
 
 @overload
@@ -297,7 +297,7 @@ def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
     spaces = np.array(tangents)
     values = np.linalg.svd(np.concatenate([spaces[i], spaces[j]], axis=2), compute_uv=False)
     joint[i, j] = joint[j, i] = np.sum(values > SAME, axis=1)
-    return joint, not np.any((values > ALIKE) & (values <= APART))
+    return joint, not np.any((values > SAME) & (values <= APART))
 
 
 def _stratum(members: list[_Found]) -> Stratum:

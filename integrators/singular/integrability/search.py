@@ -15,8 +15,7 @@ PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 DESCENTS = 30  # steps of descent
 EASE = 10.0  # how much rather these move the control than the state, and steps of stiff points the state than the costate
-SLOW_RATIO, SLOW_STEPS = 0.1, 4  # tiny residuals that shrink slower, this often: an irregular constraint
-TINY = 1e-11, 1e-6  # what is less is rounding
+SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
 LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
 STATIONARY = 0.3  # of the equations that a step of size one takes away, where they contradict each other
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
@@ -59,7 +58,7 @@ def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) 
         now, own = search.residual(tried, at), search.residual(tried, tried)
         better = active & (now < (1 - 1e-4 * damping) * residual)
         at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
-        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now > TINY[0]) & (now < TINY[1])
+        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, own, residual)
         damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
     return search.ended(at, slow >= SLOW_STEPS)

@@ -144,7 +144,7 @@ def test_a_steep_problem_in_the_plane_for_all_exponents_and_units():
         c = classify(OptimalControlProblem(Euclidean(2), Plane(*data), PlaneCost(*data), 1))
         assert {s.signature for s in c.strata} == {(2, 0, 2)}, (steepness, units, str(c))
         assert c.k_f == 2
-        certify(c)
+        assert c.reliable
 
 
 class Bilinear(eqx.Module):
@@ -177,10 +177,13 @@ def totally_singular(seed, bilinear):
 
 @pytest.mark.parametrize("seed", [0, 2, 5, pytest.param(7, marks=pytest.mark.slow)])
 def test_both_pieces_of_a_bilinear_problem_with_two_controls(seed):
-    """``<p, g_a> = 0``: ``p = 0``, which leaves a rest ``q = 0``, or ``det(g_1, g_2) = 0``, where ``{H1, H2}`` determines both."""
+    """``<p, g_a> = 0``: ``p = 0``, or ``det(g_1, g_2) = 0``, on which
+    ``{H1, H2}`` determines both controls; any other piece has ``p = 0``.
+    """
     problem, constant, linear = totally_singular(seed, 1.0)
     c = classify(problem)
-    assert {(s.signature, s.k_f) for s in c.strata} == {((2, 0, 2), 1), ((4, 0, 0), 2)}, str(c)
+    assert (c.stratum.signature, c.k_f, c.reliable) == ((2, 0, 2), 1, True), str(c)
+    assert all(np.max(np.abs(s.p)) < 1e-9 for s in c.strata if s.codimension > 2)
     curve = next(s for s in c.strata if s.codimension == 2)
     for q, p in zip(*curve.states, strict=True):
         fields = constant + np.einsum("aij,j->ia", linear, q)
