@@ -24,12 +24,12 @@ BESIDE = 1e-3  # how far, in units, points are taken beside others to see whethe
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` in units if asked, by damped steps of least norm.
 
-    Those that come to irregular ones, as where pieces cross, are tried again: without making much of equations that are small
+    Those that come to none, or to irregular ones, as where pieces cross, are tried again: without making much of equations that are small
     there, as ``x^2 y`` is beside ``x y^2`` on ``x = 0``, then with ``DESCENTS`` steps of descent before as well.
     """
     best = _moved(points, _Search(points, level, unit_costate, False), np.ones(len(points.slow), bool), 0)
     for descents in (0, DESCENTS):
-        stuck = best.slow & best.consistent & ~points.slow
+        stuck = (best.slow & best.consistent & ~points.slow) | ~best.consistent
         if stuck.any():
             again = _moved(points, _Search(points, level, unit_costate, True), stuck, descents)
             best = _better(stuck & again.consistent & ~again.slow, again, best)
@@ -42,7 +42,7 @@ def _better(which: np.ndarray, again: Points, points: Points) -> Points:
     beside = jax.tree.map(
         lambda a, b: np.stack([_where(which, *pair) for pair in zip(a, b, strict=True)]), again.beside, points.beside
     )
-    return replace(points, at=at, beside=beside, slow=points.slow & ~which)
+    return replace(points, at=at, beside=beside, slow=points.slow & ~which, away=points.away & ~which)
 
 
 def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
