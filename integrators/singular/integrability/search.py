@@ -119,7 +119,7 @@ class _Search(NamedTuple):
             values = (at.array / rows)[:, : self.level + 1].reshape(len(rows), -1)
             sizes = np.sum(values**2, axis=1, keepdims=True)
             slopes = np.einsum("br,bri->bi", values / sizes, np.concatenate([by_state, by_jet], axis=2))
-            return np.linalg.norm(slopes, axis=1)
+            return np.where(np.isfinite(sizes[:, 0]), np.linalg.norm(slopes, axis=1), np.inf)
 
     def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:
         """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not asked."""
