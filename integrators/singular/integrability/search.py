@@ -24,8 +24,9 @@ BESIDE = 1e-3  # how far, in units, points are taken beside others to see whethe
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     """Points moved to ``F_0 = ... = F_level = 0``, and to ``|p| = 1`` in units if asked, by damped steps of least norm.
 
-    Those that come to none, or to irregular ones, as where pieces cross, are tried again: without making much of equations that are small
-    there, as ``x^2 y`` is beside ``x y^2`` on ``x = 0``, then with ``DESCENTS`` steps of descent before as well.
+    Those that come to none, or to irregular ones, as where pieces cross, are tried again: without making much of
+    equations that are small there, as ``x^2 y`` is beside ``x y^2`` on ``x = 0``, then with ``DESCENTS`` steps of
+    descent before as well.
     """
     best = _moved(points, _Search(points, level, unit_costate, False), np.ones(len(points.slow), bool), 0)
     for descents in (0, DESCENTS):
