@@ -33,6 +33,12 @@ class Echelon(NamedTuple):
         """Where the ranks are clear."""
         return (self.smallest >= CERTAIN) & (self.largest <= ZERO)
 
+    def steps(self) -> np.ndarray:
+        """Largest component of a step to where the equations hold whose values are the last column, ``(batch,)``."""
+        values = np.abs(self.matrix[:, 0, :, -1])
+        has = np.stack([np.isin(np.arange(values.shape[1]), rows) for rows in self.rows])
+        return np.max(np.where(has, values, 0.0), axis=1, initial=0.0)
+
     def null_basis(self, block: slice) -> np.ndarray:
         """Null vectors of the rows with pivots in a block of columns, one for each column without; zeros for the others."""
         rows = self.rows[:, block]

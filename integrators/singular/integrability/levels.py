@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .elimination import COUNTED, eliminate, significance
-from .points import Points
+from .elimination import CERTAIN, COUNTED, ZERO, eliminate, significance
+from .points import RESOLUTION, Points
 
 
 class Signature(NamedTuple):
@@ -81,7 +81,8 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
     by_state, by_jet = points.stacks(level)
     width = by_jet.shape[-1]
     control, state = slice(width - m, width), slice(width, width + n)
-    matrix = np.concatenate([by_jet[..., m:], by_jet[..., :m], by_state], axis=-1)
+    values = (points.stack("array")[:, :, : level + 1] / points.units.rows[:, None, : level + 1]).reshape(*by_jet.shape[:-1], 1)
+    matrix = np.concatenate([by_jet[..., m:], by_jet[..., :m], by_state, values], axis=-1)
     found = eliminate(matrix, (slice(0, width - m), control, state), np.arange(width) // m)
     tangents = found.null_basis(state)
     units = points.units.state[:, :, None]
@@ -91,18 +92,19 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
     bases = units / points.sizes.state[:, None] * tangents[:, 0]
     smallest, largest = np.minimum(found.smallest, form.smallest), np.maximum(found.largest, form.largest)
     determined = np.max(significance(found.null_basis(control)), axis=2, initial=0.0) <= COUNTED
+    near = found.steps() <= CERTAIN / ZERO * RESOLUTION
     ranks = []
     for i, rows in enumerate(found.rows):
         free, held = rows[state] < 0, form.rows[i] >= 0
         ranks.append(
             PointRanks(
                 signature=Signature(int(np.sum(~free)), int(np.sum(rows[control] < 0)), int(np.sum(held))),
-                decided=bool(found.decided[i] and form.decided[i]),
+                decided=bool(found.decided[i] and form.decided[i] and near[i]),
                 gap=float(smallest[i] / largest[i]) if largest[i] > 0 else np.inf,
                 kernel=np.linalg.qr(kernels[i][:, free & ~held])[0].T,
                 determined=determined[i],
                 tangents=np.linalg.qr(bases[i][:, free])[0],
-                pivots=rows,
+                pivots=rows[:-1],
             )
         )
     return ranks

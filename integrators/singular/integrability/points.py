@@ -18,13 +18,14 @@ from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
 from .elimination import COUNTED, ZERO, significance, without_steady
 from .jets import DerivativeArray, Pair, hamiltonian_field
+from .underflow import underflows
 from .units import LEAST, Sizes, Units, own_sizes, sizes_at_starts, units_at
 
 CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zeros are, in units
 APPROACHED = 1e-6  # largest one, in units at the starts, of equations that are nearly met
 LOOSE = 1e4  # of what is met as well as at the starts: how much worse by the sizes that all variables have at the point
-DROWNED = 1e-13  # largest derivative, in units, by a coordinate that enters only in the rounding of all equations
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
+DROWNED = 1e-13  # largest derivative, in units, by a coordinate that enters only in the rounding of all equations
 BATCH = 20  # points that the kernel takes
 
 
@@ -43,6 +44,7 @@ class Linearised(NamedTuple):
     omega: Array  # (2n, 2n): the canonical form in that frame
     costate: Array  # (n,): components of p along the frame's horizontal part
     cost_rate: Array
+    lost: Array  # whether functions of the problem underflow
 
 
 def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> Linearised:
@@ -67,6 +69,7 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
         omega=form_matrix(bundle.two_form, z, frame),
         costate=vec.components(base, z[1]),
         cost_rate=array.problem.cost_rate(z[0], control),
+        lost=underflows(lambda q, u: (array.problem.velocity(q, u), array.problem.cost_rate(q, u)), z[0], control),
     )
 
 
@@ -164,15 +167,14 @@ class Points:
 
     @cached_property
     def drowned(self) -> np.ndarray:
-        """Where functions of the state vanish to all digits that do not elsewhere, or are less than the rounding of the others.
+        """Where functions of the problem underflow, or a coordinate enters only in the rounding of equations.
 
-        So does ``exp(-800)``, and beside 1 ``exp(-50)``; ranks there are those of another problem.
+        So it does by ``exp(-800)``, and, beside 1, by ``exp(-50)``; ranks there are those of another problem.
         """
         k = max(self.level, 0) + 1
-        silent = (self.stack("by_state") == 0).all(axis=1) & self.sizes.pattern
         sizes = np.where(self.known(), np.abs(self.at.by_state), 0.0)[:, :k] / self.units.rows[:, :k, :, None]
         largest = np.max(sizes, axis=(1, 2)) * self.units.state
-        return silent[:, :k].any(axis=(1, 2, 3)) | ((largest > 0) & (largest < DROWNED)).any(axis=1)
+        return self.at.lost | ((largest > 0) & (largest < DROWNED)).any(axis=1)
 
     def stack(self, name: str) -> np.ndarray:
         """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""
@@ -222,8 +224,7 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *flags, stiff)
     slopes, known = significance(points.slopes[1].reshape(count, 1 + SAMPLES, *unknown.shape, -1)), points.known()
     rounding = ~((slopes > COUNTED).any(axis=-1) | known.any(axis=-1))
-    sizes = sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count)
-    return replace(points, sizes=replace(sizes, pattern=known.sum(axis=0) > 1))
+    return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
 
 
 def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:

@@ -17,8 +17,7 @@ class Sizes:
     """Typical sizes at the starts, shared by a batch.
 
     ``lengths``: of the coordinates of Q, ``(n,)``; ``action``: of a costate times these; ``rate``: of change, over them;
-    ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``. ``vanishing``: which of these are rounding; ``pattern``:
-    which of their derivatives by the state are not, at some starts, ``(order + 1, m, 2n)``.
+    ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``. ``vanishing``: which of these are rounding.
     """
 
     lengths: np.ndarray
@@ -27,7 +26,6 @@ class Sizes:
     control: np.ndarray
     rows: np.ndarray
     vanishing: np.ndarray
-    pattern: np.ndarray | bool = False
 
     @property
     def state(self) -> np.ndarray:

@@ -35,7 +35,7 @@ def near(units=(1.0, 1.0, 1.0)):
 
 
 def bracket(f, g):
-    """``{f, g} = <f_q, g_p> - <f_p, g_q>``, and the sizes of its terms."""
+    """``{f, g} = <f_q, g_p> - <f_p, g_q>``."""
 
     def value(q, p):
         fq, fp = jax.grad(f, argnums=(0, 1))(q, p)
@@ -52,29 +52,39 @@ def terms(function, q, p):
 
 
 @eqx.filter_jit
-def brackets(problem, q, p, u):
-    """``H1``, ``{H0, H1}`` and ``{H0 + u H1, {H0, H1}}`` at points, over the sizes of their terms; the last by u alone."""
-    zero, one = (lambda q, p, c=c: problem.hamiltonian(q, p, jnp.array([c])) for c in (0.0, 1.0))
-    drift, control = zero, lambda q, p: one(q, p) - zero(q, p)
+def brackets(dynamics, q, p, u):
+    """``H1``, ``{H0, H1}`` and ``{H0 + u H1, {H0, H1}}`` at points, over the sizes of their terms; the last by u alone.
+
+    ``H = <p, X>``. Its arguments are arrays, so that all exponents and units have one compiled function.
+    """
+
+    def drift(q, p):
+        return p @ dynamics(q, jnp.zeros(1))
+
+    def control(q, p):
+        return p @ dynamics(q, jnp.ones(1)) - drift(q, p)
+
     second = bracket(drift, control)
     third, by_control = bracket(drift, second), bracket(control, second)
 
-    def at(q, p):
+    def at(q, p, u):
         values = [f(q, p) / terms(f, q, p) for f in (control, second)]
-        singular = third(q, p) + u[0] * by_control(q, p)
-        sizes = terms(third, q, p) + jnp.abs(u[0]) * terms(by_control, q, p)
-        return jnp.stack(values), singular / sizes, by_control(q, p) / terms(by_control, q, p)
+        singular, determining = third(q, p), by_control(q, p)
+        sizes = terms(third, q, p), terms(by_control, q, p)
+        return jnp.stack(values), (singular + u[0] * determining) / (sizes[0] + jnp.abs(u[0]) * sizes[1]), determining / sizes[1]
 
-    return jax.vmap(at)(q, p)
+    return jax.vmap(at)(q, p, u)
 
 
 def certify(c):
-    """Its points satisfy the brackets in their own units, and its control the one that determines it."""
+    """Its points satisfy the brackets in their own units, and the control printed the one that determines it."""
     s = c.stratum
-    values, _, determining = brackets(c.problem, *s.states, s.u)
+    first = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (s.q, s.p))
+    states = (np.concatenate(leaves)[:21] for leaves in zip(first, s.states, strict=True))
+    q, p = (np.pad(leaf, ((0, 21 - len(leaf)), (0, 0)), mode="edge") for leaf in states)
+    values, singular, determining = brackets(c.problem.dynamics, q, p, np.tile(s.u, (21, 1)))
     assert np.max(np.abs(values)) < 1e-9, str(c)
     assert np.min(np.abs(determining)) > 1e-9
-    _, singular, _ = brackets(c.problem, s.q[None], s.p[None], s.u)
     assert abs(singular[0]) < 1e-9
 
 

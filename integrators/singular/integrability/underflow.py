@@ -1,0 +1,72 @@
+"""Whether functions lose digits at a point that nothing brings back: exponentials that are zero, sigmoids that are one."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
+from jaxtyping import Array, Bool
+
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+
+def _vanishes(out: Array, *_: Array) -> Array:
+    return out == 0
+
+
+def _saturates(out: Array, *_: Array) -> Array:
+    return jnp.abs(out) == 1
+
+
+def _loses(out: Array, *factors: Array) -> Array:
+    return (out == 0) & jnp.all(jnp.stack([jnp.broadcast_to(a != 0, out.shape) for a in factors]), axis=0)
+
+
+LOST: dict[str, Callable[..., Array]] = {
+    "exp": _vanishes,
+    "exp2": _vanishes,
+    "erfc": _vanishes,
+    "expm1": lambda out, *_: out == -1,
+    "tanh": _saturates,
+    "erf": _saturates,
+    "logistic": lambda out, *_: (out == 0) | (out == 1),
+    "mul": _loses,
+    "integer_pow": _loses,
+    "square": _loses,
+    "pow": lambda out, base, _: _loses(out, base),
+    "div": lambda out, above, _: _loses(out, above),
+}
+
+
+def underflows(function: Callable[..., Any], *arguments: Any) -> Bool[Array, ""]:
+    """Whether an elementary function in ``function`` has underflown, as ``exp(-800)``, or is constant to all digits, as ``tanh(20)``.
+
+    Loops and branches are evaluated as they are, without a look into them.
+    """
+    leaves, tree = jax.tree.flatten(arguments)
+    closed = jax.make_jaxpr(lambda *leaves: function(*jax.tree.unflatten(tree, leaves)))(*leaves)
+    return _evaluate(closed.jaxpr, closed.consts, leaves)[1]
+
+
+def _evaluate(jaxpr: Any, constants: Any, arguments: list[Any]) -> tuple[list[Any], Array]:
+    known = dict(zip(jaxpr.constvars, constants, strict=True)) | dict(zip(jaxpr.invars, arguments, strict=True))
+    lost = jnp.zeros((), bool)
+    for equation in jaxpr.eqns:
+        values, name = [_read(known, v) for v in equation.invars], equation.primitive.name
+        if name in CALLS:
+            inner = equation.params[CALLS[name]]
+            results, within = _evaluate(inner.jaxpr, inner.consts, values)
+            lost |= within
+        else:
+            variables = list({v: None for v in equation.invars if not isinstance(v, Literal)})
+            alone = Jaxpr([], variables, equation.outvars, [equation], equation.effects, jaxpr.debug_info)
+            results = jaxpr_as_fun(ClosedJaxpr(alone, []))(*(known[v] for v in variables))
+        if name in LOST and jnp.issubdtype(results[0].dtype, jnp.floating):
+            lost |= jnp.any(LOST[name](results[0], *map(jnp.asarray, values)))
+        known.update(zip(equation.outvars, results, strict=True))
+    return [_read(known, v) for v in jaxpr.outvars], lost
+
+
+def _read(known: dict[Any, Any], variable: Any) -> Any:
+    return variable.val if isinstance(variable, Literal) else known[variable]
