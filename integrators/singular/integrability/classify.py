@@ -205,10 +205,10 @@ def _without_crossings(points: Points, unit_costate: bool) -> Points:
     if len(set(own.values())) < 2:
         return points
     beside, crossing = _known(points_beside(points, points.level, unit_costate)), points.slow.copy()
-    compared = [i for i in reliable if beside.consistent[i] and not beside.unclear[i]]
-    histories = _histories(select(beside, compared))
-    for i, history in zip(compared, histories, strict=True):
-        crossing[i] |= beside.slow[i] or _signatures(history) != own[i]
+    crossing[reliable] |= (beside.slow & beside.consistent)[reliable]
+    compared = reliable[beside.regular[reliable]]
+    for i, history in zip(compared, _histories(select(beside, compared)), strict=True):
+        crossing[i] |= _signatures(history) != own[i]
     return replace(points, slow=crossing)
 
 

@@ -40,7 +40,7 @@ LOST: dict[str, Callable[..., Array]] = {
 
 
 def underflows(function: Callable[..., Any], *arguments: Any) -> Bool[Array, ""]:
-    """Whether an elementary function in ``function`` has underflown, as ``exp(-800)``, or is constant to all digits, as ``tanh(20)``.
+    """Whether an operation in ``function`` underflows, as ``exp(-800)``, or is constant to all digits, as ``tanh(20)``.
 
     Loops and branches are evaluated as they are, without a look into them.
     """
