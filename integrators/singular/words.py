@@ -106,8 +106,8 @@ def approached_words(residual: float) -> str:
 def sparse_words(missing: int, tried: int) -> str:
     """That pieces may be missing."""
     return (
-        f"{missing} of {tried} points, which were not found, or where equations are irregular or ranks not decided: pieces of "
-        "P_f may be missing; try more starts, or near=(q, p) where one is expected"
+        f"{missing} of {tried} points, which were not found, or where equations are irregular or ranks are not decided: pieces "
+        "of P_f may be missing; try more starts, or near=(q, p) where one is expected"
     )
 
 
@@ -115,9 +115,9 @@ CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as
 EXCLUDED = "p = 0 is excluded"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 UNDECIDED = (
-    "not decided: at every point some number is neither clearly zero nor clearly not, beside what it changes by within the "
-    "point's precision, or functions drown in the rounding of others: what follows is not a statement about P_f; try near=(q, p) "
-    "elsewhere, or other units"
+    "not decided: at every point found, a number that decides a rank may be zero or not within the precision of the point, or a "
+    "function underflows or is smaller than the rounding of the others; what follows is not a statement about P_f; try "
+    "near=(q, p), a state where the functions are of comparable size, or other units"
 )
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
 

@@ -121,8 +121,9 @@ class Classification(IntegrabilityResult[Stratum]):
                 f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
             )
         raise InvalidInputError(
-            "P_f is not known: at every point found some number is neither clearly zero nor clearly not, or functions drown in "
-            f"the rounding of others\n{self}\ntry near=(q, p), a state where they do not, or other units"
+            "P_f is not known: at every point found, a number that decides a rank may be zero or not within the precision of the "
+            f"point, or a function underflows or is smaller than the rounding of the others\n{self}\ntry near=(q, p), a state "
+            "where the functions are of comparable size, or other units"
         )
 
     @property

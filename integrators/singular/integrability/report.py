@@ -56,6 +56,8 @@ def _irregular(level: Level) -> str:
     notes += [(level.slow, "where equations are irregular, as where pieces cross")] if level.slow else []
     if level.unknown and level.slow == level.consistent:
         return ", equations irregular at all of them: ranks not reliable"
+    if level.unknown and level.unclear == level.consistent:
+        return ", ranks not decided at any of them"
     return "".join(
         f", {count} of them {where}: {'ranks not reliable' if level.unknown else 'not counted'}" for count, where in notes
     )
