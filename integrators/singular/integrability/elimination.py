@@ -65,7 +65,7 @@ def without_steady(stack: np.ndarray, least: np.ndarray) -> np.ndarray:
 
 def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -> Echelon:
     """Gauss-Jordan elimination of blocks of columns in turn, with the largest balanced pivot in the lowest level of rows."""
-    finite = np.isfinite(stack).all(axis=(1, 2, 3))
+    finite = np.array(np.isfinite(stack).all(axis=(1, 2, 3)))
     matrix = np.where(finite[:, None, None, None], stack, 0.0)
     matrix[:, 1:] *= 1 + JITTER * np.random.default_rng(0).standard_normal(matrix[0, 1:].shape)
     scale, (count, _, height, width) = _balance(matrix), matrix.shape

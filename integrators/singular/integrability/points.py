@@ -28,6 +28,8 @@ RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their 
 DROWNED = 1e-13  # largest derivative, in units, by a coordinate that enters only in the rounding of all equations
 BATCH = 20  # points that the kernel takes
 
+Numbers = np.ndarray | Array  # what the kernel returns is held as NumPy arrays
+
 
 class Linearised(NamedTuple):
     """What the kernel returns at one point of the jet space over ``T*Q``."""
@@ -193,15 +195,17 @@ class Points:
         return by_state[:, 0], by_jet[:, 0]
 
 
-def in_units(by_state: np.ndarray, by_jet: np.ndarray, units: Units, level: int) -> tuple[np.ndarray, np.ndarray]:
+def in_units(by_state: Numbers, by_jet: Numbers, units: Units, level: int) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the levels up to this one, ``(batch, samples, ...)``, with rows and columns scaled and raveled."""
     k = level + 1
     batch, samples, _, m = by_state.shape[:4]
     scale = units.rows[:, None, :k].reshape(batch, 1, k * m, 1)
     along = units.jet[:, None, None, :k].reshape(batch, 1, 1, k * m)
     with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
-        states = by_state[:, :, :k].reshape(batch, samples, k * m, by_state.shape[-1]) / scale * units.state[:, None, None]
-        jets = by_jet[:, :, :k, :, :k].reshape(batch, samples, k * m, k * m) / scale * along
+        states = (
+            np.asarray(by_state)[:, :, :k].reshape(batch, samples, k * m, by_state.shape[-1]) / scale * units.state[:, None, None]
+        )
+        jets = np.asarray(by_jet)[:, :, :k, :, :k].reshape(batch, samples, k * m, k * m) / scale * along
     return states, jets
 
 
@@ -220,14 +224,14 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     at = moved(array, z, centers, jets)
     unknown = np.zeros(jets.shape[1:], bool)
     sizes = sizes_at_starts(at, lengths, unknown)
-    flags, stiff = np.zeros((4, count), bool), np.arange(count) % 2 == 1
-    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, *flags, stiff)
+    no, stiff = np.zeros(count, bool), np.arange(count) % 2 == 1
+    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, no, no, no, no, stiff)
     slopes, known = significance(points.slopes[1].reshape(count, 1 + SAMPLES, *unknown.shape, -1)), points.known()
     rounding = ~((slopes > COUNTED).any(axis=-1) | known.any(axis=-1))
     return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
 
 
-def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, d: np.ndarray | None = None) -> Linearised:
+def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: Numbers, d: np.ndarray | None = None) -> Linearised:
     """The array linearised at points, moved by coordinates ``d`` if these are given.
 
     Batches are filled up with their first point to a multiple of ``BATCH``: there is one kernel for those that shrink.

@@ -80,14 +80,14 @@ def _draw() -> Callable[..., Drawn]:
 
     def batch(problem: OptimalControlProblem, keys: Array, near: Pair | None, lengths: Array) -> Drawn:
         apart = jnp.ones(len(keys)).at[0].set(0.0)  # the first start near a state is that state
-        (q, p), steps = jax.lax.map(lambda at: _state(problem, *at, near, lengths), (keys, apart))
+        (q, p), steps = jax.lax.map(lambda at: _state(problem, at[0], at[1], near, lengths), (keys, apart))
         centers, first = jax.lax.map(lambda key: _control(problem, jax.random.split(key)[1]), keys)
         first = _priced(problem, q, centers, _balance(problem, q, centers, first)) * first
         controls = jax.vmap(problem.steer)(centers, first)
-        cost, rate, changes, finite = jax.lax.map(lambda at: _survey(problem, *at, lengths), (q, controls))
+        cost, rate, changes, finite = jax.lax.map(lambda at: _survey(problem, at[0], at[1], lengths), (q, controls))
         action = _middle(cost) / _middle(rate)
         action = jnp.where((action > 0) & jnp.isfinite(action), action, 1.0)
-        z = jax.lax.map(lambda at: _with_costate(problem, *at, near, action, lengths), (q, p, steps))
+        z = jax.lax.map(lambda at: _with_costate(problem, at[0], at[1], at[2], near, action, lengths), (q, p, steps))
         return Drawn(z, centers, first, changes, finite)
 
     return compiled(batch, quickly=True)
