@@ -56,13 +56,15 @@ def assert_same_levels(exact, numeric):
 @pytest.mark.parametrize("name", EUCLIDEAN)
 def test_exact_and_numeric_answers_agree(name):
     exact, numeric = symbolic(name), classified(name)
-    for fact in ("dimension", "first_class", "second_class", "gauge_controls", "regular"):
-        assert getattr(exact, fact) == getattr(numeric, fact), fact
     assert exact.family == numeric.morse.family
     assert len(exact.strata) == len(numeric.strata) == 1
-    assert exact.stratum.irregular == numeric.irregular == (not known(name).regular_equations)
-    # An irregular point is found to half its digits.
-    assert_same(exact, exact.stratum, numeric, numeric.stratum, 1e-8 if known(name).regular_equations else 1e-4)
+    assert exact.stratum.irregular == numeric.irregular == (not numeric.reliable) == (not known(name).regular_equations)
+    if not numeric.reliable:  # then its ranks are no statement about P_f
+        assert "NOT RELIABLE" in str(numeric)
+        return
+    for fact in ("dimension", "first_class", "second_class", "gauge_controls", "regular"):
+        assert getattr(exact, fact) == getattr(numeric, fact), fact
+    assert_same(exact, exact.stratum, numeric, numeric.stratum, 1e-8)
     assert_same_levels(exact, numeric)
 
 
