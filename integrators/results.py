@@ -26,9 +26,8 @@ class Result(eqx.Enumeration):
     )
     singular = (
         "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached from "
-        "this trajectory, the cost does not determine the controls, or the extremal is one of a family, as between opposite "
-        "points; check that the end point is reachable and that the running cost is strictly convex in every control, give a "
-        "guess that moves, or move an end a little."
+        "this trajectory, or the cost does not determine the controls; check that the end point is reachable and that the "
+        "running cost is strictly convex in every control, or give a guess that moves."
     )
     wrong_point = (
         "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."

@@ -79,6 +79,11 @@ def _stationarity(assembled: Assembled, units: Units) -> Array:
     return vec.largest(blocks.slope * d / jnp.where(scale > 0, scale, 1.0))
 
 
+def growth(sizes: Sizes, units: Units) -> Array:
+    """How far the trajectory goes, in the units that its data ask for: what a nearly singular system blows up."""
+    return vec.largest(jnp.concatenate([sizes.displacements, sizes.controls]) / units.unknowns)
+
+
 def correction(solution: BlockSolution, sizes: Sizes, units: Units) -> Array:
     """Largest step that the linearised conditions still ask for, relative to the trajectory: the error that remains.
 

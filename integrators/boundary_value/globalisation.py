@@ -21,7 +21,7 @@ from ...manifolds.numerics import ambient as vec
 from ..results import Result
 from ..stages import ControlStage
 from .assembly import Assembled, DiscreteTrajectory, Iterate
-from .claims import Residuals, Sizes, correction, own_sizes, residuals
+from .claims import Residuals, Sizes, correction, growth, own_sizes, residuals
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .scaling import Units, natural_units, scaled, unscaled
 
@@ -31,6 +31,7 @@ RECORD = 0.9
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
+GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
 CURVATURE = 1e-9
@@ -63,7 +64,8 @@ class _State(NamedTuple):
     fast: Array  # the last step gained two digits: its matrices serve for the next
     stale: Array  # the matrices are those of the iterate before
     correction: Array  # what the linearised conditions still asked for where the residuals met the tolerance
-    determined: Array
+    isolated: Array
+    claimed: Array
     done: Array
 
 
@@ -86,7 +88,8 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     """Solve the KKT system of a discrete trajectory from a guess.
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
-    where the system is singular to rounding, residuals say nothing about the distance to a solution.
+    where the system is singular to rounding, residuals say nothing about the distance to a solution, and one is claimed only
+    if the trajectory has kept its size.
     """
 
     def going(state: _State) -> Array:
@@ -98,10 +101,10 @@ def solve_kkt(problem: DiscreteTrajectory, guess: Iterate, tolerance: ArrayLike,
     units = Units(jnp.ones(problem.stage.dimension), jnp.ones(problem.stage.manifold.dimension), zero + 1)
     promise = _Model(infinity, infinity, zero, zero, zero, ~no)
     begin = guess, assembled, units, Residuals(infinity, infinity), factors, guess, promise, infinity, zero + 1, zero, infinity
-    state = _State(*begin, jnp.zeros((), int), no, no, infinity, no, no)
+    state = _State(*begin, jnp.zeros((), int), no, no, infinity, no, no, no)
     state = jax.lax.while_loop(going, lambda state: _next(problem, state, tolerance), state)
     result = _outcome(state, tolerance, max_iterations)
-    strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale & state.determined
+    strict = is_strict_minimum(state.factors) & (state.shift == 0) & ~state.stale & state.isolated
     return NewtonResult(state.iterate, state.assembled, state.residuals, strict, state.trials - 1, result)
 
 
@@ -126,7 +129,7 @@ def _next(problem: DiscreteTrajectory, state: _State, tolerance: ArrayLike) -> _
     unchanged = shift, state.factors, state.model.descends
     shift, factors, descends = jax.lax.cond(unmade, lambda: unchanged, lambda: _regularised(system, state.factors, shift, keep))
     model = _promise(state.assembled, units, factors, descends)
-    state = _settled(state, arrived & ~unmade, correction(factors, sizes, units), tolerance)
+    state = _settled(state, arrived & ~unmade, correction(factors, sizes, units), growth(sizes, units), tolerance)
     fraction = jnp.where(unmade, 0.0, state.fraction)
     steps, multipliers = unscaled(factors, units)
     trial = problem.move(state.iterate, state.assembled, steps, multipliers, fraction)
@@ -141,14 +144,17 @@ def _next(problem: DiscreteTrajectory, state: _State, tolerance: ArrayLike) -> _
     )
 
 
-def _settled(state: _State, arrived: Array, wanted: Array, tolerance: ArrayLike) -> _State:
+def _settled(state: _State, arrived: Array, wanted: Array, grown: Array, tolerance: ArrayLike) -> _State:
     """Whether the iteration ends where its residuals meet the tolerance, given the step that is still wanted there.
 
-    Newton's steps shrink where the residuals vanish, unless the system is singular to rounding.
+    Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one of a
+    family of extremals; or it has grown along the null vector until rounding hides that there is none.
     """
-    determined = arrived & (wanted <= jnp.sqrt(tolerance))
-    done = determined | (arrived & (wanted > SHRINKS * state.correction))
-    return state._replace(correction=jnp.where(arrived, wanted, state.correction), determined=determined, done=done)
+    isolated = arrived & (wanted <= jnp.sqrt(tolerance))
+    stuck = arrived & (wanted > SHRINKS * state.correction)
+    claimed = isolated | (stuck & (grown <= GROWN))
+    wanted = jnp.where(arrived, wanted, state.correction)
+    return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=isolated | stuck)
 
 
 def _units(assembled: Assembled, sizes: Sizes) -> Units:
@@ -264,9 +270,9 @@ def _outcome(state: _State, tolerance: ArrayLike, max_iterations: ArrayLike) -> 
     finite = jnp.isfinite(state.residuals.largest) & jnp.isfinite(state.assembled.cost)
     meets = vec.largest(state.assembled.blocks.gap / state.units.nodes) <= tolerance
     wrong = (state.residuals.stationarity <= tolerance) & meets & (state.residuals.gap > tolerance)
-    undetermined = (state.residuals.largest <= tolerance) & ~state.determined
+    undetermined = (state.residuals.largest <= tolerance) & ~state.claimed
     result = Result.where(state.trials > max_iterations, Result.too_many_iterations, Result.no_improvement)
     result = Result.where((~_solvable(state) & ~meets) | undetermined, Result.singular, result)
     result = Result.where(wrong, Result.wrong_point, result)
     result = Result.where(~finite, Result.not_finite, result)
-    return Result.where(state.determined & finite, Result.successful, result)
+    return Result.where(state.claimed & finite, Result.successful, result)
