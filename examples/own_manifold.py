@@ -32,7 +32,7 @@ class Torus(LevelSet):
 
     def constraint(self, x):
         """Zero on the torus."""
-        return (jnp.hypot(x[0], x[1]) - 2.0) ** 2 + x[2] ** 2 - 1.0
+        return (jnp.sqrt(x[0] ** 2 + x[1] ** 2) - 2.0) ** 2 + x[2] ** 2 - 1.0
 
 
 class Ellipsoid(LevelSet):

@@ -13,6 +13,7 @@ from .manifold import Manifold, default_tolerance, real
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
+from .numerics.frames import null_frame
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
 
@@ -67,8 +68,7 @@ class LevelSet(Manifold):
         return a - (j.T @ solve_small(j @ j.T, j @ a.reshape(-1))).reshape(self.shape)
 
     def basis(self, x: Array) -> Array:
-        j = self.jacobian(x)
-        return jnp.linalg.qr(j.T, mode="complete")[0].T[j.shape[0] :].reshape(-1, *self.shape)
+        return null_frame(self.jacobian(x)).reshape(-1, *self.shape)
 
     def restore(self, x: Array) -> Array:
         j = self.jacobian(x)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .matrices import lyapunov
+from .root import solve_small
 
 Frame = Float[Array, "n p"]
 Matrix = Float[Array, "n n"]
@@ -78,6 +79,16 @@ def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
     a, s = state
     sign = jnp.where(a[k, k] < 0, 1.0, -1.0).astype(a.dtype)
     return a - jnp.outer(a[:, k], a[k] / (a[k, k] - sign)), s.at[k].set(sign)
+
+
+def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
+    """Orthonormal rows that span the null space of independent rows: fixed ones, projected, and made orthonormal again.
+
+    Their derivatives are right everywhere; those of LAPACK's reflections are NaN where a row is a multiple of a unit vector.
+    """
+    fixed = jax.lax.stop_gradient(jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :])
+    carried = fixed - (fixed @ rows.T) @ solve_small(rows @ rows.T, rows)
+    return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(carried @ carried.T), carried, lower=True)
 
 
 def adapted_frame(projector: Matrix, rank: int) -> Matrix:
