@@ -173,12 +173,12 @@ _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
 }
 
 
-def _select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries:
+def select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries:
     if isinstance(which, np.ndarray) and not which.shape:
         return cases[int(which)]
     if any(is_complex(case) for case in cases):
         halves = zip(*(parts(case) for case in cases), strict=True)
-        return Complex(*(_select_n(params, which, *half) for half in halves))
+        return Complex(*(select_n(params, which, *half) for half in halves))
 
     def chosen(which: ca.SX, *cases: ca.SX) -> ca.SX:
         last = len(cases) - 1
@@ -274,7 +274,7 @@ _OTHERS: dict[str, Callable[..., Entries]] = {
     "pow": _powered,
     "reduce_precision": lambda params, a: a,
     "round": _round,
-    "select_n": _select_n,
+    "select_n": select_n,
     "xor": lambda params, *a: _logic(params, "xor", *a),
 }
 

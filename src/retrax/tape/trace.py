@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -11,7 +11,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
-from .elementwise import elementwise, select
+from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
 from .known import evaluated
 from .linear import LINEAR, inverse
@@ -92,7 +92,7 @@ class Tracer:
         if isinstance(which, np.ndarray):
             return self.closed(branches[int(np.clip(which, 0, last))], arrays[1:])
         found = [self.closed(branch, arrays[1:]) for branch in branches]
-        return [_chosen(which, values) for values in zip(*found, strict=True)]
+        return [select_n({}, which, *values) for values in zip(*found, strict=True)]
 
     def _platform_index(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         platforms = eqn.params["platforms"]
@@ -228,16 +228,6 @@ def _row(a: Entries, k: int) -> Entries:
     shape = a.shape[1:]
     count = int(np.prod(shape))
     return taken(a, np.arange(k * count, (k + 1) * count).reshape(shape))
-
-
-def _chosen(which: Any, values: tuple[Entries, ...]) -> Entries:
-    if any(is_complex(v) for v in values):
-        halves = zip(*(parts(v) for v in values), strict=True)
-        return Complex(*(_chosen(which, half) for half in halves))
-    columns = [column(v) for v in values]
-    last = len(columns) - 1
-    value = reduce(lambda rest, k: select(which.values <= k, columns[k], rest), reversed(range(last)), columns[last])
-    return scalars(value, values[0].shape)
 
 
 _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
