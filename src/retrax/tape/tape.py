@@ -70,7 +70,7 @@ class Tape:
     def __call__(self, *arguments: Any) -> Any:
         """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
         inputs = self._packed(arguments)
-        rows = self._run(inputs)
+        rows = self.run(inputs)
         return jax.tree.unflatten(self.structure, self._unpacked(rows))
 
     @property
@@ -113,6 +113,28 @@ class Tape:
         value, by = self._only(), self._by(argnums)
         slope, curvature = self.graph.gradient(value, by), self.graph.hessian(value, by)
         return self._of((value, ()), (slope, slope.shape[:1]), (curvature, curvature.shape))
+
+    def expansion(self) -> "Tape":
+        """The expansion at zero of a function of real arrays in its first argument, which the tape no longer has.
+
+        The function has the values ``(scalar, vector, *others)``; the tape has the Hessian and gradient of the scalar, the
+        Jacobian of the vector, the vector and the others.
+        """
+        d, scalar, vector = self.graph.inputs[0], column(self._values[0]), column(self._values[1])
+        shapes = [(d.numel(),) * 2, d.shape[:1], (vector.numel(), d.numel()), *(leaf.shape for leaf in self._results[1:])]
+        curvature, slope = self.graph.hessian(scalar, d), self.graph.gradient(scalar, d)
+        flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, self.graph.jacobian(vector, d))]
+        there = self.graph.unmarked([*flat, vector, *(column(v) for v in self._values[2:])])
+        there = ca.substitute(there, [d], [ca.SX.zeros(d.numel())])
+        results: list[Entries] = [scalars(v, shape) for v, shape in zip(there, shapes, strict=True)]
+        leaves = self._leaves[1:]
+        arguments = leaves, jax.tree.structure((0,) * len(leaves))
+        return Tape(Graph(self.graph.inputs[1:]), results, arguments, jax.tree.structure((0,) * len(results)))
+
+    @property
+    def shapes(self) -> list[tuple[int, ...]]:
+        """Shapes of the values."""
+        return [leaf.shape for leaf in self._results]
 
     def to_casadi(self, name: str = "f") -> ca.Function:
         """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column each."""
@@ -170,7 +192,8 @@ class Tape:
             found.append(real + 1j * rows[begin + size : begin + 2 * size].reshape(shape) if leaf.complex else real)
         return found
 
-    def _run(self, inputs: np.ndarray) -> np.ndarray:
+    def run(self, inputs: np.ndarray) -> np.ndarray:
+        """All values from all arguments: a row for every real number, in C order, and a column for every point."""
         machine = _machine()
         if machine is None:
             return np.array(self._casadi(inputs)).reshape(self.outputs.shape[0], inputs.shape[1])

@@ -1,0 +1,134 @@
+"""Quantities computed from a discrete extremal: Hamiltonians, momenta, what is conserved, and what leaves the manifold."""
+
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import MatrixLieGroup
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.product import homogeneous_factors
+from ...problem import OptimalControlProblem
+from ...stages.stage import positive
+from .evaluator import Evaluator
+from .layout import Layout, parameter_layout
+from .transcription import at_points
+
+ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
+SAMPLES = 3  # stages at which symmetry and rounding are looked at
+
+
+class Diagnostics(NamedTuple):
+    """Derived quantities of a batch: along stages (B, S), along nodes (B, N + 1), and one number for each member."""
+
+    hamiltonians: np.ndarray
+    hamiltonian_size: np.ndarray  # largest of the two parts <p, X> and F over the stages, no less than what is rounding in them
+    momenta: dict[str, np.ndarray]
+    body: dict[str, np.ndarray]
+    spatial: dict[str, np.ndarray]
+    violations: dict[str, np.ndarray]  # of the manifold's equations, largest over the nodes
+    brackets: dict[str, np.ndarray]  # {J_i, H} of every momentum, relative to its parts: largest over the samples
+    normal: np.ndarray  # normal part of the dynamics, relative to 1 + its size, largest over the stages
+
+
+@final
+class Diagnosis:
+    """What is computed from a trajectory of a problem, traced once."""
+
+    def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
+        self.problem = problem
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self.parameter = parameter_layout(parameters)
+        states, controls, given = self.state.size, self.control.size, self.parameter.size
+        example = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), problem.manifold.ambient)
+        factors = list(homogeneous_factors(problem.manifold, example))
+        self._names = [name for name, *_ in factors]
+        self._groups = [name for name, factor, _ in factors if isinstance(factor, MatrixLieGroup)]
+        self._equations = list(jax.eval_shape(problem.manifold.violations, example))
+        self._stage = evaluator.values(self._at_stage, states, controls, states, given)
+        self._node = evaluator.values(self._at_node, states, states)
+        self._brackets = evaluator.values(self._brackets_at, states, controls, states, given)
+        dimension = problem.manifold.dimension + problem.controls.dimension
+        self._terms = evaluator.derivatives(self._terms_of, dimension, states, controls, states, given)
+
+    def __call__(
+        self, nodes: tuple[np.ndarray, np.ndarray], stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray
+    ) -> Diagnostics:
+        """Diagnostics from states and costates at the nodes, and states, controls and costates at the stages, (B, S, ...)."""
+        given = parameters[:, None]
+        hamiltonians, sizes, normal = at_points(self._stage, 2, *stages, given)
+        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
+        looked_at = [part[:, sample] for part in stages]
+        brackets = {
+            name: np.max(value, axis=1)
+            for name, value in zip(self._names, at_points(self._brackets, 2, *looked_at, given), strict=True)
+        }
+        size = np.maximum(np.max(sizes, axis=1), np.max(self._rounding(looked_at, given), axis=1))
+        *frames, violations = at_points(self._node, 2, *nodes)
+        momenta = dict(zip(self._names, frames, strict=False))
+        rest = frames[len(self._names) :]
+        body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
+        worst = dict(zip(self._equations, np.max(violations, axis=1).T, strict=True))
+        return Diagnostics(hamiltonians, size, momenta, body, spatial, worst, brackets, np.max(normal, axis=1))
+
+    def _rounding(self, stages: list[np.ndarray], given: np.ndarray) -> np.ndarray:
+        """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of.
+
+        The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger: where
+        ``F = (q + u)^2 / 2`` is zero, the second ones are not.
+        """
+        curvature, slope, _, _, power, rate, sizes = at_points(self._terms, 2, *stages, given)
+        parts = np.abs(rate) + np.sum(np.abs(slope) * sizes, axis=2)
+        parts += np.einsum("bsij,bsi,bsj->bs", np.abs(curvature), sizes, sizes)
+        return ROUNDING * np.finfo(float).eps * (power + parts)
+
+    def _bound(self, q: Array, u: Array, p: Array, parameters: Array) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        return bound, self.state.point(q), self.control.point(u), self.state.point(p)
+
+    def _at_stage(self, *given: Array) -> tuple[Array, Array, Array]:
+        problem, q, u, p = self._bound(*given)
+        velocity, rate = problem.velocity(q, u), problem.cost_rate(q, u)
+        power, speed = vec.pairing(p, velocity), vec.size(velocity)
+        normal = vec.size(vec.subtract(velocity, problem.manifold.projection(q, velocity)))
+        return power - rate, jnp.maximum(jnp.abs(power), jnp.abs(rate)), normal / (1 + speed)
+
+    def _at_node(self, q: Array, p: Array) -> tuple[Array, ...]:
+        """Momenta of every factor on which a group acts; body and spatial covectors of the matrix groups among them."""
+        manifold, momenta, covectors = self.problem.manifold, [], []
+        points = (homogeneous_factors(manifold, self.state.point(part)) for part in (q, p))
+        for (_, factor, x), (_, _, covector) in zip(*points, strict=True):
+            momenta.append(factor.momentum(x, covector))
+            if isinstance(factor, MatrixLieGroup):
+                covectors += [factor.body(x, covector), factor.spatial(x, covector)]
+        return *momenta, *covectors, jnp.stack(list(manifold.violations(self.state.point(q)).values()))
+
+    def _terms_of(self, d: Array, *given: Array) -> tuple[Array, ...]:
+        problem, q, u, p = self._bound(*given)
+        n, frame = problem.manifold.dimension, problem.manifold.basis(q)
+        directions = problem.controls.basis(u)
+        sizes = vec.coordinate_sizes(frame, q), vec.coordinate_sizes(directions, u)
+        # By the ambient space, like the brackets: a chart would only add terms of its own.
+        near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
+        power = vec.pairing(*jax.tree.map(jnp.abs, (p, problem.velocity(q, u))))
+        return problem.cost_rate(*near), jnp.zeros(0), power, problem.cost_rate(q, u), jnp.maximum(jnp.concatenate(sizes), 1.0)
+
+    def _brackets_at(self, *given: Array) -> tuple[Array, ...]:
+        """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their parts.
+
+        They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
+        """
+        problem, x, u, p = self._bound(*given)
+        slope = vec.gradient(lambda q: problem.hamiltonian(q, p, u), x)
+        parts = [homogeneous_factors(problem.manifold, part) for part in (x, p, slope, problem.velocity(x, u))]
+        out = []
+        for (_, factor, q), (_, _, covector), (_, _, force), (_, _, v) in zip(*parts, strict=True):
+            generators = factor.generators(q)
+            turned = vec.components(generators, force)
+            moved = jax.jvp(lambda z, f=factor, c=covector: f.momentum(z, c), (q,), (v,))[1]
+            size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
+            out.append(jnp.abs(turned - moved) / positive(jnp.max(size)))
+        return tuple(out)

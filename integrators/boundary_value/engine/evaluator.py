@@ -1,0 +1,153 @@
+"""Functions of one point, evaluated at many points with their derivatives: on the tape, or compiled by XLA."""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ....manifolds import InvalidInputError
+from ....manifolds.manifold import working_precision
+
+Arrays = tuple[np.ndarray, ...]
+Function = Callable[..., Any]  # of flat vectors
+Evaluated = Callable[..., Arrays]  # of arrays with the points along the first axis
+
+
+class Evaluator(ABC):
+    """Makes of functions of one point, whose arguments are flat vectors of given sizes, functions of many points.
+
+    These take arrays of shape ``(points, size)``, or ``(1, size)`` for what all points share, and return arrays with the
+    points along the first axis.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """``"tape"`` or ``"xla"``."""
+
+    @property
+    @abstractmethod
+    def reason(self) -> str:
+        """Why it was chosen, in words."""
+
+    def values(self, function: Function, *sizes: int) -> Evaluated:
+        """The values of a function, a tuple of arrays."""
+        return self._made(function, sizes, first=None)
+
+    def derivatives(self, function: Function, *sizes: int) -> Evaluated:
+        """``(hessian, gradient, jacobian, vector, *others)`` of ``(scalar, vector, *others) = function(d, ...)`` at ``d = 0``.
+
+        ``sizes`` are those of all arguments; ``d`` is left out of the arguments of what is returned.
+        """
+        return self._made(function, sizes[1:], first=sizes[0])
+
+    @abstractmethod
+    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
+        """The function of many points; with derivatives by an argument of the size ``first``, if there is one."""
+
+
+@final
+class TapeEvaluator(Evaluator):
+    """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem."""
+
+    name = "tape"
+    reason = "all functions are traced to scalar operations"
+
+    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
+        from ....tape import Tape
+
+        d = [] if first is None else [jnp.zeros(first)]
+        tape = Tape.trace(function, *d, *(jnp.zeros(size) for size in sizes))
+        return _OnTape(tape if first is None else tape.expansion(), sizes)
+
+
+class _OnTape:
+    """A tape with arguments and values in rows."""
+
+    def __init__(self, tape: Any, sizes: Sequence[int]) -> None:
+        self.tape, self.sizes = tape, sizes
+        self.ends = np.cumsum([0, *sizes])
+        self.shapes = tape.shapes
+        self.cuts = np.cumsum([0, *(math.prod(shape) for shape in self.shapes)])
+        _ = tape.program
+
+    def __call__(self, *arguments: np.ndarray) -> Arrays:
+        count = max(len(a) for a in arguments)
+        inputs = np.empty((self.ends[-1], count))
+        for a, begin, end in zip(arguments, self.ends, self.ends[1:], strict=False):
+            inputs[begin:end] = a.T
+        rows = self.tape.run(inputs).T
+        parts = zip(self.cuts, self.cuts[1:], self.shapes, strict=False)
+        return tuple(np.ascontiguousarray(rows[:, begin:end]).reshape(count, *shape) for begin, end, shape in parts)
+
+
+@final
+class XlaEvaluator(Evaluator):
+    """Compiles functions by XLA, in the working precision."""
+
+    name = "xla"
+    reason = ""
+
+    def __init__(self, reason: str) -> None:
+        self.reason = reason
+
+    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
+        del sizes
+
+        def at_point(*arguments: Any) -> Any:
+            if first is None:
+                return function(*arguments)
+            zero = jnp.zeros(first)
+            slope = jax.grad(lambda d: function(d, *arguments)[0])
+            scalar_slope, push = jax.linearize(lambda d: (slope(d), function(d, *arguments)[1]), zero)
+            curvature, jacobian = jax.vmap(push, out_axes=-1)(jnp.eye(first))
+            _, vector, *others = function(zero, *arguments)
+            return curvature, scalar_slope[0], jacobian, vector, *others
+
+        compiled = jax.jit(jax.vmap(at_point))
+
+        def evaluated(*arguments: np.ndarray) -> Arrays:
+            count = max(len(a) for a in arguments)
+            filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
+            return tuple(np.ascontiguousarray(np.asarray(v), dtype=float) for v in compiled(*filled))
+
+        return evaluated
+
+
+@final
+class Automatic(Evaluator):
+    """Runs a function as a tape where it can be traced to scalars, else by XLA."""
+
+    def __init__(self) -> None:
+        self._refusals: list[str] = []
+
+    @property
+    def name(self) -> str:
+        """``"tape"`` if all functions so far run as tapes, else ``"xla"``."""
+        return "xla" if self._refusals else "tape"
+
+    @property
+    def reason(self) -> str:
+        """Why not all functions run as tapes, or that they do."""
+        return self._refusals[0] if self._refusals else "all functions are traced to scalar operations"
+
+    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
+        from ....tape import NotTraceableError
+
+        try:
+            return TapeEvaluator()._made(function, sizes, first)
+        except NotTraceableError as error:
+            self._refusals.append(str(error))
+            return XlaEvaluator(str(error))._made(function, sizes, first)
+
+
+def chosen(evaluator: str) -> Evaluator:
+    """The evaluator with a name, ``"automatic"``, ``"tape"`` or ``"xla"``; raises ``InvalidInputError`` for another one."""
+    kinds = {"automatic": Automatic, "tape": TapeEvaluator, "xla": lambda: XlaEvaluator("it was asked for")}
+    if evaluator not in kinds:
+        raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, kinds))}, got {evaluator!r}")
+    return kinds[evaluator]()

@@ -1,0 +1,308 @@
+"""Newton's method on the KKT system, made global: nothing is taken that does not improve, and every step descends.
+
+A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]: where the
+step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo asks; else if it
+comes well into the funnel, which it narrows. The cost is that of the Lagrangian with the multipliers of the trial: the bare
+cost refuses good steps along curved constraints [Ulbrich 2004]. Accepted too is what brings the KKT residual below nine tenths
+of the best so far. Indefinite reduced Hessians: the diagonal is raised until the step has positive curvature, a test that
+needs no inertia [Chiang, Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was
+taken.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+
+from .conditions import Assembled, Conditions, Iterate, Residuals, Step
+
+ARMIJO = 1e-4
+SWITCH, NARROWER = 1e-3, 0.99
+RECORD = 0.9
+SHORTEST = 2.0**-4
+FAST = 1e-2
+SHRINKS = 0.1
+GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
+RAISE, LOWER = 10.0, 4.0
+FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
+CURVATURE = 1e-9
+
+
+class Iteration(NamedTuple):
+    """What a callback sees after each evaluation, with one entry for each member that is still on its way."""
+
+    number: int
+    members: np.ndarray  # their places in the batch
+    cost: np.ndarray
+    gap: np.ndarray
+    stationarity: np.ndarray
+    shift: np.ndarray  # of the Hessian's diagonal, relative to it
+    fraction: np.ndarray  # of the step that was tried
+    accepted: np.ndarray
+
+
+class _State(NamedTuple):
+    """One entry for each member that is on its way."""
+
+    member: np.ndarray
+    iterate: Iterate
+    assembled: Assembled
+    residuals: Residuals
+    step: Step
+    descends: np.ndarray  # the step has positive curvature
+    promised: np.ndarray  # change of the cost to first order by the whole step
+    turned: np.ndarray  # change of the multipliers on the gap by the whole step
+    funnel: np.ndarray  # the infeasibility that no iterate exceeds any more
+    fraction: np.ndarray
+    shift: np.ndarray
+    best: np.ndarray
+    correction: np.ndarray  # what the linearised conditions still asked for where the residuals met the tolerance
+    isolated: np.ndarray
+    claimed: np.ndarray
+    done: np.ndarray
+
+
+@final
+class Found(NamedTuple):
+    """The last accepted iterate of each member with its KKT system, and how the iteration ended.
+
+    ``strict_minimum``: the Hessian of the Lagrangian is positive definite on the null space of the constraints there.
+    """
+
+    iterate: Iterate
+    assembled: Assembled
+    residuals: Residuals
+    strict_minimum: np.ndarray
+    iterations: np.ndarray
+    claimed: np.ndarray
+    solvable: np.ndarray
+    stopped: bool
+
+
+def newton(
+    conditions: Conditions,
+    guess: Iterate,
+    tolerance: float,
+    max_iterations: int,
+    callback: Callable[[Iteration], Any] | None = None,
+) -> Found:
+    """Solve the KKT systems of a batch of trajectories from guesses.
+
+    Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
+    where the system is singular to rounding, residuals say nothing about the distance to a solution, and one is claimed only
+    if the trajectory has kept its size.
+    """
+    search = _Search(conditions, tolerance, max_iterations, callback)
+    try:
+        search.run(guess)
+    except KeyboardInterrupt:
+        if search.state is None:
+            raise
+        search.stopped = True
+    return search.found()
+
+
+class _Search:
+    """The members on their way, and those that have left."""
+
+    def __init__(
+        self, conditions: Conditions, tolerance: float, max_iterations: int, callback: Callable[[Iteration], Any] | None
+    ) -> None:
+        self.conditions, self.tolerance, self.max_iterations, self.callback = conditions, tolerance, max_iterations, callback
+        self.state: _State | None = None
+        self.left: list[tuple[_State, int]] = []
+        self.trials = 0
+        self.stopped = False
+
+    def run(self, guess: Iterate) -> None:
+        """Iterate until all members have left, or are stopped."""
+        state = self.begun(guess)
+        while True:
+            self.state = state
+            self.report(state, state.descends)
+            finished = state.done | ~_solvable(state) | (self.trials > self.max_iterations)
+            state = self.leave(state, finished)
+            if state is None or self.stopped:
+                return
+            state = self.next(state)
+
+    def begun(self, guess: Iterate) -> _State:
+        """The state at the guess, with a first step."""
+        conditions = self.conditions
+        assembled = conditions.assemble(guess)
+        conditions.measure(guess, assembled)
+        residuals = conditions.residuals(guess, assembled)
+        count = len(residuals.gap)
+        zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
+        infeasibility = conditions.infeasibility(assembled)
+        step, shift, descends = self.regularised(assembled, zero, residuals.largest <= self.tolerance)
+        numbers = np.maximum(infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
+        promise = descends, *conditions.promise(assembled, step)
+        self.trials = 1
+        state = _State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
+        arrived = residuals.largest <= self.tolerance
+        return self.settled(state._replace(best=residuals.largest), arrived)
+
+    def next(self, state: _State) -> _State:
+        """Assemble the trial, judge it, and compute the next step."""
+        conditions = self.conditions.of(state.member)
+        trial = conditions.move(state.iterate, state.assembled, state.step, state.fraction)
+        assembled = conditions.assemble(trial)
+        found = conditions.residuals(trial, assembled)
+        state, good, again = self.judged(conditions, state, trial, assembled, found)
+        self.trials += 1
+        residual = state.residuals.largest
+        arrived = residual <= self.tolerance
+        if not np.any(again):
+            return state
+        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle. The
+        # first step is Newton's own too: where it gains two digits, the problem is nearly linear and has one extremal.
+        keep = arrived | (good & (residual <= np.sqrt(self.tolerance))) | (self.trials == 1)
+        step, shift, descends = self.regularised(state.assembled, np.where(arrived, 0.0, state.shift), keep, conditions)
+        promise, turned = conditions.promise(state.assembled, step)
+        state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
+        return self.settled(state, arrived, conditions)
+
+    def judged(
+        self, conditions: Conditions, state: _State, trial: Iterate, assembled: Assembled, found: Residuals
+    ) -> tuple[_State, np.ndarray, np.ndarray]:
+        """The state with the trial where it improves, whether it does, and whether the step has to be computed again."""
+        probe = (self.trials == 1) & ~state.descends
+        residual = found.largest
+        infeasibility = conditions.infeasibility(assembled)
+        improves, narrowed = _funnelled(conditions, state, assembled, infeasibility)
+        record = residual <= np.maximum(RECORD * state.best, self.tolerance)
+        accepted = np.where(probe, residual <= FAST * state.best, improves | record)
+        good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
+        funnel = np.where(good & ~improves, np.maximum(state.funnel, infeasibility), np.where(good, narrowed, state.funnel))
+        short = ~good & (state.fraction / 2 < SHORTEST)
+        new, old = (trial, assembled, found), (state.iterate, state.assembled, state.residuals)
+        iterate, kept, reached = merged(good, new, old)
+        state = state._replace(
+            iterate=iterate,
+            assembled=kept,
+            residuals=reached,
+            funnel=funnel,
+            shift=_next_shift(state, good, short),
+            fraction=np.where(good | short | probe, 1.0, state.fraction / 2),
+            best=np.where(good, np.minimum(state.best, residual), state.best),
+        )
+        return state, good, good | short | probe
+
+    def regularised(
+        self, assembled: Assembled, shift: np.ndarray, keep: np.ndarray, conditions: Conditions | None = None
+    ) -> tuple[Step, np.ndarray, np.ndarray]:
+        """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is positive.
+
+        Where ``keep`` the shift that came is used as it is.
+        """
+        conditions = conditions or self.conditions
+        step, curvature, size = conditions.eliminate(assembled, shift)
+        descends = curvature >= CURVATURE * size
+        while True:
+            going = ~(descends | keep) & (shift < LARGEST_SHIFT)
+            if not np.any(going):
+                return step, shift, descends
+            shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
+            places = np.flatnonzero(going)
+            part = conditions if len(places) == len(going) else conditions.among(places)
+            again, curvature, size = part.eliminate(taken(assembled, places), shift[places])
+            step = put(step, places, again)
+            descends[places] = curvature >= CURVATURE * size
+
+    def settled(self, state: _State, arrived: np.ndarray, conditions: Conditions | None = None) -> _State:
+        """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted there.
+
+        Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one
+        of a family of extremals; or it has grown along the null vector until rounding hides that there is none.
+        """
+        if not np.any(arrived):
+            return state
+        wanted, grown = (conditions or self.conditions).wanted(state.iterate, state.assembled, state.step)
+        isolated = arrived & (wanted <= np.sqrt(self.tolerance))
+        stuck = arrived & (wanted > SHRINKS * state.correction)
+        claimed = isolated | (stuck & (grown <= GROWN))
+        wanted = np.where(arrived, wanted, state.correction)
+        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=isolated | stuck)
+
+    def report(self, state: _State, accepted: np.ndarray) -> None:
+        """Show the state to the callback; where that returns something true, stop."""
+        if self.callback is None:
+            return
+        seen = state.residuals.gap, state.residuals.stationarity, state.shift, state.fraction, accepted
+        self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
+
+    def leave(self, state: _State, finished: np.ndarray) -> _State | None:
+        """What remains when members leave that have finished."""
+        if not np.any(finished):
+            return state
+        self.left.append((taken(state, np.flatnonzero(finished)), self.trials))
+        if np.all(finished):
+            self.state = None
+            return None
+        return taken(state, np.flatnonzero(~finished))
+
+    def found(self) -> Found:
+        """All members in their order."""
+        if self.state is not None:
+            self.left.append((self.state, self.trials))
+        states = [state for state, _ in self.left]
+        counts = np.concatenate([np.full(len(state.member), trials) for state, trials in self.left])
+        joined = states[0] if len(states) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *states)
+        order = np.argsort(joined.member)
+        joined = joined if len(states) == 1 else taken(joined, order)
+        strict = joined.step.strict & (joined.shift == 0) & joined.isolated
+        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped
+        return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
+
+
+def merged(mask: np.ndarray, new: Any, old: Any) -> Any:
+    """The members of ``new`` where ``mask``, of ``old`` elsewhere."""
+    if np.all(mask) or not np.any(mask):
+        return new if mask[0] else old
+    return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
+
+
+def taken(tree: Any, places: np.ndarray) -> Any:
+    """Some members of a batch."""
+    return jax.tree.map(lambda leaf: leaf[places], tree)
+
+
+def put(tree: Any, places: np.ndarray, part: Any) -> Any:
+    """The batch with some of its members replaced."""
+
+    def replaced(leaf: np.ndarray, new: np.ndarray) -> np.ndarray:
+        if len(places) == len(leaf):
+            return new
+        leaf[places] = new
+        return leaf
+
+    return jax.tree.map(replaced, tree, part)
+
+
+def _solvable(state: _State) -> np.ndarray:
+    return state.step.finite & (state.shift < LARGEST_SHIFT)
+
+
+def _funnelled(
+    conditions: Conditions, state: _State, assembled: Assembled, infeasibility: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the trial is accepted inside the funnel, and the funnel after it."""
+    before = conditions.infeasibility(state.assembled)
+    held = conditions.held(state.assembled) + state.fraction * state.turned
+    promised = -state.fraction * (state.promised - held)
+    cheaper = promised >= SWITCH * before**2
+    lagrangian = conditions.relative_cost(assembled) + conditions.held(assembled)
+    decreases = lagrangian <= conditions.relative_cost(state.assembled) + held - ARMIJO * promised
+    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= NARROWER * state.funnel)
+    return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
+
+
+def _next_shift(state: _State, good: np.ndarray, short: np.ndarray) -> np.ndarray:
+    """Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough."""
+    some = np.maximum(state.shift, FIRST_SHIFT)
+    cut = np.where(state.fraction <= 0.25, some * np.minimum(0.5 / state.fraction, RAISE), state.shift)
+    less = np.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER)
+    taken_ = np.where(state.fraction == 1, less, cut)
+    return np.where(good, taken_, np.where(short, np.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift))

@@ -1,0 +1,121 @@
+"""First trajectories: along the curve of a retraction from start to end, or a walk there."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import DomainError, Manifold
+from ....manifolds.manifold import default_tolerance
+from ....manifolds.numerics import ambient as vec
+from ....retractions import Retraction, default_retraction
+from .evaluator import Automatic, Evaluated
+from .layout import Layout
+from .transcription import at_points
+
+ASIDE = 0.05  # of the chord
+UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
+
+
+@final
+class Start:
+    """States between two points.
+
+    They lie on the curve of the given retraction; where it does not arrive, or in very unequal steps, on that of the default
+    retraction of the manifold. Where the two points are opposite to each other, as attitudes half a turn apart, a walk sets out
+    in a direction that is random but always the same: there are several ways round, and this is one of them.
+    """
+
+    def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
+        self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
+        self._curves: list[Evaluated] = []
+        self._walk: tuple[Evaluated, Evaluated] | None = None
+
+    def states(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> np.ndarray:
+        """Flat states, shape (B, K, E), at ascending fractions of the way between flat points, shape (B, E).
+
+        Raises ``DomainError`` if no way arrives near an end.
+        """
+        found, missing = np.empty((len(starts), len(fractions), self.layout.size)), np.arange(len(starts))
+        for way in (self._given, self._default, self._walked):
+            states, arrived = way(starts[missing], ends[missing], fractions)
+            found[missing[arrived]] = states[arrived]
+            missing = missing[~arrived]
+            if not missing.size:
+                return found
+        raise DomainError(
+            "no default guess: the walk from start to end does not arrive; pass a guess that goes through points between"
+        )
+
+    def _given(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._along(0, self.retraction, *way)
+
+    def _default(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._along(1, default_retraction(self.manifold), *way)
+
+    def _along(
+        self, place: int, retraction: Retraction, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Points of ``s -> R(start, s v)``, ``R(start, v) = end``; and whether they arrive, in even steps."""
+        size = self.layout.size
+        if len(self._curves) <= place:
+
+            def curve(start: Array, end: Array, s: Array) -> tuple[Array, Array]:
+                x = self.layout.point(start)
+                v = retraction.preimage(x, self.layout.point(end))
+                return self.layout.flat(retraction(x, vec.scale(s[0], v))), vec.size(v)
+
+            self._curves.append(Automatic().values(curve, size, size, 1))
+        steps = np.broadcast_to(fractions[None, :, None], (len(starts), len(fractions), 1))
+        states, lengths = at_points(self._curves[place], 2, starts[:, None], ends[:, None], steps)
+        spaced = np.diff(fractions) * len(fractions)
+        return states, np.isfinite(lengths[:, 0]) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
+
+    def _even(self, states: np.ndarray, spaced: np.ndarray) -> np.ndarray:
+        """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point."""
+        fine = np.ones(len(states), bool)
+        for part in jax.tree.leaves(self.layout.points(states)):
+            flat = part.reshape(*states.shape[:2], -1)
+            lengths = np.linalg.norm(np.diff(flat, axis=1), axis=2)
+            rounding = default_tolerance() * np.max(np.abs(flat), axis=(1, 2), initial=0.0)
+            mean = np.sum(lengths, axis=1) / max(lengths.shape[1], 1)
+            fine &= np.max(lengths / spaced, axis=1, initial=0.0) <= UNEVEN * mean + rounding
+        return fine
+
+    def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A walk along the chord's tangential part, each time the share of its length that is due; and whether it arrives.
+
+        It begins a little beside the start, because the chord to an opposite point has no tangential part.
+        """
+        if self._walk is None:
+            size = self.layout.size
+            self._walk = Automatic().values(self._set_out, size, size), Automatic().values(self._go, size, size, 1)
+        (x,) = at_points(self._walk[0], 1, starts, ends)
+        states, behind = [], 0.0
+        for fraction in fractions:
+            share = np.full((len(starts), 1), (fraction - behind) / (1 - behind) if behind < 1 else 0.0)
+            (x,) = at_points(self._walk[1], 1, x, ends, share)
+            states.append(x)
+            behind = fraction
+        way = np.linalg.norm(starts - ends, axis=1)
+        return np.stack(states, axis=1), np.linalg.norm(x - ends, axis=1) < way / 2
+
+    def _set_out(self, start: Array, end: Array) -> tuple[Array]:
+        x, y = self.layout.point(start), self.layout.point(end)
+        chord = vec.subtract(y, x)
+        aside = self.manifold.projection(x, vec.normal(jax.random.key(0), self.manifold.ambient))
+        aside = self.manifold.projection(x, jax.tree.map(lambda a, c: ASIDE * vec.size(c) * a, aside, chord))
+        return (self.layout.flat(self.retraction(x, aside)),)
+
+    def _go(self, start: Array, end: Array, share: Array) -> tuple[Array]:
+        x, y = self.layout.point(start), self.layout.point(end)
+
+        def as_long(v: Array, chord: Array) -> Array:
+            length = jnp.linalg.norm(v)
+            return jnp.where(length > 0, jnp.linalg.norm(chord) / jnp.where(length > 0, length, 1.0), 0.0) * v
+
+        chord = vec.subtract(y, x)
+        along = self.manifold.projection(x, jax.tree.map(as_long, self.manifold.projection(x, chord), chord))
+        return (self.layout.flat(self.retraction(x, vec.scale(share[0], along))),)

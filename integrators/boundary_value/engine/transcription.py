@@ -1,0 +1,165 @@
+"""From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
+
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import Euclidean
+from ....manifolds.numerics import ambient as vec
+from ....retractions import DiscretizationMap
+from ...problem import OptimalControlProblem
+from ...stages import ControlStage
+from .evaluator import Arrays, Evaluator
+from .layout import Layout, parameter_layout
+
+
+class Data(NamedTuple):
+    """What a trajectory is computed for, with a leading axis for the members of a batch."""
+
+    steps: np.ndarray  # lengths, shape (B, N)
+    parameters: np.ndarray  # shape (B, P)
+
+
+class Unknowns(NamedTuple):
+    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N, s, U)."""
+
+    centres: np.ndarray
+    controls: np.ndarray
+
+
+class Blocks(NamedTuple):
+    """The part of the KKT system that belongs to the steps; z unknowns of a step, the n of its centre first."""
+
+    hessian: np.ndarray  # (B, N, z, z)
+    left: np.ndarray  # (B, N, n, z): derivative of the beginning of a step in the frame of the node there
+    right: np.ndarray  # (B, N, n, z): of its end
+    slope: np.ndarray  # (B, N, z): of the Lagrangian
+    gradient: np.ndarray  # (B, N, z): of the cost alone
+    costs: np.ndarray  # (B, N)
+
+
+class Terminal(NamedTuple):
+    """The terminal cost at the last node: value (B,), ambient derivative (B, E), slope (B, n) and curvature (B, n, n)."""
+
+    value: np.ndarray
+    derivative: np.ndarray
+    slope: np.ndarray
+    curvature: np.ndarray
+
+
+def at_points(function: Any, axes: int, *arguments: np.ndarray) -> Arrays:
+    """Evaluate a function of points on arrays with some leading axes in common (of length 1 where an array is shared)."""
+    leading = np.broadcast_shapes(*(a.shape[:axes] for a in arguments))
+    flat = [np.broadcast_to(a, (*leading, *a.shape[axes:])).reshape(-1, a.shape[-1]) for a in arguments]
+    return tuple(value.reshape(*leading, *value.shape[1:]) for value in function(*flat))
+
+
+@final
+class OneStage:
+    """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``."""
+
+    def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap, parameters: Any, evaluator: Evaluator) -> None:
+        self.problem, self.method, self.stages = problem, method, 1
+        self.manifold, self.controls = problem.manifold, problem.controls
+        self.dimension = self.manifold.dimension + self.controls.dimension
+        self.state, self.control, self.parameter = Layout.of(self.manifold), Layout.of(self.controls), parameter_layout(parameters)
+        sizes = self.state.size, self.control.size
+        given = 1, self.parameter.size
+        nodes = (self.state.size,) * 4
+        self._ends = evaluator.values(self._ends_of, *sizes, *given)
+        self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given)
+        self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
+
+    def stage(self, step: Array, parameters: Array) -> ControlStage:
+        """The stage with a step length and parameters, in a function that is traced."""
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        return ControlStage(problem=bound, discretization=self.method, step=step[0])
+
+    def ends(self, unknowns: Unknowns, data: Data) -> Arrays:
+        """Beginnings and ends of the steps, shape (B, N, E)."""
+        return at_points(self._ends, 2, unknowns.centres, unknowns.controls[:, :, 0], *_given(data))
+
+    def blocks(self, unknowns: Unknowns, nodes: np.ndarray, costates: np.ndarray, data: Data) -> Blocks:
+        """The blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
+        around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
+        found = at_points(self._row, 2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data))
+        hessian, slope, jacobian, values = found
+        n = self.manifold.dimension
+        left, right, gradient = np.split(jacobian, [n, 2 * n], axis=2)
+        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
+        return Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, -1])
+
+    def move(self, unknowns: Unknowns, steps: np.ndarray, data: Data) -> Unknowns:
+        """The unknowns moved by steps in their charts, shape (B, N, z)."""
+        x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], steps, *_given(data))
+        return Unknowns(x, u[:, :, None])
+
+    def _ends_of(self, x: Array, u: Array, h: Array, parameters: Array) -> tuple[Array, ...]:
+        ends = self.stage(h, parameters).ends((self.state.point(x), self.control.point(u)))
+        return tuple(map(self.state.flat, ends))
+
+    def _row_of(self, d: Array, x: Array, u: Array, *given: Array) -> tuple[Array, Array]:
+        q0, q1, p0, p1 = map(self.state.point, given[:4])
+        stage, y = self.stage(*given[4:]), (self.state.point(x), self.control.point(u))
+        moved = stage.move(y, stage.frame(y), d)
+        begin, finish = stage.ends(moved)
+        cost = stage.cost(moved)
+        e0, e1 = self.manifold.basis(q0), self.manifold.basis(q1)
+        values = vec.components(e0, begin), vec.components(e1, finish), cost[None]
+        return cost + vec.pairing(p0, begin) - vec.pairing(p1, finish), jnp.concatenate(values)
+
+    def _moved(self, x: Array, u: Array, d: Array, h: Array, parameters: Array) -> tuple[Array, Array]:
+        stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
+        centre, control = stage.move(y, stage.frame(y), d)
+        return self.state.flat(centre), self.control.flat(control)
+
+
+def _given(data: Data) -> tuple[np.ndarray, np.ndarray]:
+    return data.steps[:, :, None], data.parameters[:, None]
+
+
+@final
+class Nodes:
+    """What belongs to the nodes: frames, and the terminal cost at the last."""
+
+    def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
+        self.problem, self.layout, self.parameter = problem, Layout.of(problem.manifold), parameter_layout(parameters)
+        self.control = Layout.of(problem.controls)
+        self._frame = evaluator.values(self._frame_of, self.layout.size)
+        self._terminal = evaluator.values(self._terminal_of, self.layout.size, self.parameter.size)
+        flat = isinstance(problem.controls, Euclidean)
+        self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
+
+    def frames(self, nodes: np.ndarray) -> np.ndarray:
+        """Bases of the tangent spaces, shape (B, N + 1, n, E)."""
+        return at_points(self._frame, 2, nodes)[0]
+
+    def terminal(self, last: np.ndarray, parameters: np.ndarray) -> Terminal:
+        """The terminal cost at last nodes, shape (B, E)."""
+        return Terminal(*at_points(self._terminal, 1, last, parameters))
+
+    def control_sizes(self, controls: np.ndarray) -> np.ndarray:
+        """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s, U)."""
+        largest = np.max(np.abs(controls), axis=1)
+        if self._directions is not None:
+            directions = np.max(np.abs(at_points(self._directions, 3, controls)[0]), axis=1)
+            largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
+        return largest.reshape(len(largest), -1)
+
+    def _frame_of(self, q: Array) -> tuple[Array]:
+        return (self.layout.flat_frame(self.problem.manifold.basis(self.layout.point(q))),)
+
+    def _directions_of(self, u: Array) -> tuple[Array]:
+        return (self.control.flat_frame(self.problem.controls.basis(self.control.point(u))),)
+
+    def _terminal_of(self, q: Array, parameters: Array) -> tuple[Array, ...]:
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        point, layout = self.layout.point(q), self.layout
+        frame = bound.manifold.basis(point)
+        derivative = vec.gradient(bound.final_cost, point)
+        push = jax.vmap(lambda e: jax.jvp(lambda x: vec.gradient(bound.final_cost, x), (point,), (e,))[1])(frame)
+        curvature = jax.vmap(lambda image: vec.components(frame, image))(push)
+        return bound.final_cost(point), layout.flat(derivative), vec.components(frame, derivative), curvature
