@@ -1,0 +1,117 @@
+"""Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by side."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from .scaling import Units
+
+WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
+CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+WORTH_A_THREAD = 300_000  # products that one thread does before a second is worth its start
+
+
+@final
+class BlockSystem(NamedTuple):
+    """Linear systems in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1 nodes:
+
+        hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -slope_k
+        left_k d_k - right_{k-1} d_{k-1}               = -gap_k
+
+    with no ``left`` at the last node and no ``right`` before the first. Where ``fixed_start`` or ``fixed_end`` is 0 the
+    equation of that node's coordinate is ``c = 0`` instead. B systems, k right-hand sides; the upper triangles of the Hessians
+    are read.
+    """
+
+    hessian: Float[np.ndarray, "B N z z"]
+    left: Float[np.ndarray, "B N n z"]
+    right: Float[np.ndarray, "B N n z"]
+    slope: Float[np.ndarray, "B N z k"]
+    gap: Float[np.ndarray, "B N+1 n k"]
+    fixed_start: Float[np.ndarray, "B n"]
+    fixed_end: Float[np.ndarray, "B n"]
+
+
+@final
+class BlockSolution(NamedTuple):
+    """Solutions of block systems, and the inertia of their matrices.
+
+    ``negative``: number of negative eigenvalues; ``smallest``: size of the smallest pivot, rows scaled to one size;
+    ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and ``sum_k d_k' S d_k`` of the first column.
+    """
+
+    steps: Float[np.ndarray, "B N z k"]
+    multipliers: Float[np.ndarray, "B N+1 n k"]
+    negative: Float[np.ndarray, " B"]
+    smallest: Float[np.ndarray, " B"]
+    curvature: Float[np.ndarray, " B"]
+    size: Float[np.ndarray, " B"]
+
+
+def eliminate(
+    system: BlockSystem,
+    units: Units | None = None,
+    shift: Float[np.ndarray, " B"] | None = None,
+    scales: Float[np.ndarray, "B z"] | None = None,
+) -> BlockSolution:
+    """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
+
+    With ``units``, the system and its solution are in units, as ``scaled`` would make it. With ``shift``, its Hessians are raised
+    by ``shift diag(scales)``, ones by default. A system that is singular, or not finite, has the solution NaN.
+
+    A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
+    sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
+    nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
+    """
+    from . import kernels
+
+    batch, count, n, z = system.left.shape
+    columns = system.slope.shape[3]
+    if units is None:
+        units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
+    scales = np.ones((batch, z)) if scales is None else scales
+    shift = np.zeros(batch) if shift is None else shift
+    arrays = tuple(_plain(a) for a in system)
+    sizes = tuple(_plain(a) for a in (*units, scales))
+    each = [np.empty(batch) for _ in range(4)]
+    out = (np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *each)
+
+    def run(part: range) -> None:
+        kernels.eliminate(part.start, part.stop, arrays, sizes, _plain(shift), WEIGHT * count, out)
+
+    in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
+    return BlockSolution(*out)
+
+
+def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
+    """Whether the Hessian is positive definite on the null space of the ``count`` constraints, beyond rounding, shape ``(B,)``.
+
+    This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
+    if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
+    """
+    return (solution.negative == count) & (solution.smallest > np.finfo(float).eps ** CLEAR)
+
+
+def in_threads(run: Callable[[range], None], members: int, work: float) -> None:
+    """Run a compiled kernel on ranges of the members of a batch, each of them of some work, in threads where that is faster."""
+    parts = int(max(1, min(members, os.cpu_count() or 1, members * work // WORTH_A_THREAD)))
+    bounds = [members * k // parts for k in range(parts + 1)]
+    shares = [range(a, b) for a, b in zip(bounds, bounds[1:], strict=False)]
+    if parts == 1:
+        run(shares[0])
+    else:
+        list(_threads().map(run, shares))
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="retrax-elimination")
+
+
+def _plain(array: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(array, dtype=float)
