@@ -12,6 +12,7 @@ from jaxtyping import Float
 from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
+LANES = 8  # numbers of a vector
 CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
 WORTH_A_THREAD = 300_000  # products that one thread does before a second is worth its start
 
@@ -75,17 +76,31 @@ def eliminate(
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
     scales = np.ones((batch, z)) if scales is None else scales
-    shift = np.zeros(batch) if shift is None else shift
     arrays = tuple(_plain(a) for a in system)
     sizes = tuple(_plain(a) for a in (*units, scales))
-    each = [np.empty(batch) for _ in range(4)]
-    out = (np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *each)
+    raised, weight = _plain(np.zeros(batch) if shift is None else shift), WEIGHT * count
+    steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
+    negative, smallest, curvature, size = np.empty((4, batch))
 
     def run(part: range) -> None:
-        kernels.eliminate(part.start, part.stop, arrays, sizes, _plain(shift), WEIGHT * count, out)
+        work, factors = _places(count, n, z, columns)
+        for m in part:
+            negative[m], smallest[m] = kernels.forward(m, arrays, sizes, raised, weight, work, factors)
+            curvature[m], size[m] = kernels.backward(m, arrays, sizes, raised, weight, work, factors, (steps, multipliers))
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    return BlockSolution(*out)
+    return BlockSolution(steps, multipliers, negative, smallest, curvature, size)
+
+
+def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
+    """Arrays that the kernels work in: the front, constraints and columns; factors of all steps, their rows one after the other."""
+    rows = z + 2 * n
+    width, padded = _whole(rows + columns), _whole(z)
+    starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
+    bases = np.concatenate([[0], np.cumsum(width - starts)])
+    constraints = np.zeros((2, n, padded))
+    work = np.zeros((rows, width)), constraints[0], constraints[1], np.zeros((columns, rows))
+    return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
@@ -111,6 +126,10 @@ def in_threads(run: Callable[[range], None], members: int, work: float) -> None:
 @cache
 def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_name_prefix="retrax-elimination")
+
+
+def _whole(size: int) -> int:
+    return -(-size // LANES) * LANES
 
 
 def _plain(array: np.ndarray) -> np.ndarray:

@@ -1,20 +1,29 @@
 """Symmetric indefinite factorisation of small matrices with borders, compiled.
 
 A front is the upper triangle of a symmetric matrix, row after row, whose first rows are pivots; those after them are borders, on
-which the Schur complement is left; then come columns of right-hand sides. Rows are padded to vectors of ``LANES`` entries:
-``w`` of shape ``(rows, vectors, LANES)`` and ``v``, the same numbers as ``(rows, vectors * LANES)``.
+which the Schur complement is left; then come columns of right-hand sides. Rows are padded to whole vectors of ``LANES`` entries,
+and below the diagonal stands what is never read.
 """
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
 
 LANES = 8
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
 compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
-reordered = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc"})
+inner = numba.njit(
+    cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+reordered = numba.njit(
+    cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
 
 
 @reordered
@@ -26,34 +35,30 @@ def dot(x: np.ndarray, first: int, last: int, y: np.ndarray, base: int) -> float
     return total
 
 
-@compiled
-def _subtract(w: np.ndarray, i: int, k: int, f: float) -> None:
-    """Row i less f times row k, from the diagonal on."""
-    for c in range(i // LANES, w.shape[1]):
-        a, b, d, e = f * w[k, c, 0], f * w[k, c, 1], f * w[k, c, 2], f * w[k, c, 3]
-        p, q, r, s = f * w[k, c, 4], f * w[k, c, 5], f * w[k, c, 6], f * w[k, c, 7]
-        a, b, d, e = w[i, c, 0] - a, w[i, c, 1] - b, w[i, c, 2] - d, w[i, c, 3] - e
-        p, q, r, s = w[i, c, 4] - p, w[i, c, 5] - q, w[i, c, 6] - r, w[i, c, 7] - s
-        w[i, c, 0], w[i, c, 1], w[i, c, 2], w[i, c, 3] = a, b, d, e
-        w[i, c, 4], w[i, c, 5], w[i, c, 6], w[i, c, 7] = p, q, r, s
+@intrinsic
+def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: ANN401, E741
+    """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        vector = ir.VectorType(ir.DoubleType(), LANES)
+
+        def place(array: int) -> Any:
+            value = context.make_array(signature.args[array])(context, builder, values[array])
+            row = builder.mul(values[array + 1], builder.extract_value(value.shape, 1))
+            return builder.bitcast(builder.gep(value.data, [builder.add(row, values[array + 2])]), vector.as_pointer())
+
+        to, of = place(0), place(4)
+        factor = ir.Constant(vector, ir.Undefined)
+        for t in range(LANES):
+            factor = builder.insert_element(factor, values[3], ir.Constant(ir.IntType(32), t))
+        product = builder.fmul(factor, builder.load(of, align=8), flags=("contract",))
+        builder.store(builder.fadd(builder.load(to, align=8), product, flags=("contract",)), to, align=8)
+        return context.get_dummy_value()
+
+    return types.void(y, types.intp, types.intp, types.float64, x, types.intp, types.intp), generate
 
 
-@compiled
-def _subtract_two(w: np.ndarray, i: int, k: int, f: float, g: float) -> None:
-    """Row i less f times row k and g times the row after it, from the diagonal on."""
-    h = k + 1
-    for c in range(i // LANES, w.shape[1]):
-        a, b = f * w[k, c, 0] + g * w[h, c, 0], f * w[k, c, 1] + g * w[h, c, 1]
-        d, e = f * w[k, c, 2] + g * w[h, c, 2], f * w[k, c, 3] + g * w[h, c, 3]
-        p, q = f * w[k, c, 4] + g * w[h, c, 4], f * w[k, c, 5] + g * w[h, c, 5]
-        r, s = f * w[k, c, 6] + g * w[h, c, 6], f * w[k, c, 7] + g * w[h, c, 7]
-        a, b, d, e = w[i, c, 0] - a, w[i, c, 1] - b, w[i, c, 2] - d, w[i, c, 3] - e
-        p, q, r, s = w[i, c, 4] - p, w[i, c, 5] - q, w[i, c, 6] - r, w[i, c, 7] - s
-        w[i, c, 0], w[i, c, 1], w[i, c, 2], w[i, c, 3] = a, b, d, e
-        w[i, c, 4], w[i, c, 5], w[i, c, 6], w[i, c, 7] = p, q, r, s
-
-
-@compiled
+@inner
 def _largest(v: np.ndarray, r: int, first: int, last: int) -> tuple[float, int]:
     """Size and place of the largest entry beside the diagonal in row r of what is left to factorise."""
     size, place = 0.0, r
@@ -66,7 +71,7 @@ def _largest(v: np.ndarray, r: int, first: int, last: int) -> tuple[float, int]:
     return size, place
 
 
-@compiled
+@inner
 def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
     """Rows of the next pivot, equal where it is of size one: the entry is the largest in both its rows.
 
@@ -86,7 +91,7 @@ def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
         i, r, size = r, j, larger
 
 
-@compiled
+@inner
 def _swap(v: np.ndarray, first: int, k: int, r: int) -> None:
     """Exchange rows and columns ``k < r`` of what is left to factorise from row ``first`` on."""
     if r == k:
@@ -100,17 +105,18 @@ def _swap(v: np.ndarray, first: int, k: int, r: int) -> None:
         v[k, j], v[r, j] = v[r, j], v[k, j]
 
 
-@compiled
-def _eliminated_one(w: np.ndarray, v: np.ndarray, k: int, rows: int) -> None:
+@inner
+def _eliminated_one(v: np.ndarray, k: int, rows: int) -> None:
     inverse = 1 / v[k, k]
     for i in range(k + 1, rows):
         f = v[k, i] * inverse
         if f != 0:
-            _subtract(w, i, k, f)
+            for j in range(i & -LANES, v.shape[1], LANES):
+                add_vector(v, i, j, -f, v, k, j)
 
 
-@compiled
-def _eliminated_two(w: np.ndarray, v: np.ndarray, k: int, rows: int) -> None:
+@inner
+def _eliminated_two(v: np.ndarray, k: int, rows: int) -> None:
     """The inverse is formed relative to the entry beside the diagonal, the largest."""
     inverse = 1 / v[k, k + 1]
     a, c = v[k, k] * inverse, v[k + 1, k + 1] * inverse
@@ -118,16 +124,18 @@ def _eliminated_two(w: np.ndarray, v: np.ndarray, k: int, rows: int) -> None:
     for i in range(k + 2, rows):
         f, g = inverse * (c * v[k, i] - v[k + 1, i]), inverse * (a * v[k + 1, i] - v[k, i])
         if f != 0 or g != 0:
-            _subtract_two(w, i, k, f, g)
+            for j in range(i & -LANES, v.shape[1], LANES):
+                add_vector(v, i, j, -f, v, k, j)
+                add_vector(v, i, j, -g, v, k + 1, j)
 
 
-@compiled
-def factorise(w: np.ndarray, v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[int, float]:
+@inner
+def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[int, float]:
     """Factorise the first ``last`` of the rows in place, and the number of negative pivots and the size of the smallest.
 
     ``swaps``: the row exchanged with each, as -1 - row in a pivot of size two.
     """
-    negative, smallest, k = 0, np.inf, 0
+    negative, smallest, k = 0, np.inf, np.int64(0)
     while k < last:
         i, r = _chosen(v, k, last)
         a, b, c = v[i, i], v[min(i, r), max(i, r)], v[r, r]
@@ -135,7 +143,7 @@ def factorise(w: np.ndarray, v: np.ndarray, swaps: np.ndarray, last: int, rows: 
         if i == r:
             swaps[k] = i
             negative, size = negative + (a < 0), abs(a)
-            _eliminated_one(w, v, k, rows)
+            _eliminated_one(v, k, rows)
             k += 1
         else:
             r = i if r == k else r
@@ -143,15 +151,15 @@ def factorise(w: np.ndarray, v: np.ndarray, swaps: np.ndarray, last: int, rows: 
             swaps[k], swaps[k + 1] = -1 - i, -1 - r
             large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
             negative, size = negative + 1, abs(a * (c / large) - b * (b / large))
-            _eliminated_two(w, v, k, rows)
+            _eliminated_two(v, k, rows)
             k += 2
         if size < smallest or size != size:
             smallest = size
     return negative, smallest
 
 
-@compiled
-def scale(w: np.ndarray, v: np.ndarray, u: np.ndarray, last: int) -> None:
+@inner
+def scale(v: np.ndarray, u: np.ndarray, last: int) -> None:
     """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones."""
     u[:] = 0.0
     for i in range(last):
@@ -164,12 +172,11 @@ def scale(w: np.ndarray, v: np.ndarray, u: np.ndarray, last: int) -> None:
     for i in range(u.size):
         u[i] = 1 / math.sqrt(u[i]) if u[i] > 0 else 1.0
     for i in range(last):
-        for c in range(i // LANES, w.shape[1]):
-            for t in range(LANES):
-                w[i, c, t] *= u[i] * u[c * LANES + t]
+        for j in range(i, v.shape[1]):
+            v[i, j] *= u[i] * u[j]
 
 
-@compiled
+@inner
 def substitute(rows: np.ndarray, bases: np.ndarray, swaps: np.ndarray, x: np.ndarray, last: int, side: int) -> None:
     """Solve for the first ``last`` entries of ``x``, whose others, those of the borders, are known.
 
