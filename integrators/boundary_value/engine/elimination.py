@@ -76,9 +76,9 @@ def eliminate(
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
     scales = np.ones((batch, z)) if scales is None else scales
-    arrays = tuple(_plain(a) for a in system)
-    sizes = tuple(_plain(a) for a in (*units, scales))
-    raised, weight = _plain(np.zeros(batch) if shift is None else shift), WEIGHT * count
+    arrays = tuple(plain(a) for a in system)
+    sizes = tuple(plain(a) for a in (*units, scales))
+    raised, weight = plain(np.zeros(batch) if shift is None else shift), WEIGHT * count
     steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
     negative, smallest, curvature, size = np.empty((4, batch))
 
@@ -95,7 +95,7 @@ def eliminate(
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     """Arrays that the kernels work in: the front, constraints and columns; factors of all steps, their rows one after the other."""
     rows = z + 2 * n
-    width, padded = _whole(rows + columns), _whole(z)
+    width, padded = whole(rows + columns), whole(z)
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
     constraints = np.zeros((2, n, padded))
@@ -128,9 +128,11 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_name_prefix="retrax-elimination")
 
 
-def _whole(size: int) -> int:
+def whole(size: int) -> int:
+    """The size of whole vectors."""
     return -(-size // LANES) * LANES
 
 
-def _plain(array: np.ndarray) -> np.ndarray:
+def plain(array: np.ndarray) -> np.ndarray:
+    """What the kernels take."""
     return np.ascontiguousarray(array, dtype=float)
