@@ -11,7 +11,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from .elimination import LANES, BlockSystem, in_threads, plain, whole
+from .arrays import in_threads, plain, whole
+from .elimination import BlockSystem
 
 
 @final

@@ -5,7 +5,9 @@ A step is written ``nu = N w + nu_0`` with ``w = (dx, du)``; the columns of ``nu
 
 import numpy as np
 
-from .factors import LANES, add_vector, compiled, inner
+from .arrays import LANES
+from .factors import add_vector, compiled, inner
+from .lu import back_substitute, decompose, product, solve_transposed
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -36,55 +38,6 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
 
 
 @inner
-def _pivot_row(v: np.ndarray, k: int, weights: np.ndarray) -> int:
-    r, largest = k, abs(v[k, k]) * weights[k]
-    for i in range(k + 1, v.shape[0]):
-        if abs(v[i, k]) * weights[i] > largest:
-            r, largest = i, abs(v[i, k]) * weights[i]
-    return r
-
-
-@inner
-def _decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.ndarray) -> None:
-    """Gauss's elimination; rows of one size choose the pivots. ``lower``: the factors of the rows in the order of their time."""
-    p = v.shape[0]
-    for i in range(p):
-        largest = 0.0
-        for j in range(p):
-            largest = max(largest, abs(v[i, j]))
-        weights[i] = 1 / largest
-    for k in range(p):
-        r = _pivot_row(v, k, weights)
-        swaps[k] = r
-        if r != k:
-            weights[k], weights[r] = weights[r], weights[k]
-            for j in range(v.shape[1]):
-                v[k, j], v[r, j] = v[r, j], v[k, j]
-        for i in range(k + 1, p):
-            f = v[i, k] / v[k, k]
-            lower[i, k] = f
-            if f != 0:
-                for j in range(k & -LANES, v.shape[1], LANES):
-                    add_vector(v, i, j, -f, v, k, j)
-
-
-@inner
-def _back(v: np.ndarray, start: int, upper: np.ndarray) -> None:
-    """Solve for all right-hand sides in place, and keep the upper triangle."""
-    p = v.shape[0]
-    for k in range(p - 1, -1, -1):
-        for i in range(k + 1, p):
-            f = v[k, i]
-            if f != 0:
-                for j in range(start, v.shape[1], LANES):
-                    add_vector(v, k, j, -f, v, i, j)
-        for j in range(start, v.shape[1]):
-            v[k, j] /= v[k, k]
-        for j in range(k, p):
-            upper[k, j] = v[k, j]
-
-
-@inner
 def _map(x: np.ndarray, v: np.ndarray, start: int, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
     """``(dx, sum_j weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``, by rows; the last two of point i, if there is one."""
     n, m, i = sizes
@@ -104,21 +57,9 @@ def _map(x: np.ndarray, v: np.ndarray, start: int, weights: np.ndarray, sizes: t
 
 
 @inner
-def _product(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
-    for a in range(block.shape[0]):
-        for j in range(x.shape[1]):
-            y[a, j] = 0.0
-        for c in range(block.shape[1]):
-            f = block[a, c]
-            if f != 0:
-                for j in range(0, x.shape[1], LANES):
-                    add_vector(y, a, j, f, x, c, j)
-
-
-@inner
 def _pull(out: np.ndarray, y: np.ndarray, block: np.ndarray, slope: np.ndarray, x: np.ndarray) -> None:
     """Add ``x' (block x + slope)``: the upper triangle of the condensed Hessian, and the condensed slope after it."""
-    _product(y, block, x)
+    product(y, block, x)
     z = out.shape[0]
     for a in range(block.shape[0]):
         for j in range(slope.shape[1]):
@@ -152,8 +93,8 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
     m, start = q - 3 * n, v.shape[1] - total.shape[1]
     for t in range(first, last):
         _assemble(v, start, t, points, table)
-        _decompose(v, kept[1][t], kept[0][t], weights)
-        _back(v, start, kept[0][t])
+        decompose(v, kept[1][t], kept[0][t], weights)
+        back_substitute(v, start, kept[0][t])
         for i in range(s * n):
             for j in range(total.shape[1]):
                 kept[2][t, i, j] = v[i, start + j]
@@ -167,23 +108,10 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
             for j in range(i):
                 total[i, j] = total[j, i]
         _store(total, out[0][t], out[3][t])
-        _product(y, ends[1][t], x)
+        product(y, ends[1][t], x)
         _store(y, out[1][t], out[4][t])
-        _product(y, ends[2][t], x)
+        product(y, ends[2][t], x)
         _store(y, out[2][t], out[5][t])
-
-
-@inner
-def _solve_transposed(factors: np.ndarray, swaps: np.ndarray, x: np.ndarray) -> None:
-    p = x.size
-    for k in range(p):
-        x[k] /= factors[k, k]
-        for j in range(k + 1, p):
-            x[j] -= factors[k, j] * x[k]
-    for k in range(p - 1, -1, -1):
-        for i in range(k + 1, p):
-            x[k] -= factors[i, k] * x[i]
-        x[k], x[swaps[k]] = x[swaps[k]], x[k]
 
 
 @inner
@@ -245,6 +173,6 @@ def expand(
             for a in range(n):
                 pulls[t, c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
         _push(x, e, ends[0][t], pulls[t], h[t] * b, (n, m, nothing))
-        _solve_transposed(kept[0][t], kept[1][t], x)
+        solve_transposed(kept[0][t], kept[1][t], x)
         for i in range(s * n):
             out[1][t, i] = -x[i]

@@ -1,20 +1,15 @@
 """Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by side."""
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Float
 
+from .arrays import LANES, in_threads, plain, whole
 from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
-LANES = 8  # numbers of a vector
 CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
-WORTH_A_THREAD = 300_000  # products that one thread does before a second is worth its start
 
 
 @final
@@ -110,29 +105,3 @@ def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
     if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
     """
     return (solution.negative == count) & (solution.smallest > np.finfo(float).eps ** CLEAR)
-
-
-def in_threads(run: Callable[[range], None], members: int, work: float) -> None:
-    """Run a compiled kernel on ranges of the members of a batch, each of them of some work, in threads where that is faster."""
-    parts = int(max(1, min(members, os.cpu_count() or 1, members * work // WORTH_A_THREAD)))
-    bounds = [members * k // parts for k in range(parts + 1)]
-    shares = [range(a, b) for a, b in zip(bounds, bounds[1:], strict=False)]
-    if parts == 1:
-        run(shares[0])
-    else:
-        list(_threads().map(run, shares))
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_name_prefix="retrax-elimination")
-
-
-def whole(size: int) -> int:
-    """The size of whole vectors."""
-    return -(-size // LANES) * LANES
-
-
-def plain(array: np.ndarray) -> np.ndarray:
-    """What the kernels take."""
-    return np.ascontiguousarray(array, dtype=float)

@@ -14,7 +14,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-LANES = 8
+from .arrays import LANES
+
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
 compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
@@ -36,7 +37,7 @@ def dot(x: np.ndarray, first: int, last: int, y: np.ndarray, base: int) -> float
 
 
 @intrinsic
-def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: ANN401, E741
+def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
     """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:

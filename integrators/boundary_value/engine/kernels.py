@@ -6,7 +6,8 @@ complement: those of the next step. At the last step all are eliminated.
 
 import numpy as np
 
-from .factors import LANES, add_vector, compiled, dot, inner, factorise, scale, substitute
+from .arrays import LANES
+from .factors import add_vector, compiled, dot, factorise, inner, scale, substitute
 
 System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Sizes = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
