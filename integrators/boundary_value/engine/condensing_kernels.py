@@ -38,7 +38,7 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
 
 
 @inner
-def _map(x: np.ndarray, v: np.ndarray, start: int, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
+def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
     """``(dx, sum_j weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``, by rows; the last two of point i, if there is one."""
     n, m, i = sizes
     for a in range(x.shape[0]):
@@ -48,7 +48,7 @@ def _map(x: np.ndarray, v: np.ndarray, start: int, weights: np.ndarray, sizes: t
         x[a, a] = 1.0
         for j in range(0, x.shape[1], LANES):
             for k in range(weights.size):
-                add_vector(x, n + a, j, weights[k], v, k * n + a, start + j)
+                add_vector(x, n + a, j, h * weights[k], v, k * n + a, start + j)
             if i >= 0:
                 add_vector(x, 2 * n + a, j, 1.0, v, i * n + a, start + j)
     if i >= 0:
@@ -98,11 +98,13 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
         for i in range(s * n):
             for j in range(total.shape[1]):
                 kept[2][t, i, j] = v[i, start + j]
-        total[:] = 0.0
+        for i in range(total.shape[0]):
+            for j in range(total.shape[1]):
+                total[i, j] = 0.0
         for i in range(s):
-            _map(x, v, start, h[t] * matrix[i], (n, m, i))
+            _map(x, v, start, h[t], matrix[i], (n, m, i))
             _pull(total, y, points[0][t, i], points[2][t, i], x)
-        _map(x, v, start, h[t] * b, (n, m, np.int64(-1)))
+        _map(x, v, start, h[t], b, (n, m, np.int64(-1)))
         _pull(total, y, ends[0][t], ends[3][t], x)
         for i in range(total.shape[0]):
             for j in range(i):
@@ -115,13 +117,13 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
 
 
 @inner
-def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
+def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
     """``(dx, sum_j weights_j nu_j, nu_i, u_i)``; the last two of point i, if there is one."""
     n, m, i = sizes
     for a in range(n):
         e[a], e[n + a] = w[a], 0.0
         for j in range(weights.size):
-            e[n + a] += weights[j] * nu[j * n + a]
+            e[n + a] += h * weights[j] * nu[j * n + a]
     if i >= 0:
         for a in range(n):
             e[2 * n + a] = nu[i * n + a]
@@ -131,7 +133,7 @@ def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, weights: np.ndarray, si
 
 @inner
 def _push(
-    x: np.ndarray, e: np.ndarray, block: np.ndarray, slope: np.ndarray, weights: np.ndarray, sizes: tuple[int, int, int]
+    x: np.ndarray, e: np.ndarray, block: np.ndarray, slope: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]
 ) -> None:
     """Add the rows of the chart velocities in ``block e + slope``."""
     n, _, i = sizes
@@ -140,7 +142,7 @@ def _push(
         for c in range(block.shape[1]):
             value += block[n + a, c] * e[c]
         for j in range(weights.size):
-            x[j * n + a] += weights[j] * value
+            x[j * n + a] += h * weights[j] * value
         if i >= 0:
             value = slope[2 * n + a]
             for c in range(block.shape[1]):
@@ -166,13 +168,13 @@ def expand(
             for j in range(w.shape[1]):
                 nu[i] += kept[2][t, i, j] * w[t, j]
         for i in range(s):
-            _place(e, w[t], nu, h[t] * matrix[i], (n, m, i))
-            _push(x, e, points[0][t, i], slopes[t, i], h[t] * matrix[i], (n, m, i))
-        _place(e, w[t], nu, h[t] * b, (n, m, nothing))
+            _place(e, w[t], nu, h[t], matrix[i], (n, m, i))
+            _push(x, e, points[0][t, i], slopes[t, i], h[t], matrix[i], (n, m, i))
+        _place(e, w[t], nu, h[t], b, (n, m, nothing))
         for c in range(n, 2 * n):
             for a in range(n):
                 pulls[t, c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
-        _push(x, e, ends[0][t], pulls[t], h[t] * b, (n, m, nothing))
+        _push(x, e, ends[0][t], pulls[t], h[t], b, (n, m, nothing))
         solve_transposed(kept[0][t], kept[1][t], x)
         for i in range(s * n):
             out[1][t, i] = -x[i]

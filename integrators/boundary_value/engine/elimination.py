@@ -6,9 +6,10 @@ import numpy as np
 from jaxtyping import Float
 
 from .arrays import LANES, in_threads, plain, whole
-from .scaling import Units
+from .scaling import Units, scaled
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
+AT_ONCE = 16  # members of a batch that are put in units together
 CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
 
 
@@ -64,38 +65,65 @@ def eliminate(
     sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
     nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
     """
-    from . import kernels
-
     batch, count, n, z = system.left.shape
     columns = system.slope.shape[3]
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
     scales = np.ones((batch, z)) if scales is None else scales
-    arrays = tuple(plain(a) for a in system)
-    sizes = tuple(plain(a) for a in (*units, scales))
-    raised, weight = plain(np.zeros(batch) if shift is None else shift), WEIGHT * count
-    steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
-    negative, smallest, curvature, size = np.empty((4, batch))
+    raised = scales * (0.0 if shift is None else shift[:, None])
+    out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
 
     def run(part: range) -> None:
-        work, factors = _places(count, n, z, columns)
-        for m in part:
-            negative[m], smallest[m] = kernels.forward(m, arrays, sizes, raised, weight, work, factors)
-            curvature[m], size[m] = kernels.backward(m, arrays, sizes, raised, weight, work, factors, (steps, multipliers))
+        for first in range(part.start, part.stop, AT_ONCE):
+            members = slice(first, min(first + AT_ONCE, part.stop))
+            own = BlockSystem(*(a[members] for a in system)), Units(*(a[members] for a in units)), raised[members]
+            _solve(*own, BlockSolution(*(a[members] for a in out)))
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    return BlockSolution(steps, multipliers, negative, smallest, curvature, size)
+    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
+    if unknown.any():
+        np.copyto(out.steps, np.nan, where=unknown[:, None, None])
+        np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
+    out.size[:] = np.einsum("bkz,bz,bkz->b", out.steps[..., 0], scales, out.steps[..., 0])
+    return out
 
 
-def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
-    """Arrays that the kernels work in: the front, constraints and columns; factors of all steps, their rows one after the other."""
+def _solve(system: BlockSystem, units: Units, raised: np.ndarray, out: BlockSolution) -> None:
+    """Solve one system after the other, with the weights."""
+    from . import kernels
+
+    batch, count, n, z = system.left.shape
+    weight = WEIGHT * count
+    scale = scaled(system, units)
+    hessian, left, right = (_padded(a) for a in scale[:3])
+    hessian[..., np.arange(z), np.arange(z)] += raised[:, None]
+    gap = scale.gap
+    gap[:, 0] *= system.fixed_start[..., None]
+    gap[:, -1] *= system.fixed_end[..., None]
+    slope = np.einsum("bkns,bknj->bksj", weight * scale.left, gap[:, :-1]) - scale.slope
+    front, x, factors = _places(count, n, z, system.slope.shape[3])
+    for m in range(batch):
+        blocks = hessian[m], left[m], right[m], slope[m], -gap[m]
+        ends = plain(system.fixed_start[m]), plain(system.fixed_end[m])
+        out.negative[m], out.smallest[m] = kernels.forward(blocks, *ends, weight, front, factors)
+        out.curvature[m] = kernels.backward(blocks, weight, x, factors, (out.steps[m], out.multipliers[m]))
+
+
+def _padded(blocks: np.ndarray) -> np.ndarray:
+    """Blocks whose rows are whole vectors, zeros at their ends."""
+    padded = np.zeros((*blocks.shape[:-1], whole(blocks.shape[-1])))
+    padded[..., : blocks.shape[-1]] = blocks
+    return padded
+
+
+def _places(count: int, n: int, z: int, columns: int) -> tuple[np.ndarray, np.ndarray, tuple]:
+    """Arrays that the kernels work in: the front, unknowns of a step, and factors of all steps, whose rows follow one another."""
     rows = z + 2 * n
-    width, padded = whole(rows + columns), whole(z)
+    width = whole(rows + columns)
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
-    constraints = np.zeros((2, n, padded))
-    work = np.zeros((rows, width)), constraints[0], constraints[1], np.zeros((columns, rows))
-    return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
+    factors = np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64)
+    return np.zeros((rows, width)), np.zeros((columns, rows)), factors
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:

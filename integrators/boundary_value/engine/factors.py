@@ -18,12 +18,12 @@ from .arrays import LANES
 
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
-compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"})
+compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
 inner = numba.njit(
-    cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
 )
 reordered = numba.njit(
-    cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
 )
 
 
