@@ -6,10 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from .arrays import LANES, in_threads, plain, whole
-from .scaling import Units, scaled
+from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
-AT_ONCE = 16  # members of a batch that are put in units together
 CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
 
 
@@ -74,10 +73,9 @@ def eliminate(
     out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
 
     def run(part: range) -> None:
-        for first in range(part.start, part.stop, AT_ONCE):
-            members = slice(first, min(first + AT_ONCE, part.stop))
-            own = BlockSystem(*(a[members] for a in system)), Units(*(a[members] for a in units)), raised[members]
-            _solve(*own, BlockSolution(*(a[members] for a in out)))
+        work, factors = _places(count, n, z, columns)
+        for m in part:
+            _solve(m, system, units, raised[m], (work, factors), out)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
     unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
@@ -88,42 +86,33 @@ def eliminate(
     return out
 
 
-def _solve(system: BlockSystem, units: Units, raised: np.ndarray, out: BlockSolution) -> None:
-    """Solve one system after the other, with the weights."""
+def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places: tuple, out: BlockSolution) -> None:
+    """Solve one system, with the weights."""
     from . import kernels
 
-    batch, count, n, z = system.left.shape
-    weight = WEIGHT * count
-    scale = scaled(system, units)
-    hessian, left, right = (_padded(a) for a in scale[:3])
-    hessian[..., np.arange(z), np.arange(z)] += raised[:, None]
-    gap = scale.gap
-    gap[:, 0] *= system.fixed_start[..., None]
-    gap[:, -1] *= system.fixed_end[..., None]
-    slope = np.einsum("bkns,bknj->bksj", weight * scale.left, gap[:, :-1]) - scale.slope
-    front, x, factors = _places(count, n, z, system.slope.shape[3])
-    for m in range(batch):
-        blocks = hessian[m], left[m], right[m], slope[m], -gap[m]
-        ends = plain(system.fixed_start[m]), plain(system.fixed_end[m])
-        out.negative[m], out.smallest[m] = kernels.forward(blocks, *ends, weight, front, factors)
-        out.curvature[m] = kernels.backward(blocks, weight, x, factors, (out.steps[m], out.multipliers[m]))
+    hessian, left, right, slope, gap, *fixed = (plain(a[m]) for a in system)
+    (d, g), cost, weight = (plain(a[m]) for a in units[:2]), units.cost[m], WEIGHT * len(left)
+    nodes = np.stack([fixed[0], np.ones(len(g)), fixed[1]]) / g
+    gap = gap / g[:, None]
+    gap[0] *= fixed[0][:, None]
+    gap[-1] *= fixed[1][:, None]
+    held = gap[:-1] * (weight / g)[:, None]
+    held[0] *= fixed[0][:, None]
+    sides = (np.einsum("kns,knj->ksj", left, held) - slope / cost) * d[:, None]
+    blocks, units = (hessian, left, right, sides, -gap), (np.stack([d / cost, raised]), d, nodes)
+    work, factors = places
+    out.negative[m], out.smallest[m] = kernels.forward(blocks, units, weight, np.stack(fixed), work, factors)
+    out.curvature[m] = kernels.backward(blocks, units, weight, work, factors, (out.steps[m], out.multipliers[m]))
 
 
-def _padded(blocks: np.ndarray) -> np.ndarray:
-    """Blocks whose rows are whole vectors, zeros at their ends."""
-    padded = np.zeros((*blocks.shape[:-1], whole(blocks.shape[-1])))
-    padded[..., : blocks.shape[-1]] = blocks
-    return padded
-
-
-def _places(count: int, n: int, z: int, columns: int) -> tuple[np.ndarray, np.ndarray, tuple]:
-    """Arrays that the kernels work in: the front, unknowns of a step, and factors of all steps, whose rows follow one another."""
+def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
+    """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
     rows = z + 2 * n
-    width = whole(rows + columns)
+    width, own = whole(rows + columns), whole(z)
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
-    factors = np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64)
-    return np.zeros((rows, width)), np.zeros((columns, rows)), factors
+    work = np.zeros((z, own)), np.zeros((n, own)), np.zeros((n, own)), np.zeros((rows, width)), np.zeros((columns, rows))
+    return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
