@@ -1,0 +1,180 @@
+"""Compiled loops of condensing: the chart velocities of a step as affine functions of its state and controls.
+
+A step is written ``nu = N w + nu_0`` with ``w = (dx, du)``; the columns of ``nu_0`` stand after those of ``N`` in one array.
+"""
+
+import numpy as np
+
+from .arrays import LANES
+from .factors import add_vector, compiled, inner
+from .lu import back_substitute, decompose, product, solve_transposed
+
+Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Table = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@inner
+def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -> None:
+    """The equations of all points, ``[C_nu | -C_w | -d]``; the right-hand sides start at a whole vector."""
+    (_, constraints, _, defect), (h, matrix, _) = points, table
+    (s, n, q), columns = constraints.shape[1:], defect.shape[3]
+    m = q - 3 * n
+    for i in range(s):
+        for a in range(n):
+            r = i * n + a
+            for j in range(v.shape[1]):
+                v[r, j] = 0.0
+            for j in range(s):
+                f = h[t] * matrix[i, j]
+                for b in range(n):
+                    v[r, j * n + b] = f * constraints[t, i, a, n + b]
+            for b in range(n):
+                v[r, i * n + b] += constraints[t, i, a, 2 * n + b]
+                v[r, start + b] = -constraints[t, i, a, b]
+            for b in range(m):
+                v[r, start + n + i * m + b] = -constraints[t, i, a, 3 * n + b]
+            for j in range(columns):
+                v[r, start + n + s * m + j] = -defect[t, i, a, j]
+
+
+@inner
+def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
+    """``(dx, sum_j weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``, by rows; the last two of point i, if there is one."""
+    n, m, i = sizes
+    for a in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            x[a, j] = 0.0
+    for a in range(n):
+        x[a, a] = 1.0
+        for j in range(0, x.shape[1], LANES):
+            for k in range(weights.size):
+                add_vector(x, n + a, j, h * weights[k], v, k * n + a, start + j)
+            if i >= 0:
+                add_vector(x, 2 * n + a, j, 1.0, v, i * n + a, start + j)
+    if i >= 0:
+        for b in range(m):
+            x[3 * n + b, n + i * m + b] = 1.0
+
+
+@inner
+def _pull(out: np.ndarray, y: np.ndarray, block: np.ndarray, slope: np.ndarray, x: np.ndarray) -> None:
+    """Add ``x' (block x + slope)``: the upper triangle of the condensed Hessian, and the condensed slope after it."""
+    product(y, block, x)
+    z = out.shape[0]
+    for a in range(block.shape[0]):
+        for j in range(slope.shape[1]):
+            y[a, z + j] += slope[a, j]
+        for b in range(z):
+            f = x[a, b]
+            if f != 0:
+                for j in range(b & -LANES, out.shape[1], LANES):
+                    add_vector(out, b, j, f, y, a, j)
+
+
+@inner
+def _store(y: np.ndarray, matrix: np.ndarray, columns: np.ndarray) -> None:
+    (rows, z), k = matrix.shape, columns.shape[1]
+    for a in range(rows):
+        for j in range(z):
+            matrix[a, j] = y[a, j]
+        for j in range(k):
+            columns[a, j] = y[a, z + j]
+
+
+@compiled
+def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, out: tuple) -> None:
+    """Condense the steps ``first`` to ``last``.
+
+    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix and
+    weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the shares of
+    ``nu_0`` in the gaps before and after.
+    """
+    (v, x, y, weights, total), (h, matrix, b), (s, n, q) = work, table, points[1].shape[1:]
+    m, start = q - 3 * n, v.shape[1] - total.shape[1]
+    for t in range(first, last):
+        _assemble(v, start, t, points, table)
+        decompose(v, kept[1][t], kept[0][t], weights)
+        back_substitute(v, start, kept[0][t])
+        for i in range(s * n):
+            for j in range(total.shape[1]):
+                kept[2][t, i, j] = v[i, start + j]
+        for i in range(total.shape[0]):
+            for j in range(total.shape[1]):
+                total[i, j] = 0.0
+        for i in range(s):
+            _map(x, v, start, h[t], matrix[i], (n, m, i))
+            _pull(total, y, points[0][t, i], points[2][t, i], x)
+        _map(x, v, start, h[t], b, (n, m, np.int64(-1)))
+        _pull(total, y, ends[0][t], ends[3][t], x)
+        for i in range(total.shape[0]):
+            for j in range(i):
+                total[i, j] = total[j, i]
+        _store(total, out[0][t], out[3][t])
+        product(y, ends[1][t], x)
+        _store(y, out[1][t], out[4][t])
+        product(y, ends[2][t], x)
+        _store(y, out[2][t], out[5][t])
+
+
+@inner
+def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
+    """``(dx, sum_j weights_j nu_j, nu_i, u_i)``; the last two of point i, if there is one."""
+    n, m, i = sizes
+    for a in range(n):
+        e[a], e[n + a] = w[a], 0.0
+        for j in range(weights.size):
+            e[n + a] += h * weights[j] * nu[j * n + a]
+    if i >= 0:
+        for a in range(n):
+            e[2 * n + a] = nu[i * n + a]
+        for b in range(m):
+            e[3 * n + b] = w[n + i * m + b]
+
+
+@inner
+def _push(
+    x: np.ndarray, e: np.ndarray, block: np.ndarray, slope: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]
+) -> None:
+    """Add the rows of the chart velocities in ``block e + slope``."""
+    n, _, i = sizes
+    for a in range(n):
+        value = slope[n + a]
+        for c in range(block.shape[1]):
+            value += block[n + a, c] * e[c]
+        for j in range(weights.size):
+            x[j * n + a] += h * weights[j] * value
+        if i >= 0:
+            value = slope[2 * n + a]
+            for c in range(block.shape[1]):
+                value += block[2 * n + a, c] * e[c]
+            x[i * n + a] += value
+
+
+@compiled
+def expand(
+    first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, solved: tuple, out: tuple
+) -> None:
+    """Chart velocities and multipliers of the points of the steps ``first`` to ``last``, one column.
+
+    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the slopes
+    of points and ends; ``out``: ``dnu`` and ``dlambda``.
+    """
+    (h, matrix, b), (w, before, after, shifts, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
+    (e, x), nothing, m = work, np.int64(-1), q - 3 * n
+    for t in range(first, last):
+        nu = out[0][t]
+        for i in range(s * n):
+            nu[i], x[i] = shifts[t, i], 0.0
+            for j in range(w.shape[1]):
+                nu[i] += kept[2][t, i, j] * w[t, j]
+        for i in range(s):
+            _place(e, w[t], nu, h[t], matrix[i], (n, m, i))
+            _push(x, e, points[0][t, i], slopes[t, i], h[t], matrix[i], (n, m, i))
+        _place(e, w[t], nu, h[t], b, (n, m, nothing))
+        for c in range(n, 2 * n):
+            for a in range(n):
+                pulls[t, c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
+        _push(x, e, ends[0][t], pulls[t], h[t], b, (n, m, nothing))
+        solve_transposed(kept[0][t], kept[1][t], x)
+        for i in range(s * n):
+            out[1][t, i] = -x[i]

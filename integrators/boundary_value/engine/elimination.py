@@ -1,0 +1,124 @@
+"""Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by side."""
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from .arrays import LANES, in_threads, plain, whole
+from .scaling import Units
+
+WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
+CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+
+
+@final
+class BlockSystem(NamedTuple):
+    """Linear systems in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1 nodes:
+
+        hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -slope_k
+        left_k d_k - right_{k-1} d_{k-1}               = -gap_k
+
+    with no ``left`` at the last node and no ``right`` before the first. Where ``fixed_start`` or ``fixed_end`` is 0 the
+    equation of that node's coordinate is ``c = 0`` instead. B systems, k right-hand sides; the upper triangles of the Hessians
+    are read.
+    """
+
+    hessian: Float[np.ndarray, "B N z z"]
+    left: Float[np.ndarray, "B N n z"]
+    right: Float[np.ndarray, "B N n z"]
+    slope: Float[np.ndarray, "B N z k"]
+    gap: Float[np.ndarray, "B N+1 n k"]
+    fixed_start: Float[np.ndarray, "B n"]
+    fixed_end: Float[np.ndarray, "B n"]
+
+
+@final
+class BlockSolution(NamedTuple):
+    """Solutions of block systems, and the inertia of their matrices.
+
+    ``negative``: number of negative eigenvalues; ``smallest``: size of the smallest pivot, rows scaled to one size;
+    ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and ``sum_k d_k' S d_k`` of the first column.
+    """
+
+    steps: Float[np.ndarray, "B N z k"]
+    multipliers: Float[np.ndarray, "B N+1 n k"]
+    negative: Float[np.ndarray, " B"]
+    smallest: Float[np.ndarray, " B"]
+    curvature: Float[np.ndarray, " B"]
+    size: Float[np.ndarray, " B"]
+
+
+def eliminate(
+    system: BlockSystem,
+    units: Units | None = None,
+    shift: Float[np.ndarray, " B"] | None = None,
+    scales: Float[np.ndarray, "B z"] | None = None,
+) -> BlockSolution:
+    """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
+
+    With ``units``, the system and its solution are in units, as ``scaled`` would make it. With ``shift``, its Hessians are raised
+    by ``shift diag(scales)``, ones by default. A system that is singular, or not finite, has the solution NaN.
+
+    A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
+    sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
+    nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
+    """
+    batch, count, n, z = system.left.shape
+    columns = system.slope.shape[3]
+    if units is None:
+        units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
+    scales = np.ones((batch, z)) if scales is None else scales
+    raised = scales * (0.0 if shift is None else shift[:, None])
+    out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
+
+    def run(part: range) -> None:
+        work, factors = _places(count, n, z, columns)
+        for m in part:
+            _solve(m, system, units, raised[m], (work, factors), out)
+
+    in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
+    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
+    if unknown.any():
+        np.copyto(out.steps, np.nan, where=unknown[:, None, None])
+        np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
+    out.size[:] = np.einsum("bkz,bz,bkz->b", out.steps[..., 0], scales, out.steps[..., 0])
+    return out
+
+
+def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places: tuple, out: BlockSolution) -> None:
+    """Solve one system, with the weights."""
+    from . import kernels
+
+    hessian, left, right, slope, gap, *fixed = (plain(a[m]) for a in system)
+    (d, g), cost, weight = (plain(a[m]) for a in units[:2]), units.cost[m], WEIGHT * len(left)
+    nodes = np.stack([fixed[0], np.ones(len(g)), fixed[1]]) / g
+    gap = gap / g[:, None]
+    gap[0] *= fixed[0][:, None]
+    gap[-1] *= fixed[1][:, None]
+    held = gap[:-1] * (weight / g)[:, None]
+    held[0] *= fixed[0][:, None]
+    sides = (np.einsum("kns,knj->ksj", left, held) - slope / cost) * d[:, None]
+    blocks, units = (hessian, left, right, sides, -gap), (np.stack([d / cost, raised]), d, nodes)
+    work, factors = places
+    out.negative[m], out.smallest[m] = kernels.forward(blocks, units, weight, np.stack(fixed), work, factors)
+    out.curvature[m] = kernels.backward(blocks, units, weight, work, factors, (out.steps[m], out.multipliers[m]))
+
+
+def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
+    """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
+    rows = z + 2 * n
+    width, own = whole(rows + columns), whole(z)
+    starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
+    bases = np.concatenate([[0], np.cumsum(width - starts)])
+    work = np.zeros((z, own)), np.zeros((n, own)), np.zeros((n, own)), np.zeros((rows, width)), np.zeros((columns, rows))
+    return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
+
+
+def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
+    """Whether the Hessian is positive definite on the null space of the ``count`` constraints, beyond rounding, shape ``(B,)``.
+
+    This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
+    if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
+    """
+    return (solution.negative == count) & (solution.smallest > np.finfo(float).eps ** CLEAR)

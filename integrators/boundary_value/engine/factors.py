@@ -1,0 +1,203 @@
+"""Symmetric indefinite factorisation of small matrices with borders, compiled.
+
+A front is the upper triangle of a symmetric matrix, row after row, whose first rows are pivots; those after them are borders, on
+which the Schur complement is left; then come columns of right-hand sides. Rows are padded to whole vectors of ``LANES`` entries,
+and below the diagonal stands what is never read.
+"""
+
+import math
+from typing import Any
+
+import numba
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from .arrays import LANES
+
+BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
+
+compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
+inner = numba.njit(
+    error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+reordered = numba.njit(
+    error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
+
+
+@reordered
+def dot(x: np.ndarray, first: int, last: int, y: np.ndarray, base: int) -> float:
+    """``sum_j x[j] y[base + j]``."""
+    total = 0.0
+    for j in range(first, last):
+        total += x[j] * y[base + j]
+    return total
+
+
+@intrinsic
+def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
+    """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        vector = ir.VectorType(ir.DoubleType(), LANES)
+
+        def place(array: int) -> Any:
+            value = context.make_array(signature.args[array])(context, builder, values[array])
+            row = builder.mul(values[array + 1], builder.extract_value(value.shape, 1))
+            return builder.bitcast(builder.gep(value.data, [builder.add(row, values[array + 2])]), vector.as_pointer())
+
+        to, of = place(0), place(4)
+        factor = ir.Constant(vector, ir.Undefined)
+        for t in range(LANES):
+            factor = builder.insert_element(factor, values[3], ir.Constant(ir.IntType(32), t))
+        product = builder.fmul(factor, builder.load(of, align=8), flags=("contract",))
+        builder.store(builder.fadd(builder.load(to, align=8), product, flags=("contract",)), to, align=8)
+        return context.get_dummy_value()
+
+    return types.void(y, types.intp, types.intp, types.float64, x, types.intp, types.intp), generate
+
+
+@inner
+def _largest(v: np.ndarray, r: int, first: int, last: int) -> tuple[float, int]:
+    """Size and place of the largest entry beside the diagonal in row r of what is left to factorise."""
+    size, place = 0.0, r
+    for i in range(first, r):
+        if abs(v[i, r]) > size:
+            size, place = abs(v[i, r]), i
+    for j in range(r + 1, last):
+        if abs(v[r, j]) > size:
+            size, place = abs(v[r, j]), j
+    return size, place
+
+
+@inner
+def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
+    """Rows of the next pivot, equal where it is of size one: the entry is the largest in both its rows.
+
+    Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch and Kaufman
+    does not [Ashcraft, Grimes, Lewis 1998].
+    """
+    size, r = _largest(v, k, k, last)
+    if abs(v[k, k]) >= BALANCE * size or r == k:
+        return k, k
+    i = k
+    while True:
+        larger, j = _largest(v, r, k, last)
+        if abs(v[r, r]) >= BALANCE * larger:
+            return r, r
+        if not larger > size:
+            return i, r
+        i, r, size = r, j, larger
+
+
+@inner
+def _swap(v: np.ndarray, first: int, k: int, r: int) -> None:
+    """Exchange rows and columns ``k < r`` of what is left to factorise from row ``first`` on."""
+    if r == k:
+        return
+    for i in range(first, k):
+        v[i, k], v[i, r] = v[i, r], v[i, k]
+    v[k, k], v[r, r] = v[r, r], v[k, k]
+    for i in range(k + 1, r):
+        v[k, i], v[i, r] = v[i, r], v[k, i]
+    for j in range(r + 1, v.shape[1]):
+        v[k, j], v[r, j] = v[r, j], v[k, j]
+
+
+@inner
+def _eliminated_one(v: np.ndarray, k: int, rows: int) -> None:
+    inverse = 1 / v[k, k]
+    for i in range(k + 1, rows):
+        f = v[k, i] * inverse
+        if f != 0:
+            for j in range(i & -LANES, v.shape[1], LANES):
+                add_vector(v, i, j, -f, v, k, j)
+
+
+@inner
+def _eliminated_two(v: np.ndarray, k: int, rows: int) -> None:
+    """The inverse is formed relative to the entry beside the diagonal, the largest."""
+    inverse = 1 / v[k, k + 1]
+    a, c = v[k, k] * inverse, v[k + 1, k + 1] * inverse
+    inverse /= a * c - 1
+    for i in range(k + 2, rows):
+        f, g = inverse * (c * v[k, i] - v[k + 1, i]), inverse * (a * v[k + 1, i] - v[k, i])
+        if f != 0 or g != 0:
+            for j in range(i & -LANES, v.shape[1], LANES):
+                add_vector(v, i, j, -f, v, k, j)
+                add_vector(v, i, j, -g, v, k + 1, j)
+
+
+@inner
+def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[int, float]:
+    """Factorise the first ``last`` of the rows in place, and the number of negative pivots and the size of the smallest.
+
+    ``swaps``: the row exchanged with each, as -1 - row in a pivot of size two.
+    """
+    negative, smallest, k = 0, np.inf, np.int64(0)
+    while k < last:
+        i, r = _chosen(v, k, last)
+        a, b, c = v[i, i], v[min(i, r), max(i, r)], v[r, r]
+        _swap(v, k, k, i)
+        if i == r:
+            swaps[k] = i
+            negative, size = negative + (a < 0), abs(a)
+            _eliminated_one(v, k, rows)
+            k += 1
+        else:
+            r = i if r == k else r
+            _swap(v, k, k + 1, r)
+            swaps[k], swaps[k + 1] = -1 - i, -1 - r
+            large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
+            negative, size = negative + 1, abs(a * (c / large) - b * (b / large))
+            _eliminated_two(v, k, rows)
+            k += 2
+        if size < smallest or size != size:
+            smallest = size
+    return negative, smallest
+
+
+@inner
+def scale(v: np.ndarray, u: np.ndarray, last: int) -> None:
+    """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones."""
+    u[:] = 0.0
+    for i in range(last):
+        largest = u[i]
+        for j in range(i, last):
+            size = abs(v[i, j])
+            largest = size if size > largest else largest
+            u[j] = size if size > u[j] else u[j]
+        u[i] = largest
+    for i in range(u.size):
+        u[i] = 1 / math.sqrt(u[i]) if u[i] > 0 else 1.0
+    for i in range(last):
+        for j in range(i, v.shape[1]):
+            v[i, j] *= u[i] * u[j]
+
+
+@inner
+def substitute(rows: np.ndarray, bases: np.ndarray, swaps: np.ndarray, x: np.ndarray, last: int, side: int) -> None:
+    """Solve for the first ``last`` entries of ``x``, whose others, those of the borders, are known.
+
+    ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; right-hand side: column ``side``.
+    """
+    size, k = x.size, last - 1
+    while k >= 0:
+        base, r = bases[k], swaps[k]
+        if r >= 0:
+            x[k] = (rows[base + side] - dot(x, k + 1, size, rows, base)) / rows[base + k]
+            x[k], x[r] = x[r], x[k]
+            k -= 1
+        else:
+            other, r, i = bases[k - 1], -1 - r, -1 - swaps[k - 1]
+            f = rows[other + side] - dot(x, k + 1, size, rows, other)
+            g = rows[base + side] - dot(x, k + 1, size, rows, base)
+            inverse = 1 / rows[other + k]
+            a, c = rows[other + k - 1] * inverse, rows[base + k] * inverse
+            inverse /= a * c - 1
+            x[k - 1], x[k] = inverse * (c * f - g), inverse * (a * g - f)
+            x[k], x[r] = x[r], x[k]
+            x[k - 1], x[i] = x[i], x[k - 1]
+            k -= 2

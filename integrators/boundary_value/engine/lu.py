@@ -1,0 +1,82 @@
+"""Gauss's elimination of small dense matrices with padded right-hand sides, compiled."""
+
+import numpy as np
+
+from .arrays import LANES
+from .factors import add_vector, inner
+
+
+@inner
+def _pivot_row(v: np.ndarray, k: int, weights: np.ndarray) -> int:
+    r, largest = k, abs(v[k, k]) * weights[k]
+    for i in range(k + 1, v.shape[0]):
+        if abs(v[i, k]) * weights[i] > largest:
+            r, largest = i, abs(v[i, k]) * weights[i]
+    return r
+
+
+@inner
+def decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.ndarray) -> None:
+    """Gauss's elimination; rows of one size choose the pivots. ``lower``: the factors of the rows in the order of their time."""
+    p = v.shape[0]
+    for i in range(p):
+        largest = 0.0
+        for j in range(p):
+            largest = max(largest, abs(v[i, j]))
+        weights[i] = 1 / largest
+    for k in range(p):
+        r = _pivot_row(v, k, weights)
+        swaps[k] = r
+        if r != k:
+            weights[k], weights[r] = weights[r], weights[k]
+            for j in range(v.shape[1]):
+                v[k, j], v[r, j] = v[r, j], v[k, j]
+        for i in range(k + 1, p):
+            f = v[i, k] / v[k, k]
+            lower[i, k] = f
+            if f != 0:
+                for j in range(k & -LANES, v.shape[1], LANES):
+                    add_vector(v, i, j, -f, v, k, j)
+
+
+@inner
+def back_substitute(v: np.ndarray, start: int, upper: np.ndarray) -> None:
+    """Solve for all right-hand sides in place, and keep the upper triangle."""
+    p = v.shape[0]
+    for k in range(p - 1, -1, -1):
+        for i in range(k + 1, p):
+            f = v[k, i]
+            if f != 0:
+                for j in range(start, v.shape[1], LANES):
+                    add_vector(v, k, j, -f, v, i, j)
+        for j in range(start, v.shape[1]):
+            v[k, j] /= v[k, k]
+        for j in range(k, p):
+            upper[k, j] = v[k, j]
+
+
+@inner
+def solve_transposed(factors: np.ndarray, swaps: np.ndarray, x: np.ndarray) -> None:
+    """Solve with the transposed matrix in place; lower and upper triangle in one array."""
+    p = x.size
+    for k in range(p):
+        x[k] /= factors[k, k]
+        for j in range(k + 1, p):
+            x[j] -= factors[k, j] * x[k]
+    for k in range(p - 1, -1, -1):
+        for i in range(k + 1, p):
+            x[k] -= factors[i, k] * x[i]
+        x[k], x[swaps[k]] = x[swaps[k]], x[k]
+
+
+@inner
+def product(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
+    """``y = block x``, rows of ``x`` and ``y`` padded to whole vectors."""
+    for a in range(block.shape[0]):
+        for j in range(x.shape[1]):
+            y[a, j] = 0.0
+        for c in range(block.shape[1]):
+            f = block[a, c]
+            if f != 0:
+                for j in range(0, x.shape[1], LANES):
+                    add_vector(y, a, j, f, x, c, j)

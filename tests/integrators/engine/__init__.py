@@ -1,0 +1,1 @@
+"""Tests of the linear algebra of trajectories, against dense solves."""
