@@ -99,9 +99,7 @@ def kernel(name: str):
         after, before = (method.point(x, frame, eta + t * nu) for t in (dt, -dt))
         displaced = Midpoint(retraction)(x, vec.combine(basis, eta))
         return {
-            "ends of the midpoint map": vec.subtract(
-                method.ends(x, frame, eta), Midpoint(retraction)(x, vec.combine(basis, eta))
-            ),
+            "ends of the midpoint map": vec.subtract(method.ends(x, frame, eta), displaced),
             "point": vec.subtract(q, retraction(x, vec.combine(basis, eta))),
             "centre": vec.subtract(centre, x),
             "velocity at the centre": vec.subtract(still, vec.combine(basis, nu)),
