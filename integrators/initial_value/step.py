@@ -41,7 +41,7 @@ class StepEquations:
         self.stage = stage
         self._guess = frozen(stage.predict(q0, p0, previous))
         self._chart = stage.frame(self._guess)
-        self._frame = stage.manifold.basis(stage.tangent(self._guess)[0])
+        self._frame = stage.manifold.basis(stage.base(self._guess))
         costate = frozen(vec.components(self._frame, p0))
         self.first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
         self.sizes = jnp.concatenate([stage.sizes(self._guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
