@@ -16,7 +16,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, default_retraction
-from .compilation import call_compiled
+from .compilation import call_compiled, digest
 from .functions import in_precision, real_number
 from .options import HORIZON, known_options, require_arguments
 from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
@@ -101,6 +101,14 @@ class OptimalControlProblem(eqx.Module):
         """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
         power, rate = self.parts(q, p, u)
         return power - rate
+
+    def digest(self) -> bytes | None:
+        """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
+
+        def functions(q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array]:
+            return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)
+
+        return digest(functions, self.manifold.ambient, self.controls.ambient)
 
     def check_discretization(self, discretization: DiscretizationMap) -> None:
         """Raise if a discretization map acts on another manifold than this problem."""
@@ -223,4 +231,13 @@ def resting_control(controls: Manifold) -> Ambient:
         np.zeros(controls.shape, working_precision())
         if isinstance(controls, Euclidean)
         else controls.random_point(jax.random.key(0))
+    )
+
+
+def is_same_problem(a: object, b: object) -> bool:
+    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read now."""
+    if a is b or not (isinstance(a, OptimalControlProblem) and isinstance(b, OptimalControlProblem)):
+        return a is b
+    return (
+        same_manifold(a.manifold, b.manifold) and same_manifold(a.controls, b.controls) and a.digest() == b.digest() is not None
     )
