@@ -140,12 +140,11 @@ class OptimalControlProblem(eqx.Module):
         self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
 
     def require_cost(self, q: Ambient) -> None:
-        """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
+        """Raise if the running cost is one number, at ``q`` and at random points around it, with random controls."""
         directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
-        keys = jax.random.split(jax.random.key(0), CURVATURES)
-        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
-        points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
-        costs, slopes = call_compiled(cost_rates, self, points, resting_control(self.controls), directions)[0]
+        moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, self.manifold.dimension)).astype(directions.dtype)
+        moves[0] = 0.0
+        costs, slopes = call_compiled(cost_rates, self, q, moves, resting_control(self.controls), directions)[0]
         rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
         if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
             return
