@@ -77,21 +77,38 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def require_arguments(name: str, function: Any, expected: str) -> None:
-    """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``."""
+def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:
+    """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``, or of these and ``more``; whether it is that."""
     if not callable(function):
         raise InvalidInputError(f"{name} must be a function of {expected}, got {function!r}")
-    try:
-        signature = inspect.signature(function)
-    except (TypeError, ValueError):  # of a builtin, which has none
-        return
-    parameters, count = list(signature.parameters), expected.count(",") + 1
-    try:
-        signature.bind(*range(count))
-        fits = True
-    except TypeError:
-        fits = False
+    parameters, count = _names(function), expected.count(",") + 1
+    if parameters is None:
+        return False
     clock = CLOCKS.intersection(parameters) and len(parameters) > count
-    if not fits or clock:
+    takes_them = bool(more) and takes_more(function, count)
+    if not (takes_them or _binds(function, count)) or clock:
         hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock else ""
-        raise InvalidInputError(f"{name} must be a function of {expected}, got one of ({', '.join(parameters)}){hint}")
+        also = f", or of these and {more}" if more else ""
+        raise InvalidInputError(f"{name} must be a function of {expected}{also}, got one of ({', '.join(parameters)}){hint}")
+    return takes_them
+
+
+def takes_more(function: Callable, count: int) -> bool:
+    """Whether a function takes one argument more than ``count``, and cannot do without it."""
+    return _names(function) is not None and not _binds(function, count) and _binds(function, count + 1)
+
+
+def _names(function: Callable) -> list[str] | None:
+    """Names of the arguments; None for a builtin, which has none."""
+    try:
+        return list(inspect.signature(function).parameters)
+    except (TypeError, ValueError):
+        return None
+
+
+def _binds(function: Callable, count: int) -> bool:
+    try:
+        inspect.signature(function).bind(*range(count))
+    except TypeError:
+        return False
+    return True

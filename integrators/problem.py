@@ -16,9 +16,9 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, Gauss, default_retraction
-from .compilation import call_compiled
+from .compilation import call_compiled, digest
 from .functions import in_precision, real_number
-from .options import HORIZON, known_options, require_arguments
+from .options import HORIZON, known_options, require_arguments, takes_more
 from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
 
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
@@ -33,7 +33,9 @@ class OptimalControlProblem(eqx.Module):
     """Minimise ``int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` on a manifold.
 
     ``dynamics(q, u)`` returns a tangent vector at ``q``, ``running_cost(q, u)`` and ``terminal_cost(q)`` a scalar; all are
-    JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0 to 0.
+    JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0 to 0. Functions that take one
+    more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and arrays; then
+    ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them.
     """
 
     manifold: Manifold
@@ -42,6 +44,7 @@ class OptimalControlProblem(eqx.Module):
     controls: Manifold
     terminal_cost: TerminalCost | None
     abnormal: bool = eqx.field(static=True)
+    takes_parameters: bool = eqx.field(static=True)
 
     @known_options
     def __init__(
@@ -62,10 +65,20 @@ class OptimalControlProblem(eqx.Module):
                 raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
         if not isinstance(abnormal, bool | np.bool_):
             raise InvalidInputError(f"abnormal must be True or False, got {abnormal!r}")
-        require_arguments("dynamics", dynamics, "(q, u)")
-        require_arguments("running_cost", running_cost, "(q, u)")
+        takes = require_arguments("dynamics", dynamics, "(q, u)", more="parameters")
+        takes |= require_arguments("running_cost", running_cost, "(q, u)", more="parameters")
         if terminal_cost is not None:
-            require_arguments("terminal_cost", terminal_cost, "q")
+            takes |= require_arguments("terminal_cost", terminal_cost, "q", more="parameters")
+        self.takes_parameters = takes
+
+    def with_parameters(self, parameters: Any) -> "OptimalControlProblem":
+        """The problem whose functions have the parameters; the problem itself if they take none."""
+        if not self.takes_parameters:
+            return self
+        names = (("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1))
+        bound = (_bound(getattr(self, name), count, parameters) for name, count in names)
+        dynamics, running_cost, terminal_cost = bound
+        return OptimalControlProblem(self.manifold, dynamics, running_cost, self.controls, terminal_cost, self.abnormal)
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
@@ -102,6 +115,14 @@ class OptimalControlProblem(eqx.Module):
         power, rate = self.parts(q, p, u)
         return power - rate
 
+    def digest(self) -> bytes | None:
+        """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
+
+        def functions(q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array]:
+            return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)
+
+        return digest(functions, self.manifold.ambient, self.controls.ambient)
+
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
@@ -132,12 +153,11 @@ class OptimalControlProblem(eqx.Module):
         self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
 
     def require_cost(self, q: Ambient) -> None:
-        """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
+        """Raise if the running cost is one number, at ``q`` and at random points around it, with random controls."""
         directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
-        keys = jax.random.split(jax.random.key(0), CURVATURES)
-        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
-        points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
-        costs, slopes = call_compiled(cost_rates, self, points, resting_control(self.controls), directions)[0]
+        moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, self.manifold.dimension)).astype(directions.dtype)
+        moves[0] = 0.0
+        costs, slopes = call_compiled(cost_rates, self, q, moves, resting_control(self.controls), directions)[0]
         rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
         if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
             return
@@ -224,3 +244,19 @@ def resting_control(controls: Manifold) -> Ambient:
         if isinstance(controls, Euclidean)
         else controls.random_point(jax.random.key(0))
     )
+
+
+def is_same_problem(a: object, b: object) -> bool:
+    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read now."""
+    if a is b or not (isinstance(a, OptimalControlProblem) and isinstance(b, OptimalControlProblem)):
+        return a is b
+    return (
+        same_manifold(a.manifold, b.manifold) and same_manifold(a.controls, b.controls) and a.digest() == b.digest() is not None
+    )
+
+
+def _bound(function: Any, count: int, parameters: Any) -> Any:
+    """The function of its first arguments, with the parameters where it takes them."""
+    if function is None or not takes_more(function, count):
+        return function
+    return lambda *arguments: function(*arguments, parameters)

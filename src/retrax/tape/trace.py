@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
+from ..manifolds.numerics.reading import traced
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
@@ -252,9 +253,12 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
     leaves = [np.asarray(leaf) for leaf in leaves]
 
     def flat(*leaves: Any) -> Any:
-        return function(*jax.tree.unflatten(structure, leaves))
+        found, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        result.append(shape)
+        return found
 
-    jaxpr, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    result: list[Any] = []
+    jaxpr = traced(flat, *leaves)
     inputs: list[ca.SX] = []
     arrays: list[Entries] = []
     for k, leaf in enumerate(leaves):
@@ -263,4 +267,4 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
         halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
-    return graph, Tracer(graph).closed(jaxpr, arrays), jax.tree.structure(shapes)
+    return graph, Tracer(graph).closed(jaxpr, arrays), result[-1]
