@@ -4,7 +4,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from .elimination import BlockSystem, eliminate
+from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .scaling import SHARE, Units, natural_units
 from .transcription import Blocks, Data, Nodes, Terminal
 
@@ -153,7 +153,17 @@ class Conditions:
 
     def eliminate(self, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
-        return eliminate(self._system(assembled), self.units, shift)
+        d = self.units.unknowns
+        diagonal = np.max(np.abs(np.diagonal(assembled.blocks.hessian, axis1=2, axis2=3)), axis=1)
+        diagonal = diagonal * d * d / self.units.cost[:, None]  # typical curvature of each coordinate, the unit of the shift
+        floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
+        scales = np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
+        found = eliminate(self._system(assembled), self.units, shift, scales)
+        steps = found.steps[..., 0] * d[:, None]
+        multipliers = found.multipliers[..., 0] * (self.units.cost[:, None] / self.units.nodes)[:, None]
+        finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
+        strict = is_strict_minimum(found, multipliers[0].size)
+        return Step(steps, multipliers, strict, finite), found.curvature, found.size
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.

@@ -136,7 +136,8 @@ class _Search:
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
         infeasibility = conditions.infeasibility(assembled)
-        step, shift, descends = self.regularised(assembled, zero, residuals.largest <= self.tolerance)
+        # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
+        step, shift, descends = self.regularised(assembled, zero, np.ones(count, bool))
         numbers = np.maximum(infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
         promise = descends, *conditions.promise(assembled, step)
         self.trials = 1
@@ -156,9 +157,8 @@ class _Search:
         arrived = residual <= self.tolerance
         if not np.any(again):
             return state
-        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle. The
-        # first step is Newton's own too: where it gains two digits, the problem is nearly linear and has one extremal.
-        keep = arrived | (good & (residual <= np.sqrt(self.tolerance))) | (self.trials == 1)
+        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
+        keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
         step, shift, descends = self.regularised(state.assembled, np.where(arrived, 0.0, state.shift), keep, conditions)
         promise, turned = conditions.promise(state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)

@@ -1,5 +1,6 @@
 """From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
 
+import math
 from typing import Any, NamedTuple, final
 
 import jax
@@ -53,7 +54,8 @@ class Terminal(NamedTuple):
 def at_points(function: Any, axes: int, *arguments: np.ndarray) -> Arrays:
     """Evaluate a function of points on arrays with some leading axes in common (of length 1 where an array is shared)."""
     leading = np.broadcast_shapes(*(a.shape[:axes] for a in arguments))
-    flat = [np.broadcast_to(a, (*leading, *a.shape[axes:])).reshape(-1, a.shape[-1]) for a in arguments]
+    count = math.prod(leading)
+    flat = [np.broadcast_to(a, (*leading, *a.shape[axes:])).reshape(count, a.shape[-1]) for a in arguments]
     return tuple(value.reshape(*leading, *value.shape[1:]) for value in function(*flat))
 
 
