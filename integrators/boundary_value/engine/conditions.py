@@ -119,7 +119,8 @@ class Conditions:
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of steps."""
         part = fraction[:, None, None]
-        unknowns = self.transcription.move(iterate.unknowns, part * step.unknowns, self.data)
+        given = iterate.unknowns, assembled.blocks, step.unknowns, step.multipliers, fraction
+        unknowns = self.transcription.move(*given, self.data)
         costates = np.einsum("bkne,bkn->bke", assembled.frames, assembled.coordinates + part * step.multipliers)
         costates[:, -1] -= assembled.terminal.derivative
         return Iterate(unknowns, costates)
@@ -135,11 +136,17 @@ class Conditions:
 
     def infeasibility(self, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes lack."""
-        return np.sum(np.abs(assembled.gap) / self.units.nodes[:, None], axis=(1, 2))
+        inner, missing = assembled.blocks.inner, np.sum(np.abs(assembled.gap) / self.units.nodes[:, None], axis=(1, 2))
+        if inner is None:
+            return missing
+        return missing + np.sum(np.abs(inner.defect) / self.units.nodes[:, None, None], axis=(1, 2, 3))
 
     def held(self, assembled: Assembled) -> np.ndarray:
         """The multipliers on the gap."""
-        return np.sum(assembled.coordinates * assembled.gap, axis=(1, 2)) / self.units.cost
+        inner, held = assembled.blocks.inner, np.sum(assembled.coordinates * assembled.gap, axis=(1, 2))
+        if inner is not None:
+            held += np.sum(inner.multipliers * inner.defect, axis=(1, 2, 3))
+        return held / self.units.cost
 
     def relative_cost(self, assembled: Assembled) -> np.ndarray:
         """The cost in its unit."""
@@ -149,6 +156,13 @@ class Conditions:
         """Changes of the cost and of the multipliers on the gap, to first order, by whole steps."""
         ahead = np.sum(assembled.blocks.gradient * step.unknowns, axis=(1, 2))
         turned = np.sum(step.multipliers * assembled.gap, axis=(1, 2))
+        inner = assembled.blocks.inner
+        if inner is not None:
+            velocities, multipliers = self.transcription.whole(assembled.blocks, step.unknowns, step.multipliers, self.data)
+            direct = inner.kept[2][..., : step.unknowns.shape[2]]
+            within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
+            ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
+            turned += np.sum(multipliers * inner.defect, axis=(1, 2, 3))
         return ahead / self.units.cost, turned / self.units.cost
 
     def eliminate(self, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
@@ -188,7 +202,12 @@ class Conditions:
     def _system(self, assembled: Assembled) -> BlockSystem:
         blocks, count = assembled.blocks, len(assembled.gap)
         fixed = (np.broadcast_to(m, (count, m.size)) for m in (self.ends.start_coordinates, self.ends.end_coordinates))
-        rows = blocks.slope[..., None], assembled.gap[..., None]
+        gap = assembled.gap
+        if blocks.inner is not None:
+            gap = np.array(gap)
+            gap[:, :-1] += blocks.inner.before
+            gap[:, 1:] -= blocks.inner.after
+        rows = blocks.slope[..., None], gap[..., None]
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, *rows, *fixed)
 
     def _sizes(self, iterate: Iterate, assembled: Assembled) -> _Sizes:
@@ -206,7 +225,12 @@ class Conditions:
         own = np.maximum(sizes.spreads, VALUE * sizes.values)
         along = np.maximum(sizes.along(own), SHARE * self.units.nodes)
         entries = np.maximum(own, np.max(sizes.support * along[:, :, None], axis=1, initial=0.0))
-        return np.max(assembled.distance / np.where(entries > 0, entries, 1.0), axis=1)
+        gap = np.max(assembled.distance / np.where(entries > 0, entries, 1.0), axis=1)
+        inner = assembled.blocks.inner
+        if inner is None:
+            return gap
+        missed = np.max(np.sum(np.abs(inner.defect), axis=2), axis=1) / np.where(along > 0, along, 1.0)
+        return np.maximum(gap, np.max(missed, axis=1))
 
     def _stationarity(self, assembled: Assembled) -> np.ndarray:
         """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
@@ -221,4 +245,12 @@ class Conditions:
         curvature = d * d * np.max(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1)
         largest = np.maximum(np.max(parts, axis=1), np.max(curvature, axis=1))
         scale = np.maximum(parts, SHARE * largest[:, None])
-        return np.max(np.max(np.abs(blocks.slope), axis=1) * d / np.where(scale > 0, scale, 1.0), axis=1)
+        found = np.max(np.max(np.abs(blocks.slope), axis=1) * d / np.where(scale > 0, scale, 1.0), axis=1)
+        inner = blocks.inner
+        if inner is None:
+            return found
+        weights = self.data.steps[:, :, None, None] * self.transcription.tableau.weights[:, None]
+        d = self.units.nodes
+        scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
+        slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
+        return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))

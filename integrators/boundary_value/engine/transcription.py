@@ -40,6 +40,7 @@ class Blocks(NamedTuple):
     slope: np.ndarray  # (B, N, z): of the Lagrangian
     gradient: np.ndarray  # (B, N, z): of the cost alone
     costs: np.ndarray  # (B, N)
+    inner: Any = None  # what was condensed, if anything was
 
 
 class Terminal(NamedTuple):
@@ -74,6 +75,7 @@ class OneStage:
         self._ends = evaluator.values(self._ends_of, *sizes, *given)
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
+        self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given)
 
     def stage(self, step: Array, parameters: Array) -> ControlStage:
         """The stage with a step length and parameters, in a function that is traced."""
@@ -94,10 +96,23 @@ class OneStage:
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         return Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, -1])
 
-    def move(self, unknowns: Unknowns, steps: np.ndarray, data: Data) -> Unknowns:
-        """The unknowns moved by steps in their charts, shape (B, N, z)."""
-        x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], steps, *_given(data))
+    def begin(self, states: np.ndarray, controls: np.ndarray, data: Data) -> Unknowns:
+        """Unknowns from states and controls at the stages, shape (B, N, 1, ...)."""
+        del data
+        return Unknowns(states[:, :, 0], controls)
+
+    def move(self, unknowns: Unknowns, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, part: np.ndarray, data: Data) -> Unknowns:  # fmt: skip
+        """The unknowns moved by fractions, shape (B,), of steps in their charts, shape (B, N, z)."""
+        del blocks, multipliers
+        some = part[:, None, None] * steps
+        x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])
+
+    def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data) -> Arrays:
+        """States, controls and costates at the stages, (B, N, ...), from covectors at the nodes, (B, N + 1, E)."""
+        x, u = unknowns.centres, unknowns.controls[:, :, 0]
+        (covectors,) = at_points(self._pull, 2, x, u, costates[:, :-1], costates[:, 1:], *_given(data))
+        return x, u, covectors
 
     def _ends_of(self, x: Array, u: Array, h: Array, parameters: Array) -> tuple[Array, ...]:
         ends = self.stage(h, parameters).ends((self.state.point(x), self.control.point(u)))
@@ -117,6 +132,15 @@ class OneStage:
         stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
         centre, control = stage.move(y, stage.frame(y), d)
         return self.state.flat(centre), self.control.flat(control)
+
+
+    def _pulled(self, x: Array, u: Array, p0: Array, p1: Array, h: Array, parameters: Array) -> tuple[Array]:
+        """The covector of the lift of the discretization map at a stage."""
+        stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
+        _, v = stage.tangent(y)
+        _, pull = vec.pullback(lambda w: self.method(y[0], w), v)
+        covector = pull((vec.scale(-1.0, self.state.point(p0)), self.state.point(p1)))[0]
+        return (self.state.flat(self.manifold.projection(y[0], covector)),)
 
 
 def _given(data: Data) -> tuple[np.ndarray, np.ndarray]:

@@ -1,0 +1,191 @@
+"""The steps of Gauss's method: several points in the chart of each step, condensed to its centre and its controls."""
+
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ....retractions import Gauss, default_retraction
+from ...problem import OptimalControlProblem
+from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
+from .evaluator import Arrays, Evaluator
+from .layout import Layout, parameter_layout
+from .transcription import Blocks, Data, at_points
+
+
+class GaussUnknowns(NamedTuple):
+    """Centres (B, N, E); at their points velocities in frames at the centres (B, N, s, n), controls, and costates (B, N, s, E)."""
+
+    centres: np.ndarray
+    velocities: np.ndarray
+    controls: np.ndarray
+    costates: np.ndarray
+
+
+class Inner(NamedTuple):
+    """What was condensed: what the points lack, their multipliers, and what gives the step of the velocities back."""
+
+    before: np.ndarray  # (B, N, n): what the velocities that mend the defects move the beginning by
+    after: np.ndarray
+    defect: np.ndarray  # (B, N, s, n), times h b_i
+    multipliers: np.ndarray  # (B, N, s, n)
+    slope: np.ndarray  # (B, N, s, n): of the Lagrangian by the velocities
+    gradient: np.ndarray  # (B, N, s, n): of the cost
+    frames: np.ndarray  # (B, N, s, n, E), at the points
+    points: Points
+    ends: Ends
+    kept: tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+@final
+class Collocation:
+    """The steps of a Gauss method with at least two points."""
+
+    def __init__(self, problem: OptimalControlProblem, method: Gauss, parameters: Any, evaluator: Evaluator) -> None:
+        self.problem, self.method, self.stages = problem, method, method.stages
+        self.manifold, self.controls = problem.manifold, problem.controls
+        n, m = self.manifold.dimension, self.controls.dimension
+        self.dimension = n + self.stages * m
+        self.tableau = Tableau(np.array(method.centred), np.array(method.weights))
+        self.state, self.control, self.parameter = Layout.of(self.manifold), Layout.of(self.controls), parameter_layout(parameters)
+        e, u, k = self.state.size, self.control.size, self.parameter.size
+        self._ends = evaluator.values(self._ends_of, e, n)
+        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k)
+        self._both = evaluator.derivatives(self._both_of, 2 * n, e, n, e, e, e, e)
+        self._centre = evaluator.values(self._centre_moved, e, n)
+        self._control = evaluator.values(self._control_moved, u, m)
+        self._state = evaluator.values(self._state_at, e, n, e)
+        self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
+        self._middle = evaluator.values(self._middle_of, e, e)
+
+    def begin(self, states: np.ndarray, controls: np.ndarray, data: Data) -> GaussUnknowns:
+        """Unknowns from states and controls at the points, shape (B, N, s, ...), with the velocities of the dynamics."""
+        half = self.stages // 2
+        centres = states[:, :, half]
+        if self.stages % 2 == 0:
+            (centres,) = at_points(self._middle, 2, states[:, :, half - 1], states[:, :, half])
+        (velocities,) = at_points(self._velocity, 3, centres[:, :, None], states, controls, data.parameters[:, None, None])
+        return GaussUnknowns(centres, velocities, controls, np.zeros(states.shape))
+
+    def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
+        """Beginnings and ends of the steps, shape (B, N, E)."""
+        return at_points(self._ends, 2, unknowns.centres, self._eta(unknowns, data))
+
+    def blocks(self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data) -> Blocks:
+        """The condensed blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
+        n, steps = self.manifold.dimension, data.steps
+        xi = np.einsum("bk,ij,bkja->bkia", steps, self.tableau.matrix, unknowns.velocities)
+        weights = (steps[:, :, None] * self.tableau.weights)[..., None]
+        at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
+        hessian, slope, jacobian, values, frames, multipliers = at_points(self._point, 3, *at, data.parameters[:, None, None])
+        around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
+        both = at_points(self._both, 2, unknowns.centres, self._eta(unknowns, data), *around)
+        points = Points(hessian, jacobian[..., :n, :], slope[..., None], values[..., :n, None])
+        ends = Ends(both[0], both[2][:, :, :n], both[2][:, :, n:], both[1][..., None])
+        parts, condensed = condense(points, ends, steps, self.tableau)
+        shape, s = steps.shape, self.stages
+        kept = tuple(a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
+        own = full_slope(points, ends, steps, self.tableau)[..., n : n + s * n, 0].reshape(*shape, s, n)
+        rest = ends._replace(slope=np.zeros_like(ends.slope))
+        cost = full_slope(points._replace(slope=jacobian[..., n, :, None]), rest, steps, self.tableau)[..., 0]
+        inner = cost[..., n : n + s * n]
+        direct = np.concatenate([cost[..., :n], cost[..., n + s * n :]], axis=2)
+        gradient = direct + np.einsum("bkiz,bki->bkz", kept[2][..., : self.dimension], inner)
+        shares = parts.before[..., 0], parts.after[..., 0], values[..., :n], multipliers, own
+        left = inner.reshape(*shape, s, n), frames, condensed.points, condensed.ends, kept
+        blocks = parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, np.sum(values[..., n], axis=2)
+        return Blocks(*blocks, Inner(*shares, *left))
+
+    def move(self, unknowns: GaussUnknowns, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, part: np.ndarray, data: Data) -> GaussUnknowns:  # fmt: skip
+        """The unknowns moved by fractions, shape (B,), of the steps of the condensed system."""
+        inner, whole = blocks.inner, self.whole(blocks, steps, multipliers, data)
+        some = part[:, None, None]
+        centres, turns = at_points(self._centre, 2, unknowns.centres, some * steps[..., : self.manifold.dimension])
+        velocities = np.einsum("bkac,bkic->bkia", turns, unknowns.velocities + some[..., None] * whole[0])
+        turned = some[..., None] * steps[..., self.manifold.dimension :].reshape(*unknowns.controls.shape[:3], -1)
+        (controls,) = at_points(self._control, 3, unknowns.controls, turned)
+        costates = np.einsum("bkine,bkin->bkie", inner.frames, inner.multipliers + some[..., None] * whole[1])
+        return GaussUnknowns(centres, velocities, controls, costates)
+
+    def whole(self, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+        """Steps of the velocities and of the multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
+        inner = blocks.inner
+        table = np.ascontiguousarray(data.steps).ravel(), self.tableau.matrix, self.tableau.weights
+        kept = tuple(a.reshape(-1, *a.shape[2:]) for a in inner.kept)
+        found = expand(Condensed(inner.points, inner.ends, table, kept), steps[..., None], multipliers[..., None])
+        return found.dnu[..., 0], found.dlambda[..., 0]
+
+    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> Arrays:
+        """States, controls and costates at the points, (B, N s, ...)."""
+        del costates
+        xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
+        states, covectors = at_points(self._state, 3, unknowns.centres[:, :, None], xi, unknowns.costates)
+        return tuple(a.reshape(len(a), -1, a.shape[-1]) for a in (states, unknowns.controls, covectors))
+
+    def _eta(self, unknowns: GaussUnknowns, data: Data) -> np.ndarray:
+        return np.einsum("bk,j,bkja->bka", data.steps, self.tableau.weights, unknowns.velocities)
+
+    def _moved(self, x: Array, dx: Array) -> tuple[Ambient, Any]:
+        """The centre moved in its chart, and its frame carried along."""
+        centre = self.state.point(x)
+        frame = self.manifold.basis(centre)
+        moved = self.method.retraction(centre, vec.combine(frame, dx))
+        return moved, lambda c: self.manifold.projection(moved, vec.combine(frame, c))
+
+    def _ends_of(self, x: Array, eta: Array) -> tuple[Array, ...]:
+        centre = self.state.point(x)
+        ends = self.method.retraction.both_ways(centre, vec.combine(self.manifold.basis(centre), eta / 2))
+        return tuple(map(self.state.flat, ends))
+
+    def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Array, ...]:
+        xi, nu, control, costate, weight, parameters = given
+        n, u = self.manifold.dimension, self.control.point(control)
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        here = self.state.point(x)
+        e = self.manifold.basis(self.method.retraction(here, vec.combine(self.manifold.basis(here), xi)))
+        centre, carried = self._moved(x, z[:n])
+        a, v = carried(xi + z[n : 2 * n]), carried(nu + z[2 * n : 3 * n])
+        q, velocity = jax.jvp(lambda a: self.method.retraction(centre, a), (a,), (v,))
+        turn = default_retraction(self.controls)
+        moved = turn.chart(u, turn.frame(u), z[3 * n :])
+        defect = weight[0] * vec.components(e, vec.subtract(velocity, bound.velocity(q, moved)))
+        cost = weight[0] * bound.cost_rate(q, moved)
+        multipliers = vec.components(e, self.state.point(costate))
+        return cost + multipliers @ defect, jnp.append(defect, cost), self.state.flat_frame(e), multipliers
+
+    def _both_of(self, z: Array, x: Array, eta: Array, *nodes: Array) -> tuple[Array, Array]:
+        q0, q1, p0, p1 = map(self.state.point, nodes)
+        n = self.manifold.dimension
+        centre, carried = self._moved(x, z[:n])
+        begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
+        values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
+        return vec.pairing(p0, begin) - vec.pairing(p1, finish), jnp.concatenate(values)
+
+    def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
+        moved, carried = self._moved(x, dx)
+        frame = self.manifold.basis(moved)
+        turns = jax.vmap(lambda c: vec.components(frame, carried(c)))(jnp.eye(self.manifold.dimension))
+        return self.state.flat(moved), turns.T
+
+    def _control_moved(self, u: Array, du: Array) -> tuple[Array]:
+        turn, control = default_retraction(self.controls), self.control.point(u)
+        return (self.control.flat(turn.chart(control, turn.frame(control), du)),)
+
+    def _state_at(self, x: Array, xi: Array, costate: Array) -> tuple[Array, Array]:
+        centre = self.state.point(x)
+        q = self.method.retraction(centre, vec.combine(self.manifold.basis(centre), xi))
+        return self.state.flat(q), self.state.flat(self.manifold.projection(q, self.state.point(costate)))
+
+    def _velocity_at(self, x: Array, q: Array, u: Array, parameters: Array) -> tuple[Array]:
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        velocity = bound.velocity(self.state.point(q), self.control.point(u))
+        return (vec.components(self.manifold.basis(self.state.point(x)), velocity),)
+
+    def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
+        x, y = self.state.point(a), self.state.point(b)
+        half = self.manifold.projection(x, vec.scale(0.5, vec.subtract(y, x)))
+        return (self.state.flat(self.method.retraction(x, half)),)
