@@ -7,7 +7,6 @@
 ``measure`` solves with every method in several sizes, in turns, everything built before: the median wall time of a whole
 call. Every method returns a torque, polynomial on the intervals of its mesh; its error is that of the attitude at the end when
 SciPy's DOP853 propagates this torque from the start (``repropagation.py``), and all torques must have the known cost.
-``--merge FILE`` adds the lines of ``crocoddyl_slew.py``, measured in an environment of its own, to the output.
 """
 
 import argparse
@@ -28,6 +27,7 @@ SWEEP = (12, 25, 50, 100, 200)
 def cases():
     """Names, sizes and built slews of all methods."""
     from casadi_orders import OrderedSlew
+    from crocoddyl_slew import CrocoddylSlew
     from pontryagin_slew import PontryaginSlew
     from retrax_slew import STAGES, RetraxSlew
 
@@ -48,6 +48,8 @@ def cases():
             yield f"{solver.upper()}, {scheme}", steps, OrderedSlew(scheme, steps, solver, attitude)
     for exponent in range(2, 10):
         yield "SciPy, solve_bvp", f"1e-{exponent}", PontryaginSlew(10.0**-exponent, 20 if exponent == 2 else 40)
+    for steps in (25, 50, 100, 200, 400):
+        yield "crocoddyl, RK4", steps, CrocoddylSlew(steps)
 
 
 def measured(repeats):
@@ -66,7 +68,8 @@ def measured(repeats):
             slew.solve()
             row["seconds"].append(time.perf_counter() - began)
     for row in rows:
-        row["median_ms"] = 1e3 * statistics.median(row.pop("seconds"))
+        seconds = row.pop("seconds")
+        row |= {"median_ms": 1e3 * statistics.median(seconds), "least_ms": 1e3 * min(seconds)}
     return rows
 
 
@@ -82,14 +85,6 @@ def checked(rows):
         if not abs(row["cost_excess"]) <= allowed:
             raise RuntimeError(f"another optimum: {row}")
     return rows
-
-
-def crocoddyl_rows(path):
-    """The lines of ``crocoddyl_slew.py`` as records."""
-    for line in Path(path).read_text().splitlines():
-        row = json.loads(line)
-        kept = {"method": row["method"], "size": row["steps"], "attitude_error": row["attitude_error"]}
-        yield {**kept, "cost_excess": row["cost"] - OPTIMUM, "median_ms": row["median_ms"]}
 
 
 def draw(rows, path):
@@ -154,10 +149,9 @@ def main():
     parser.add_argument("--repeats", type=int, default=21)
     parser.add_argument("--input", type=Path, default=HERE / "accuracy.json")
     parser.add_argument("--output", type=Path)
-    parser.add_argument("--merge", type=Path)
     options = parser.parse_args()
     if options.task == "measure":
-        rows = checked(measured(options.repeats) + (list(crocoddyl_rows(options.merge)) if options.merge else []))
+        rows = checked(measured(options.repeats))
         record = {"machine": f"{platform.machine()}, {os.cpu_count()} cores", "repeats": options.repeats, "rows": rows}
         (options.output or HERE / "accuracy.json").write_text(json.dumps(record, indent=1) + "\n")
         return

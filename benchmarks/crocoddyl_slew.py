@@ -1,22 +1,14 @@
 """Peer: the rest-to-rest slew with crocoddyl, a spherical joint of Pinocchio, RK4 steps, and its FDDP solver.
 
-    python benchmarks/crocoddyl_slew.py [--repeats 11]
-
 Pinocchio gives the derivatives analytically, attitudes are its unit quaternions. FDDP takes no hard condition at the end: the
 squared distance to it is a cost with a large weight, whose effect on the attitude is below the errors that are reported here.
-The torque is constant on a step. Units are those of ``casadi_slew``. Prints one JSON line a case, for ``accuracy.py --merge``:
-crocoddyl's wheels need not fit the other peers', so that it runs in a process, and if need be an environment, of its own.
+The torque is constant on a step. Units are those of ``casadi_slew``.
 """
-
-import argparse
-import json
-import statistics
-import time
 
 import crocoddyl
 import numpy as np
 import pinocchio
-from repropagation import ANGLE, AXIS, INERTIA, Torque, attitude_error
+from repropagation import ANGLE, AXIS, INERTIA, Torque
 
 HORIZON = 60.0  # s
 TORQUE_UNIT = INERTIA.max() / HORIZON**2  # N m
@@ -68,31 +60,3 @@ class CrocoddylSlew:
         """The control in physical units."""
         values = np.array(self.solver.us.tolist()).reshape(self.steps, -1, 3) * TORQUE_UNIT
         return Torque(np.linspace(0, HORIZON, self.steps + 1), np.zeros(1), values)
-
-
-def measured(slew, repeats):
-    """Median seconds of a warm solve."""
-    slew.solve()
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        slew.solve()
-        times.append(time.perf_counter() - began)
-    return statistics.median(times)
-
-
-def main():
-    """Print one JSON line for each case."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--repeats", type=int, default=11)
-    repeats = parser.parse_args().repeats
-    for steps in (25, 50, 100, 200, 400):
-        slew = CrocoddylSlew(steps)
-        seconds = measured(slew, repeats)
-        torque = slew.torque()
-        row = {"method": "crocoddyl, RK4", "steps": steps, "median_ms": 1e3 * seconds, "cost": torque.cost()}
-        print(json.dumps({**row, "attitude_error": attitude_error(torque), "iterations": slew.solver.iter}), flush=True)
-
-
-if __name__ == "__main__":
-    main()

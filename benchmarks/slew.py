@@ -9,7 +9,7 @@ run, calls taken in turns; medians. One JSON line a case.
 - ``new``: in a running process that solved another problem before, from a body of other inertia to its first solution.
 - ``cold``: a new process from its start to the first solution, and its peak memory.
 - ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad as
-  propagated (``repropagation.py``): ours at once, FATROP by the collocation scheme that does it best, one after the other.
+  propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
 - ``long``: time per step from 100 to 10 000 steps.
 """
 
@@ -27,8 +27,7 @@ COLD = "--cold"
 CASES = ("warm", "new", "cold", "many", "long")
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
 COUNT, LARGEST_ERROR = 1024, 1e-6  # slews; rad
-STAGES, FEW = 4, (6, 8, 10, 12, 16, 20)  # of ours: the fewest steps that reach the error
-PEER_SCHEME = "Gauss 3"
+STAGES, FEW = (3, 4), (4, 5, 6, 8, 10, 12, 16, 20)  # of collocation; the fewest steps that reach the error are taken
 
 
 def timed(call):
@@ -161,14 +160,14 @@ def worst(torques, angles, axes):
     return max(attitude_error(*parts) for parts in zip(torques, angles, axes, strict=True))
 
 
-def many_of_ours(angles, axes):
+def many_of_ours(stages, angles, axes):
     """Seconds, steps and error of all slews at once with the fewest steps that reach the error."""
     import numpy as np
     from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
 
     starts, ends = at_rest(np.broadcast_to(np.eye(3), (COUNT, 3, 3))), at_rest(turns(angles, axes))
     for steps in FEW:
-        solver = RetraxSlew(steps, STAGES, TOLERANCE).solver
+        solver = RetraxSlew(steps, stages, TOLERANCE).solver
 
         def call(solver=solver):
             return solver.solve_many(starts, ends, HORIZON)
@@ -181,12 +180,12 @@ def many_of_ours(angles, axes):
     raise RuntimeError(f"the error is {error:.1e} rad at {steps} steps")
 
 
-def many_of_fatrop(angles, axes):
+def many_of_fatrop(stages, angles, axes):
     """The same, one after the other; guesses and ends are made before."""
     from casadi_orders import OrderedSlew
 
     for steps in FEW:
-        slew, torques = OrderedSlew(PEER_SCHEME, steps, "fatrop", tolerance=TOLERANCE), []
+        slew, torques = OrderedSlew(f"Gauss {stages}", steps, "fatrop", tolerance=TOLERANCE), []
         targets = [slew.target(*parts) for parts in zip(angles, axes, strict=True)]
         for target in targets:
             slew.solve(target)
@@ -199,11 +198,15 @@ def many_of_fatrop(angles, axes):
 
 def many():
     """Milliseconds a slew of 1024 with different targets."""
-    angles, axes = random_targets()
-    rows = {}
+    targets, rows = random_targets(), {}
     for name, solve in (("FATROP", many_of_fatrop), ("retrax", many_of_ours)):
-        seconds, steps, error = solve(angles, axes)
-        rows[name] = {"ms_each": round(1e3 * seconds / COUNT, 4), "steps": steps, "attitude_error": error}
+        for stages in STAGES:
+            seconds, steps, error = solve(stages, *targets)
+            rows[f"{name}, Gauss {stages}"] = {
+                "ms_each": round(1e3 * seconds / COUNT, 4),
+                "steps": steps,
+                "attitude_error": error,
+            }
     return {"case": f"{COUNT} slews", **rows}
 
 
