@@ -17,7 +17,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
-from .engine.evaluator import Evaluated, Evaluator, TapeEvaluator, XlaEvaluator
+from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
@@ -99,10 +99,11 @@ class Propagator:
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self.parameter = parameter_layout(parameters)
         n, m = problem.manifold.dimension, problem.controls.dimension
-        self._frame = _evaluated(evaluator, self._frame_of, self.state.size)
-        self._chart = _evaluated(evaluator, self._chart_of, self.state.size, n)
-        self._offset = _evaluated(evaluator, self._offset_of, self.control.size, self.control.size)
-        self._rate = _evaluated(evaluator, self._rate_of, self.state.size, n, self.control.size, m, self.parameter.size)
+        values = (evaluator or Automatic()).values
+        self._frame = values(self._frame_of, self.state.size)
+        self._chart = values(self._chart_of, self.state.size, n)
+        self._offset = values(self._offset_of, self.control.size, self.control.size)
+        self._rate = values(self._rate_of, self.state.size, n, self.control.size, m, self.parameter.size)
 
     def discretization_error(
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
@@ -271,16 +272,6 @@ def _lagrange(places: np.ndarray, time: float) -> np.ndarray:
     """Values at a time of the polynomials that are one at one place and zero at the others."""
     others = places[:, None] - places + np.eye(len(places))
     return np.prod(np.where(np.eye(len(places)), 1.0, (time - places) / others), axis=1)
-
-
-def _evaluated(evaluator: Evaluator | None, function: Callable, *sizes: int) -> Evaluated:
-    """A function of many points: by the evaluator given, else on the tape where it can be, and compiled by XLA elsewhere."""
-    from ...tape import NotTraceableError
-
-    try:
-        return (evaluator or TapeEvaluator()).values(function, *sizes)
-    except NotTraceableError as error:
-        return XlaEvaluator(str(error)).values(function, *sizes)
 
 
 def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
