@@ -175,14 +175,15 @@ class Propagator:
 
     def ends(self, given: _Given, k: np.ndarray, x: np.ndarray, c: np.ndarray, parts: int) -> np.ndarray:
         """Ends of the steps ``k``, each in some parts, from coordinates ``c`` in the charts around the points ``x``."""
-        step, bases, offsets = given.steps[k, None] / parts, given.bases[k], given.offsets[k]
-        slopes = np.empty((STAGES, *c.shape))
+        step, bases = given.steps[k, None] / parts, given.bases[k]
+        offsets = np.ascontiguousarray(given.offsets[k].transpose(0, 2, 1))
+        slopes = np.empty((STAGES, c.size))
         for part in range(parts):
             for i in range(STAGES):
-                offset = np.tensordot(offsets, _lagrange(given.places, (part + PLACES[i]) / parts), (1, 0))
-                stage = c + step * np.tensordot(TABLE[i, :i], slopes[:i], 1)
-                (slopes[i],) = self._rate(x, stage, bases, offset, given.parameters)
-            c = c + step * np.tensordot(WEIGHTS, slopes, 1)
+                offset = offsets @ _lagrange(given.places, (part + PLACES[i]) / parts)
+                stage = c + step * (TABLE[i, :i] @ slopes[:i]).reshape(c.shape)
+                slopes[i] = self._rate(x, stage, bases, offset, given.parameters)[0].ravel()
+            c = c + step * (WEIGHTS @ slopes).reshape(c.shape)
         return self.points(x, c)
 
     def points(self, x: np.ndarray, c: np.ndarray) -> np.ndarray:
