@@ -1,10 +1,16 @@
-"""The rest-to-rest slew beside CasADi with IPOPT: warm and cold times, time per step, peak memory.
+"""The rest-to-rest slew beside CasADi with IPOPT and FATROP: warm, for a new problem, cold, many at once, and long.
 
-    python benchmarks/slew.py [--steps 50 100 200 400] [--repeats 21]
+    python benchmarks/slew.py [--only warm new cold many long] [--steps 100 200 400] [--repeats 21]
 
-Both sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero), in one
-run, calls taken in turns. Warm: a re-solve with everything built, wall time of the whole call, median. Cold: a new process
-from its start to the first solution; for retrax with an empty and with a filled compilation cache. One JSON line a case.
+All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero), in one
+run, calls taken in turns; medians. One JSON line a case.
+
+- ``warm``: a solve with everything built, the whole call.
+- ``new``: in a running process that solved another problem before, from a body of other inertia to its first solution.
+- ``cold``: a new process from its start to the first solution, and its peak memory.
+- ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad as
+  propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
+- ``long``: time per step from 100 to 10 000 steps.
 """
 
 import argparse
@@ -18,69 +24,76 @@ import time
 from pathlib import Path
 
 COLD = "--cold"
+CASES = ("warm", "new", "cold", "many", "long")
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
+COUNT, LARGEST_ERROR = 1024, 1e-6  # slews; rad
+STAGES, FEW = (3, 4), (4, 5, 6, 8, 10, 12, 16, 20)  # of collocation; the fewest steps that reach the error are taken
 
 
-def retrax_slew(steps):
-    """A function that solves the slew with retrax and returns its cost."""
-    import jax
-    import jax.numpy as jnp
-    import numpy as np
-    from retrax.integrators import OptimalControlProblem, solve
-    from retrax.manifolds import SO, Euclidean, hat
-    from retrax.retractions import Cayley, Midpoint
+def timed(call):
+    """Seconds that a call takes."""
+    began = time.perf_counter()
+    call()
+    return time.perf_counter() - began
 
-    jax.config.update("jax_enable_x64", True)
-    inertia = jnp.array([5621.0, 4547.0, 2364.0])
-    manifold = SO(3) * Euclidean(3)
 
-    def dynamics(q, u):
-        attitude, rate = q
-        return attitude @ hat(rate), (u - jnp.cross(rate, inertia * rate)) / inertia
-
-    problem = OptimalControlProblem(manifold, dynamics, lambda q, u: u @ u / 2, controls=3)
-    angle, axis = np.deg2rad(150), np.array([1.0, 2.0, -2.0]) / 3
-    cross = np.cross(np.eye(3), -axis)
-    target = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
-    start, end = (np.eye(3), np.zeros(3)), (target, np.zeros(3))
-    discretization = Midpoint(Cayley(manifold))
-    return lambda: solve(problem, discretization, start, end, horizon=60.0, steps=steps, tolerance=TOLERANCE)
+def in_turns(calls, repeats):
+    """Median seconds of each call."""
+    seconds = {name: [] for name in calls}
+    for _ in range(repeats):
+        for name, call in calls.items():
+            seconds[name].append(timed(call))
+    return {name: statistics.median(values) for name, values in seconds.items()}
 
 
 def casadi_slews(steps):
-    """Functions that solve the slew with CasADi: two transcriptions for IPOPT, one for FATROP."""
+    """The slew with CasADi: two transcriptions for IPOPT, one for FATROP."""
     from casadi_slew import CasadiSlew, FatropSlew
 
-    solvers = {
+    return {
         "IPOPT, torque eliminated": CasadiSlew(steps),
         "IPOPT, torque unknown": CasadiSlew(steps, torque_variables=True),
         "FATROP": FatropSlew(steps),
     }
-    return {name: slew.solve for name, slew in solvers.items()}
 
 
 def warm(steps, repeats):
-    """Median seconds of a warm solve on each side, calls taken in turns, and the costs."""
-    calls = {"retrax": retrax_slew(steps), **casadi_slews(steps)}
-    first = calls["retrax"]()
-    costs = {"retrax": first.cost, **{name: call()[0] for name, call in calls.items() if name != "retrax"}}
-    seconds = {name: [] for name in calls}
-    for _ in range(repeats):
-        for name, call in calls.items():
-            began = time.perf_counter()
-            call()
-            seconds[name].append(time.perf_counter() - began)
-    medians = {name: statistics.median(values) for name, values in seconds.items()}
+    """Median milliseconds of a warm solve on each side, and the costs."""
+    from retrax_slew import RetraxSlew
+
+    slews = {"retrax": RetraxSlew(steps), **casadi_slews(steps)}
+    costs = {name: slew.solve() if name == "retrax" else slew.solve()[0] for name, slew in slews.items()}
+    medians = in_turns({name: slew.solve for name, slew in slews.items()}, repeats)
+    ours, ipopt = medians["retrax"], min(value for name, value in medians.items() if name.startswith("IPOPT"))
     return {
         "case": "warm",
         "steps": steps,
         "median_ms": {name: round(1e3 * value, 3) for name, value in medians.items()},
-        "microseconds_per_step": {name: round(1e6 * value / steps, 1) for name, value in medians.items()},
-        "retrax_over": {name: round(medians["retrax"] / value, 2) for name, value in medians.items() if name != "retrax"},
-        "newton_steps": first.statistics.iterations,
-        "first_solve_compile_s": round(first.statistics.compile_seconds, 2),
+        "retrax_over": {"the faster IPOPT": round(ours / ipopt, 2), "FATROP": round(ours / medians["FATROP"], 2)},
         "cost": costs,
     }
+
+
+def new_problem(repeats):
+    """Median seconds from a problem that the process has not seen to its first solution, 100 steps."""
+    import casadi_slew
+    import numpy as np
+    from retrax_slew import INERTIA, RetraxSlew
+
+    inertias = iter(INERTIA * (1 + np.random.default_rng(0).uniform(-0.1, 0.1, (3 * repeats + 3, 3))))
+
+    def peer(kind):
+        casadi_slew.SCALED_INERTIA = next(inertias) / INERTIA.max()
+        return kind(100).solve()
+
+    calls = {
+        "retrax": lambda: RetraxSlew(100, inertia=next(inertias)).solve(),
+        "IPOPT": lambda: peer(casadi_slew.CasadiSlew),
+        "FATROP": lambda: peer(casadi_slew.FatropSlew),
+    }
+    for call in calls.values():
+        call()
+    return {"case": "new problem, 100 steps", "median_s": {k: round(v, 3) for k, v in in_turns(calls, repeats).items()}}
 
 
 def cold_process(side, environment):
@@ -101,7 +114,12 @@ def cold(repeats):
         cached = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_COMPILATION_CACHE_MIN_COMPILE_TIME_SECS": "0"}
         uncached = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
         cold_process("retrax", cached)
-        cases = (("retrax", "retrax", uncached), ("retrax, cache warm", "retrax", cached), ("IPOPT", "casadi", {}))
+        cases = (
+            ("retrax", "retrax", uncached),
+            ("retrax, XLA's cache filled", "retrax", cached),
+            ("IPOPT", "ipopt", {}),
+            ("FATROP", "fatrop", {}),
+        )
         for name, side, environment in cases:
             runs = [cold_process(side, environment) for _ in range(repeats)]
             rows[name] = {
@@ -114,29 +132,113 @@ def cold(repeats):
 def run_cold(side):
     """What a cold process does: solve once, then print its own peak memory."""
     if side == "retrax":
-        retrax_slew(100)()
-    else:
-        from casadi_slew import CasadiSlew
+        from retrax_slew import RetraxSlew
 
-        CasadiSlew(100).solve()
+        RetraxSlew(100).solve()
+    else:
+        import casadi_slew
+
+        {"ipopt": casadi_slew.CasadiSlew, "fatrop": casadi_slew.FatropSlew}[side](100).solve()
     status = Path("/proc/self/status").read_text()  # ru_maxrss would count the parent's memory before exec
     peak = next(line.split()[1] for line in status.splitlines() if line.startswith("VmHWM"))
     print(json.dumps({"peak_mib": int(peak) / 1024}))
 
 
+def random_targets():
+    """Angles (rad) and unit axes of the slews."""
+    import numpy as np
+
+    random = np.random.default_rng(0)
+    axes = random.normal(size=(COUNT, 3))
+    return np.deg2rad(random.uniform(30, 170, COUNT)), axes / np.linalg.norm(axes, axis=1, keepdims=True)
+
+
+def worst(torques, angles, axes):
+    """The largest attitude error, rad."""
+    from repropagation import attitude_error
+
+    return max(attitude_error(*parts) for parts in zip(torques, angles, axes, strict=True))
+
+
+def many_of_ours(stages, angles, axes):
+    """Seconds, steps and error of all slews at once with the fewest steps that reach the error."""
+    import numpy as np
+    from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
+
+    starts, ends = at_rest(np.broadcast_to(np.eye(3), (COUNT, 3, 3))), at_rest(turns(angles, axes))
+    for steps in FEW:
+        solver = RetraxSlew(steps, stages, TOLERANCE).solver
+
+        def call(solver=solver):
+            return solver.solve_many(starts, ends, HORIZON)
+
+        found = call()
+        torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in found]
+        error = worst(torques, angles, axes)
+        if error <= LARGEST_ERROR:
+            return statistics.median(timed(call) for _ in range(5)), steps, error
+    raise RuntimeError(f"the error is {error:.1e} rad at {steps} steps")
+
+
+def many_of_fatrop(stages, angles, axes):
+    """The same, one after the other; guesses and ends are made before."""
+    from casadi_orders import OrderedSlew
+
+    for steps in FEW:
+        slew, torques = OrderedSlew(f"Gauss {stages}", steps, "fatrop", tolerance=TOLERANCE), []
+        targets = [slew.target(*parts) for parts in zip(angles, axes, strict=True)]
+        for target in targets:
+            slew.solve(target)
+            torques.append(slew.torque())
+        error = worst(torques, angles, axes)
+        if error <= LARGEST_ERROR:
+            return statistics.median(timed(lambda: [slew.solve(t) for t in targets]) for _ in range(3)), steps, error  # noqa: B023
+    raise RuntimeError(f"the error is {error:.1e} rad at {steps} steps")
+
+
+def many():
+    """Milliseconds a slew of 1024 with different targets."""
+    targets, rows = random_targets(), {}
+    for name, solve in (("FATROP", many_of_fatrop), ("retrax", many_of_ours)):
+        for stages in STAGES:
+            seconds, steps, error = solve(stages, *targets)
+            rows[f"{name}, Gauss {stages}"] = {
+                "ms_each": round(1e3 * seconds / COUNT, 4),
+                "steps": steps,
+                "attitude_error": error,
+            }
+    return {"case": f"{COUNT} slews", **rows}
+
+
+def long(repeats):
+    """Microseconds a step of ours with 100 to 10 000 steps, midpoint scheme."""
+    from retrax_slew import RetraxSlew
+
+    rows = {}
+    for steps in (100, 1000, 10_000):
+        slew = RetraxSlew(steps)
+        slew.solve()
+        rows[str(steps)] = round(1e6 * statistics.median(timed(slew.solve) for _ in range(repeats)) / steps, 2)
+    return {"case": "long", "microseconds_a_step": rows}
+
+
 def main():
     """Print one JSON line for each case."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--steps", type=int, nargs="+", default=[50, 100, 200, 400])
+    parser.add_argument("--only", nargs="+", choices=CASES, default=CASES)
+    parser.add_argument("--steps", type=int, nargs="+", default=[100, 200, 400])
     parser.add_argument("--repeats", type=int, default=21)
-    parser.add_argument(COLD, choices=["retrax", "casadi"], help=argparse.SUPPRESS)
+    parser.add_argument(COLD, choices=["retrax", "ipopt", "fatrop"], help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.cold:
         run_cold(options.cold)
         return
-    for steps in options.steps:
-        print(json.dumps(warm(steps, options.repeats)), flush=True)
-    print(json.dumps(cold(max(3, options.repeats // 5))), flush=True)
+    few = max(3, options.repeats // 4)
+    runs = [("warm", lambda steps=steps: warm(steps, options.repeats)) for steps in options.steps]
+    runs += [("new", lambda: new_problem(few)), ("cold", lambda: cold(few)), ("many", many), ("long", lambda: long(few))]
+    for name, run in runs:
+        if name in options.only:
+            print(json.dumps(run()), flush=True)
 
 
 if __name__ == "__main__":

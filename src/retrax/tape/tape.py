@@ -224,7 +224,9 @@ def _real_parts(a: np.ndarray, is_complex: bool) -> tuple[np.ndarray, ...]:
 def _shares(points: int, instructions: int, lanes: int) -> list[tuple[int, int]]:
     """Ranges of points for threads, in whole lanes."""
     blocks = -(-points // lanes)
-    count = max(1, min(os.cpu_count() or 1, blocks, points * instructions // WORTH_A_THREAD))
+    count = max(1, min(blocks, points * instructions // WORTH_A_THREAD))
+    if count > 1:  # the system is asked only where it matters: that takes as long as a small tape
+        count = min(count, os.cpu_count() or 1)
     ends = [min(points, lanes * (blocks * k // count)) for k in range(count)] + [points]
     return list(itertools.pairwise(ends))
 

@@ -1,0 +1,87 @@
+"""The rest-to-rest slew of ``casadi_slew`` with retrax."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from repropagation import ANGLE, AXIS, INERTIA, Torque
+from retrax.integrators import OptimalControlProblem
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Cayley, Midpoint
+
+try:
+    from retrax.integrators import Solver
+    from retrax.retractions import Gauss
+
+    STAGES = 1, 2, 3, 4
+except ImportError:  # an earlier version: one stage, and what is compiled is found again by the functions
+    from retrax.integrators import solve
+
+    STAGES = (1,)
+
+    class Solver:
+        """``solve`` with its first arguments held."""
+
+        def __init__(self, problem, method, steps):
+            self.held = problem, method, steps
+
+        def solve(self, start, end, horizon, tolerance):
+            """The solution of the boundary-value problem."""
+            problem, method, steps = self.held
+            return solve(problem, method, start, end, horizon=horizon, steps=steps, tolerance=tolerance)
+
+
+jax.config.update("jax_enable_x64", True)
+
+HORIZON = 60.0  # s
+STATES = SO(3) * Euclidean(3)  # attitude, body rate (rad/s)
+RETRACTION = Cayley(STATES)
+
+
+def slew_problem(inertia=INERTIA):
+    """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew."""
+    inertia = jnp.asarray(inertia)
+
+    def dynamics(q, u):
+        attitude, rate = q
+        return attitude @ hat(rate), (u - jnp.cross(rate, inertia * rate)) / inertia
+
+    return OptimalControlProblem(STATES, dynamics, lambda q, u: u @ u / 2, controls=3)
+
+
+def turns(angles, axes):
+    """Rotation matrices (n, 3, 3) by angles about unit axes (n, 3)."""
+    cross = np.cross(axes[:, None], -np.eye(3))
+    sine, rest = np.sin(angles)[:, None, None], (1 - np.cos(angles))[:, None, None]
+    return np.eye(3) + sine * cross + rest * cross @ cross
+
+
+def at_rest(attitudes):
+    """States with these attitudes and no rate."""
+    return attitudes, np.zeros((*attitudes.shape[:-2], 3))
+
+
+class RetraxSlew:
+    """The slew by Gauss collocation with some stages, one being the midpoint scheme; built once, ``solve`` for any target."""
+
+    def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA):
+        method = Midpoint(RETRACTION) if stages == 1 else Gauss(stages, RETRACTION)
+        self.steps, self.stages, self.tolerance = steps, stages, tolerance
+        self.solver = Solver(slew_problem(inertia), method, steps)
+        self.start, self.end = at_rest(np.eye(3)), at_rest(turns(np.array([ANGLE]), AXIS[None])[0])
+
+    def solve(self, end=None):
+        """The optimal cost in N^2 m^2 s; raises if the solver does not converge."""
+        end = self.end if end is None else end
+        self.found = self.solver.solve(self.start, end, HORIZON, tolerance=self.tolerance).require_success()
+        return self.found.cost
+
+    def torque(self):
+        """The control of the last solution."""
+        return polynomials(self.found.times, self.found.stage_times, self.found.controls)
+
+
+def polynomials(times, stage_times, controls):
+    """Controls at the stages of steps as polynomials of time."""
+    values = np.asarray(controls).reshape(len(times) - 1, -1, 3)
+    places = (np.asarray(stage_times).ravel()[: values.shape[1]] - times[0]) / (times[1] - times[0])
+    return Torque(np.asarray(times), places, values)

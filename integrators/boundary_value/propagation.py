@@ -1,0 +1,304 @@
+"""The error of a discrete solution: its controls as functions of time, propagated by an integrator of order 8."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Array
+from scipy.integrate import DOP853
+
+from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import Retraction, default_retraction
+from ..problem import OptimalControlProblem
+from .engine.evaluator import Automatic, Evaluator
+from .engine.layout import Layout, parameter_layout
+
+RELATIVE = 0.01  # of the error: what the integrator may add to it
+ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error below it is not resolved
+FINEST = 64  # parts of a step
+ROUNDS = 8  # of Newton's method, which takes two to four where the error is small
+SLOW = 0.1  # shrinking of its moves below which the derivatives are renewed
+STAGES, TABLE, WEIGHTS, PLACES = 12, DOP853.A[:12, :12], DOP853.B[:12], DOP853.C[:12]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DiscretizationError:
+    """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the manifold.
+
+    ``distances``: arrays over the N + 1 nodes, in the unit of the factor: radians on SO(n), where it is the root of the sum of
+    the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm of the difference in the ambient
+    space. Infinite where the controls lead nowhere. ``resolution``: by how much halving its steps last changed what the
+    integrator finds: the largest distance between the states before and after, an upper estimate of its own error.
+    """
+
+    distances: dict[str, np.ndarray]
+    resolution: dict[str, float]
+
+    @property
+    def largest(self) -> dict[str, float]:
+        """The largest distance over the nodes."""
+        return {name: float(np.max(values)) for name, values in self.distances.items()}
+
+
+def discretization_error(
+    problem: OptimalControlProblem,
+    retraction: Retraction,
+    times: np.ndarray,
+    states: Ambient,
+    stage_times: np.ndarray,
+    controls: Any,
+    parameters: Any = None,
+) -> DiscretizationError:
+    """The error of a discrete solution, found by propagating its controls; see ``Propagator``, which serves many solutions."""
+    propagator = Propagator(problem, retraction, parameters)
+    return propagator.discretization_error(times, states, stage_times, controls, parameters)
+
+
+class _Given(NamedTuple):
+    """A discrete solution: N steps from N + 1 states, with s stages each; flat points, and coordinates of controls."""
+
+    steps: np.ndarray  # (N,)
+    states: np.ndarray  # (N + 1, E)
+    frames: np.ndarray  # (N + 1, n, E)
+    scales: np.ndarray  # (n,): sizes of the states' coordinates
+    places: np.ndarray  # (s,): of the stages in a step, fractions of it
+    bases: np.ndarray  # (N, U): the controls of the first stages
+    offsets: np.ndarray  # (N, s, m): the other controls in the charts around these
+    parameters: np.ndarray  # (1, P)
+
+
+@final
+class Propagator:
+    """Propagates the controls of discrete solutions of one problem on the manifold by DOP853 [Hairer, Norsett, Wanner 1993].
+
+    The control of a step is the polynomial of time through its stages, in a retraction chart of the control manifold around
+    the first of them. The state moves in the retraction chart around the beginning of each step, where its coordinates obey
+    ``c' = (D R)^+ X(R(c), u(t))``. The propagated states of all steps are found at once: from the solution's own
+    states, Newton's method makes the ends of the steps meet their beginnings. Where the error is too large for that, the
+    steps follow one another. Steps are halved until this changes the error by less than one hundredth.
+
+    ``parameters``: an example of the problem's parameters, None if it has none.
+    """
+
+    def __init__(
+        self,
+        problem: OptimalControlProblem,
+        retraction: Retraction,
+        parameters: Any = None,
+        evaluator: Evaluator | None = None,
+    ) -> None:
+        self.problem, self.retraction = problem, retraction
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self.parameter = parameter_layout(parameters)
+        n, m = problem.manifold.dimension, problem.controls.dimension
+        values = (evaluator or Automatic()).values
+        self._frame = values(self._frame_of, self.state.size)
+        self._chart = values(self._chart_of, self.state.size, n)
+        self._offset = values(self._offset_of, self.control.size, self.control.size)
+        self._rate = values(self._rate_of, self.state.size, n, self.control.size, m, self.parameter.size)
+
+    def discretization_error(
+        self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
+    ) -> DiscretizationError:
+        """Distances of the N + 1 ``states`` at ``times`` from those to which the controls lead from the first of them.
+
+        ``controls`` belong to the N s ``stage_times``, s in each step. Raises ``DomainError`` if the controls of a step are
+        not in one chart of the control manifold.
+        """
+        given = self._given(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
+        with np.errstate(all="ignore"):  # a propagation that leaves every chart is infinite, which is its answer
+            ways = _AtOnce(self, given), partial(self.in_turn, given)
+            found = next(filter(None, (self._refined(given, way) for way in ways)), None)
+            return self._infinite(given) if found is None else found
+
+    def _given(self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any) -> _Given:
+        steps, rows = np.diff(times), self.state.rows(states, 1)
+        controls = self.control.rows(controls, 1).reshape(len(steps), -1, self.control.size)
+        longest = np.argmax(np.abs(steps))
+        places = (stage_times.reshape(len(steps), -1)[longest] - times[longest]) / steps[longest]
+        frames, sizes = self._frame(rows)
+        bases, stages = controls[:, 0], controls.shape[1]
+        (offsets,) = self._offset(np.repeat(bases, stages, axis=0), controls.reshape(-1, self.control.size))
+        if not np.all(np.isfinite(offsets)):
+            raise DomainError(
+                f"the controls of a step are not in one retraction chart of {self.problem.controls}, expected stages that can be "
+                "interpolated; try more steps, for which they are nearer to each other"
+            )
+        scales = np.max(sizes, axis=0)
+        scales = np.where(scales > 0, scales, 1.0)
+        offsets = offsets.reshape(len(steps), stages, -1)
+        given = self.parameter.rows(parameters, 0)[None] if self.parameter.size else np.zeros((1, 0))
+        return _Given(steps, rows, frames, scales, places, bases, offsets, given)
+
+    def _refined(self, given: _Given, propagate: Callable[[int], np.ndarray | None]) -> DiscretizationError | None:
+        """The error by finer and finer parts of the steps; None if a propagation fails."""
+        parts, nodes = 1, propagate(1)
+        while nodes is not None:
+            parts, coarse, nodes = 2 * parts, nodes, propagate(2 * parts)
+            if nodes is None:
+                break
+            error, change = self._distances(given.states, nodes), self._distances(coarse, nodes)
+            largest = {name: float(np.max(values)) for name, values in change.items()}
+            allowed = self._allowed(given, error)
+            if parts == FINEST or all(value <= allowed[name] for name, value in largest.items()):
+                return DiscretizationError(error, largest)
+        return None
+
+    def _infinite(self, given: _Given) -> DiscretizationError:
+        start = self._distances(given.states, given.states)
+        distances = {name: np.where(np.arange(len(zero)) > 0, np.inf, zero) for name, zero in start.items()}
+        return DiscretizationError(distances, dict.fromkeys(start, np.inf))
+
+    def _allowed(self, given: _Given, error: dict[str, np.ndarray]) -> dict[str, float]:
+        """What the integrator may add to the error of each factor: a part of it, or the rounding of the states."""
+        size = self._distances(given.states, np.zeros_like(given.states))  # of the points themselves, in the unit of each
+        return {name: max(RELATIVE * np.max(error[name]), ROUNDING * np.max(size[name])) for name in error}
+
+    def _distances(self, first: np.ndarray, second: np.ndarray) -> dict[str, np.ndarray]:
+        pairs = factor_distances(self.problem.manifold, self.state.points(first), self.state.points(second))
+        return dict(pairs)
+
+    def in_turn(self, given: _Given, parts: int) -> np.ndarray | None:
+        """The states to which the controls lead, step after step; None if they are not finite."""
+        nodes, rest = given.states.copy(), np.zeros((1, len(given.scales)))
+        for k in range(len(given.steps)):
+            nodes[k + 1] = self.ends(given, np.array([k]), nodes[k : k + 1], rest, parts)[0]
+        return nodes if np.all(np.isfinite(nodes)) else None
+
+    def ends(self, given: _Given, k: np.ndarray, x: np.ndarray, c: np.ndarray, parts: int) -> np.ndarray:
+        """Ends of the steps ``k``, each in some parts, from coordinates ``c`` in the charts around the points ``x``."""
+        step, bases = given.steps[k, None] / parts, given.bases[k]
+        offsets = np.ascontiguousarray(given.offsets[k].transpose(0, 2, 1))
+        slopes = np.empty((STAGES, c.size))
+        for part in range(parts):
+            for i in range(STAGES):
+                offset = offsets @ _lagrange(given.places, (part + PLACES[i]) / parts)
+                stage = c + step * (TABLE[i, :i] @ slopes[:i]).reshape(c.shape)
+                slopes[i] = self._rate(x, stage, bases, offset, given.parameters)[0].ravel()
+            c = c + step * (WEIGHTS @ slopes).reshape(c.shape)
+        return self.points(x, c)
+
+    def points(self, x: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """The points with coordinates ``c`` in the charts around ``x``."""
+        return self._chart(x, c)[0]
+
+    def _frame_of(self, x: Array) -> tuple[Array, Array]:
+        point = self.state.point(x)
+        frame = self.problem.manifold.basis(point)
+        return self.state.flat_frame(frame), vec.coordinate_sizes(frame, point)
+
+    def _chart_of(self, x: Array, c: Array) -> tuple[Array]:
+        point = self.state.point(x)
+        return (self.state.flat(self.retraction.chart(point, self.retraction.frame(point), c)),)
+
+    def _offset_of(self, base: Array, control: Array) -> tuple[Array]:
+        u, controls = self.control.point(base), self.problem.controls
+        v = default_retraction(controls).preimage(u, self.control.point(control))
+        return (vec.components(controls.basis(u), v),)
+
+    def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, parameters: Array) -> tuple[Array]:
+        bound = self.problem.with_parameters(self.parameter.point(parameters)) if self.parameter.size else self.problem
+        u = self.problem.steer(self.control.point(base), offset)
+        (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
+        (columns,) = jax.vmap(push)(jnp.eye(c.size))
+        velocity = self.state.flat(bound.velocity(self.state.point(q), u))
+        return (cho_solve((jnp.linalg.cholesky(columns @ columns.T), True), columns @ velocity),)
+
+
+@final
+class _AtOnce:
+    """Newton's method for the states to which the controls lead, all steps at once, in the charts around the solution's.
+
+    After k rounds the first k states are exact. The derivatives of the steps, by differences at the solution's states, serve
+    as long as the moves shrink well.
+    """
+
+    def __init__(self, propagator: Propagator, given: _Given) -> None:
+        self.propagator, self.given = propagator, given
+        self.coordinates = np.zeros(given.frames.shape[:2])
+        self.derivatives: np.ndarray | None = None
+        factors = propagator.problem.manifold.factors if isinstance(propagator.problem.manifold, Product) else ()
+        ends = np.cumsum([0, *(factor.dimension for factor in factors)])
+        self.starts = np.unique(ends[:-1]) if factors else np.zeros(1, int)  # of the coordinates of each factor
+
+    def __call__(self, parts: int) -> np.ndarray | None:
+        """The states, each step in some parts; None if the moves do not become small."""
+        last = np.inf
+        rounding = ROUNDING * self._sizes(self.given.scales[None])
+        for _ in range(ROUNDS):
+            move = self._move(parts)
+            self.coordinates += move
+            size = np.max(self._sizes(move) / np.maximum(RELATIVE / 10 * self._sizes(self.coordinates), rounding))
+            if size <= 1:
+                nodes = self.propagator.points(self.given.states, self.coordinates)
+                return nodes if np.all(np.isfinite(nodes)) else None
+            if not np.isfinite(size):
+                return None
+            if size > SLOW * last:
+                self.derivatives = None
+            last = size
+        return None
+
+    def _sizes(self, coordinates: np.ndarray) -> np.ndarray:
+        """The largest coordinate of each factor."""
+        return np.maximum.reduceat(np.max(np.abs(coordinates), axis=0), self.starts)
+
+    def _move(self, parts: int) -> np.ndarray:
+        """Newton's move of the coordinates; that of the first state is zero."""
+        given, count = self.given, len(self.given.steps)
+        n, aside = len(given.scales), np.sqrt(np.finfo(float).eps) * given.scales
+        ways = np.zeros((1, n)) if self.derivatives is not None else np.concatenate([np.zeros((1, n)), np.diag(aside)])
+        k = np.repeat(np.arange(count), len(ways))
+        begin = (self.coordinates[:-1, None] + ways).reshape(-1, n)
+        ends = self.propagator.ends(given, k, given.states[k], begin, parts).reshape(count, len(ways), -1)
+        there = self.propagator.points(given.states[1:], self.coordinates[1:])
+        misses = np.einsum("kne,kwe->knw", given.frames[1:], ends - there[:, None])
+        if self.derivatives is None:
+            self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
+        move = np.zeros((count + 1, n))
+        for i in range(count):
+            move[i + 1] = self.derivatives[i] @ move[i] + misses[i, :, 0]
+        return move
+
+
+def _lagrange(places: np.ndarray, time: float) -> np.ndarray:
+    """Values at a time of the polynomials that are one at one place and zero at the others."""
+    others = places[:, None] - places + np.eye(len(places))
+    return np.prod(np.where(np.eye(len(places)), 1.0, (time - places) / others), axis=1)
+
+
+def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
+    """Names of the factors of a manifold, and in the unit of each the distances of points with leading axes."""
+    match manifold:
+        case Product(factors=factors):
+            for i, (factor, *points) in enumerate(zip(factors, first, second, strict=True)):
+                yield from factor_distances(factor, *points, f"{name}factor {i}, ")
+        case Power(factor=factor):
+            for part, distances in factor_distances(factor, first, second):
+                yield f"{name}{manifold}{part.removeprefix(str(factor))}", np.max(distances, axis=-1)
+        case SE(n=n):
+            yield f"{name}{manifold}, rotation", _turn(first[..., :n, :n], second[..., :n, :n])
+            yield f"{name}{manifold}, translation", np.linalg.norm(first[..., :n, n] - second[..., :n, n], axis=-1)
+        case SO():
+            yield f"{name}{manifold}", _turn(first, second)
+        case Sphere():
+            difference, total = (np.linalg.norm(a, axis=-1) for a in (first - second, first + second))
+            yield f"{name}{manifold}", 2 * np.arctan2(difference, total)
+        case _:
+            pairs = zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
+            parts = [np.sum(np.abs(a - b) ** 2, axis=tuple(range(a.ndim - len(kind.shape), a.ndim))) for kind, a, b in pairs]
+            yield f"{name}{manifold}", np.sqrt(np.sum(parts, axis=0))
+
+
+def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Root of the sum of the squared angles of the rotation between two, each of which is in two singular values."""
+    chords = np.linalg.svd(first - second, compute_uv=False)
+    return np.linalg.norm(2 * np.arcsin(np.minimum(chords / 2, 1)), axis=-1) / np.sqrt(2)
