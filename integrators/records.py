@@ -87,8 +87,11 @@ class RecordFile:
         """The values, with dataclasses made of their fields; raises if they do not fit the schema or each other."""
         sizes: dict[str, int] = {}
         made = {name: _fitted(name, values[name], hint, _Context(values, sizes)) for name, hint in self.schema.items()}
-        if sizes["nodes"] != sizes["stages"] + 1:
-            raise InvalidInputError(f"it has {sizes['nodes']} nodes and {sizes['stages']} stages, expected one node more")
+        steps = sizes["nodes"] - 1
+        if sizes["stages"] % steps or not sizes["stages"] if steps > 0 else sizes["stages"] or steps:
+            raise InvalidInputError(
+                f"it has {sizes['nodes']} nodes and {sizes['stages']} stages, expected as many stages for each step between nodes"
+            )
         for name in ("times", "stage_times"):
             if not _ordered(values[name]):
                 raise InvalidInputError(f"{name} are not finite real numbers in ascending or descending order")

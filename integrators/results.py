@@ -17,6 +17,7 @@ class Result(eqx.Enumeration):
         "retraction if the motion of one step leaves its domain."
     )
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
+    stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
     too_many_iterations = (
         "The iteration limit came before the conditions were met; try more iterations, a better guess, or more steps."
     )

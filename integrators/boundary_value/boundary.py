@@ -71,14 +71,19 @@ class NodeCondition(eqx.Module):
         return jnp.asarray(self.fixed_coordinates, float)
 
 
+def require_ends_on(manifold: Manifold, start: Any, end: Any) -> None:
+    """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
+    parts = [part for name, given in (("start", start), ("end", end)) for part in _parts(manifold, given, name)]
+    _require_membership([part for part in parts if part.given is not None])
+
+
 def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) -> tuple[NodeCondition, NodeCondition]:
     """Conditions at both ends from points of the manifold in which ``None`` marks what is free.
 
     A free factor is first guessed equal to the one at the other end; free at both ends it is at rest, or zero if ``guided`` by a
-    guess for the whole trajectory. Raises ``NotOnManifoldError`` for a prescribed part that is off its manifold.
+    guess for the whole trajectory. Raises ``NotOnManifoldError`` for a part of another structure than a point.
     """
     at_start, at_end = (list(_parts(manifold, given, name)) for name, given in (("start", start), ("end", end)))
-    _require_membership([part for part in at_start + at_end if part.given is not None])
     first, last = _merge(manifold, start, end), _merge(manifold, end, start)
     return (
         NodeCondition(_fill(manifold, first, guided), tuple(part.described for part in at_start)),

@@ -1,19 +1,21 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, get_type_hints
+from typing import Annotated, Any, Self, final, get_type_hints, overload
 
+import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError
 from ...manifolds.manifold import default_tolerance
 from ..records import Along, RecordFile, not_finite, shapes
-from .diagnostics import Diagnostics
+from .engine.diagnosis import Diagnostics
 from .guess import Guess
 
 TOO_COARSE = 0.1
+SAME = 1e-6  # relative distance within which two extremals are one
 
 
 @dataclass(frozen=True)
@@ -133,7 +135,7 @@ class Solution:
     @property
     def steps(self) -> int:
         """Number of steps N."""
-        return len(self.stage_times)
+        return len(self.times) - 1
 
     def guess(self) -> Guess:
         """This solution as a guess for another problem with as many steps."""
@@ -170,6 +172,56 @@ class Solution:
         """
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
+
+
+@final
+class Solutions(Sequence[Solution]):
+    """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
+
+    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and ``solutions.success`` arrays
+    of length B, ``solutions.result`` a list; ``checks`` and ``statistics`` are lists too.
+    """
+
+    def __init__(self, members: Sequence[Solution]) -> None:
+        self._members = tuple(members)
+
+    def __len__(self) -> int:
+        return len(self._members)
+
+    @overload
+    def __getitem__(self, place: int) -> Solution: ...
+    @overload
+    def __getitem__(self, place: slice) -> "Solutions": ...
+    def __getitem__(self, place: int | slice) -> "Solution | Solutions":
+        return Solutions(self._members[place]) if isinstance(place, slice) else self._members[place]
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in {field.name for field in fields(Solution)}:
+            raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
+        values = [getattr(member, name) for member in self._members]
+        if name in ("result", "checks", "statistics", "singular"):
+            return values
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+
+    @property
+    def converged(self) -> int:
+        """How many members meet their conditions."""
+        return int(np.sum(self.success))
+
+    @property
+    def distinct(self) -> int:
+        """How many different extremals there are among those that converged: states further apart than 1e-6 of their extent."""
+        flat = [np.concatenate([leaf.ravel() for leaf in jax.tree.leaves(m.states)]) for m in self._members if m.success]
+        found: list[np.ndarray] = []
+        for states in flat:
+            if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
+                found.append(states)
+        return len(found)
+
+    def __repr__(self) -> str:
+        costs = self.cost[self.success]
+        span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
+        return f"Solutions({len(self)}, {self.converged} of them converged, {self.distinct} distinct, {span}{self[0].steps} steps each)"
 
 
 def _arrays(value: Any) -> Iterator[np.ndarray]:

@@ -59,6 +59,12 @@ class ControlStage(Stage):
     def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
         return self.discretization(*self.tangent(y))
 
+    def covector(self, y: Unknowns, p0: Ambient, p1: Ambient) -> Ambient:
+        """The covector at the base point, from those at the ends: that of the lift of the discretization map."""
+        x, v = self.tangent(y)
+        pull = vec.pullback(lambda w: self.discretization(x, w), v)[1]
+        return self.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])
+
     def cost(self, y: Unknowns) -> Array:
         return jnp.asarray(self.step) * self.problem.cost_rate(*y)
 

@@ -62,14 +62,19 @@ class Collocation:
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
         self._middle = evaluator.values(self._middle_of, e, e)
 
-    def begin(self, states: np.ndarray, controls: np.ndarray, data: Data) -> GaussUnknowns:
-        """Unknowns from states and controls at the points, shape (B, N, s, ...), with the velocities of the dynamics."""
+    def begin(self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data) -> GaussUnknowns:
+        """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
+
+        The velocities are those of the dynamics.
+        """
         half = self.stages // 2
         centres = states[:, :, half]
         if self.stages % 2 == 0:
             (centres,) = at_points(self._middle, 2, states[:, :, half - 1], states[:, :, half])
         (velocities,) = at_points(self._velocity, 3, centres[:, :, None], states, controls, data.parameters[:, None, None])
-        return GaussUnknowns(centres, velocities, controls, np.zeros(states.shape))
+        place = self.method.nodes[:, None]
+        between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
+        return GaussUnknowns(centres, velocities, controls, between)
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -42,7 +42,8 @@ class Layout:
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
-        halves = []
+        leading = next((np.shape(leaf)[:axes] for leaf in jax.tree.leaves(points)), ())
+        halves = [np.zeros((*leading, 0))]
         for leaf, is_complex in zip(jax.tree.leaves(points), self._complex, strict=True):
             array = np.asarray(leaf)
             parts = (array.real, array.imag) if is_complex else (array,)

@@ -78,6 +78,7 @@ class Found(NamedTuple):
     claimed: np.ndarray
     solvable: np.ndarray
     stopped: bool
+    missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
 
 
 def newton(
@@ -253,7 +254,8 @@ class _Search:
         order = np.argsort(joined.member)
         joined = joined if len(states) == 1 else taken(joined, order)
         strict = joined.step.strict & (joined.shift == 0) & joined.isolated
-        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped
+        missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.units.nodes
+        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped, missing
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 
 

@@ -96,9 +96,9 @@ class OneStage:
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         return Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, -1])
 
-    def begin(self, states: np.ndarray, controls: np.ndarray, data: Data) -> Unknowns:
-        """Unknowns from states and controls at the stages, shape (B, N, 1, ...)."""
-        del data
+    def begin(self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data) -> Unknowns:
+        """Unknowns from states and controls at the stages, shape (B, N, 1, ...), and costates at the nodes."""
+        del costates, data
         return Unknowns(states[:, :, 0], controls)
 
     def move(self, unknowns: Unknowns, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, part: np.ndarray, data: Data) -> Unknowns:  # fmt: skip
@@ -136,11 +136,9 @@ class OneStage:
 
     def _pulled(self, x: Array, u: Array, p0: Array, p1: Array, h: Array, parameters: Array) -> tuple[Array]:
         """The covector of the lift of the discretization map at a stage."""
-        stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
-        _, v = stage.tangent(y)
-        _, pull = vec.pullback(lambda w: self.method(y[0], w), v)
-        covector = pull((vec.scale(-1.0, self.state.point(p0)), self.state.point(p1)))[0]
-        return (self.state.flat(self.manifold.projection(y[0], covector)),)
+        y = self.state.point(x), self.control.point(u)
+        covector = self.stage(h, parameters).covector(y, self.state.point(p0), self.state.point(p1))
+        return (self.state.flat(covector),)
 
 
 def _given(data: Data) -> tuple[np.ndarray, np.ndarray]:
@@ -156,6 +154,8 @@ class Nodes:
         self.control = Layout.of(problem.controls)
         self._frame = evaluator.values(self._frame_of, self.layout.size)
         self._terminal = evaluator.values(self._terminal_of, self.layout.size, self.parameter.size)
+        self._violations = evaluator.values(self._violations_of, self.layout.size)
+        self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
@@ -174,6 +174,20 @@ class Nodes:
             directions = np.max(np.abs(at_points(self._directions, 3, controls)[0]), axis=1)
             largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
         return largest.reshape(len(largest), -1)
+
+    def violations(self, points: np.ndarray) -> np.ndarray:
+        """By how much points, shape (B, E), violate each equation of the manifold, shape (B, k)."""
+        return at_points(self._violations, 1, points)[0]
+
+    def projected(self, nodes: np.ndarray, costates: np.ndarray) -> np.ndarray:
+        """Covectors projected to the tangent spaces at the nodes."""
+        return at_points(self._projected, 2, nodes, costates)[0]
+
+    def _violations_of(self, q: Array) -> tuple[Array]:
+        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.layout.point(q)).values()]),)
+
+    def _projection_of(self, q: Array, p: Array) -> tuple[Array]:
+        return (self.layout.flat(self.problem.manifold.projection(self.layout.point(q), self.layout.point(p))),)
 
     def _frame_of(self, q: Array) -> tuple[Array]:
         return (self.layout.flat_frame(self.problem.manifold.basis(self.layout.point(q))),)

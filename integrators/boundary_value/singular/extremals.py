@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +20,9 @@ from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
 from ...stages import ControlStage
-from ..diagnostics import Diagnostics, diagnose
+from ..engine.diagnosis import Diagnosis
+from ..engine.evaluator import Automatic
+from ..engine.layout import Layout
 from ..guess import Guess, default_guess
 from ..solution import Checks, SingularArc, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
@@ -132,11 +134,10 @@ class _Outcome(NamedTuple):
     """An iterate: nodes, stages, cost, the largest violation of the equations of ``P_f`` at the nodes, and ``dH/du``."""
 
     nodes: Pair
-    stage_states: Ambient
+    stages: Pair
     controls: Any
     cost: Array
     residual: Array
-    diagnostics: Diagnostics
     stationarity: Stationarity
 
 
@@ -163,12 +164,22 @@ def _outcome() -> Callable[..., _Outcome]:
         cost = jnp.sum(jax.vmap(stage.cost)((states, controls)))
         cost = cost + problem.final_cost(jax.tree.map(lambda leaf: leaf[-1], z[0]))
         residual = vec.largest(jax.vmap(equations)(z))
-        diagnostics = diagnose(stage, (states, controls), *z)
         first, last = (jax.tree.map(lambda leaf, s=s: leaf[s], z) for s in (slice(None, -1), slice(1, None)))
-        claims = stationarity(problem, (first, (states, diagnostics.stage_costates), last), controls)
-        return _Outcome(z, states, controls, cost, residual, diagnostics, claims)
+        stages = states, jax.vmap(stage.covector)((states, controls), first[1], last[1])
+        claims = stationarity(problem, (first, stages, last), controls)
+        return _Outcome(z, stages, controls, cost, residual, claims)
 
     return compiled(outcome)
+
+
+def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
+    """The diagnostics of the trajectory."""
+    state, control = Layout.of(problem.manifold), Layout.of(problem.controls)
+    nodes, (states, costates) = ([state.rows(part, 1)[None] for part in pair] for pair in (outcome.nodes, outcome.stages))
+    stages = states, control.rows(outcome.controls, 1)[None], costates
+    with np.errstate(all="ignore"):  # of an iterate that is no solution
+        found = Diagnosis(problem, None, Automatic())(tuple(nodes), stages, np.zeros((1, 0)))
+    return jax.tree.map(lambda leaf: leaf[0], found)
 
 
 def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:
@@ -184,7 +195,8 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
-    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, cast(Any, outcome.diagnostics)
+    (states, costates), controls = outcome.nodes, outcome.controls
+    diagnostics = _diagnostics(request.problem, outcome)
     arc = SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,
@@ -202,8 +214,8 @@ def _record(
         states=states,
         costates=costates,
         stage_times=times[:-1] + request.discretization.theta * float(request.h),
-        stage_states=outcome.stage_states,
-        stage_costates=diagnostics.stage_costates,
+        stage_states=outcome.stages[0],
+        stage_costates=outcome.stages[1],
         controls=controls,
         hamiltonians=diagnostics.hamiltonians,
         momenta=diagnostics.momenta,

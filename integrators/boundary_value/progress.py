@@ -1,0 +1,26 @@
+"""The table of iterations that ``verbose=True`` prints."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .engine.newton import Iteration
+
+TITLES = f"{'iteration':>9} {'cost':>16} {'gap':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
+
+
+def printed(callback: Callable[[Iteration], Any] | None) -> Callable[[Iteration], Any]:
+    """A callback that prints a line for each iteration, and then calls another one."""
+
+    def shown(iteration: Iteration) -> Any:
+        if not iteration.number:
+            print(TITLES)
+        worst = int(np.argmax(np.maximum(iteration.gap, iteration.stationarity)))
+        line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.gap[worst]:>9.1e}"
+        line += f" {iteration.stationarity[worst]:>12.1e} {iteration.shift[worst]:>8.0e} {iteration.fraction[worst]:>6.3g}"
+        more = len(iteration.members)
+        print(line + (f"  the worst of {more} members" if more > 1 else ""))
+        return callback(iteration) if callback is not None else None
+
+    return shown

@@ -1,0 +1,491 @@
+"""A solver that its user holds: a problem traced once, then solved between many pairs of ends in milliseconds each."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from numbers import Number
+from typing import Any, NamedTuple, final
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds.manifold import default_tolerance, working_precision
+from ...manifolds.numerics.ambient import is_count, is_finite_number
+from ...manifolds.numerics.reading import one_reading
+from ...retractions import DiscretizationMap, Gauss, Midpoint
+from ..functions import require_concrete
+from ..options import HORIZON, known_options
+from ..problem import OptimalControlProblem, resting_control
+from ..results import Result, warn_about_precision
+from ..singular import Classification, SingularIntegrator, classify
+from .boundary import NodeCondition, boundary_conditions, require_ends_on, require_known_ends
+from .engine.collocation import Collocation
+from .engine.conditions import Conditions, Ends, Iterate
+from .engine.diagnosis import Diagnosis
+from .engine.evaluator import chosen
+from .engine.layout import Layout, parameter_layout
+from .engine.newton import Found, Iteration, newton
+from .engine.start import Start
+from .engine.transcription import Data, Nodes, OneStage
+from .guess import Guess, checked_guess
+from .progress import printed
+from .singular import EndConditions, Request, solve_on_final_manifold
+from .solution import Checks, Solution, Solutions, Statistics
+
+DEFAULT_TOLERANCE_POWER = 0.7
+MOST_STEPS = 10_000_000  # with arrays much longer memory ends
+Method = DiscretizationMap | Gauss
+
+
+class _Member(NamedTuple):
+    """What one trajectory is asked for, as it was given."""
+
+    start: Any
+    end: Any
+    horizon: float
+    guess: Guess | None
+    parameters: Any
+
+
+class _Options(NamedTuple):
+    tolerance: float
+    max_iterations: int
+    callback: Callable[[Iteration], Any] | None
+
+
+class _Traced(NamedTuple):
+    """The functions of a problem with parameters of one structure."""
+
+    steps: OneStage | Collocation
+    nodes: Nodes
+    diagnosis: Diagnosis
+
+
+@final
+class Solver:
+    """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
+
+    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths as positive fractions of the
+    horizon. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``, the tape where the functions can be
+    traced to one; ``solver.evaluator`` tells which it is, and ``solver.reason`` why.
+
+    What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
+    ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at the first
+    call, and again for parameters of another structure.
+    """
+
+    @known_options
+    def __init__(self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: str = "automatic") -> None:
+        require_concrete("Solver", problem)
+        _check_problem(problem, method)
+        self.problem, self.method, self.fractions = problem, method, _fractions(steps)
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._evaluator = chosen(evaluator)
+        self._start = Start(problem.manifold, method.retraction)
+        self._found: dict[Any, _Traced] = {}
+        self._classes: dict[Any, Classification | None] = {}
+        if not problem.takes_parameters:
+            with one_reading():
+                self._traced(None)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps N."""
+        return len(self.fractions)
+
+    @property
+    def stages(self) -> np.ndarray:
+        """Places of the stages in a step, fractions of it."""
+        return np.array(self.method.nodes) if isinstance(self.method, Gauss) else np.array([self.method.theta])
+
+    @property
+    def evaluator(self) -> str:
+        """``"tape"`` or ``"xla"``: what evaluates the problem's functions."""
+        return self._evaluator.name
+
+    @property
+    def reason(self) -> str:
+        """Why that evaluator was chosen."""
+        return self._evaluator.reason
+
+    def __repr__(self) -> str:
+        return f"Solver({self.problem.manifold}, {type(self.method).__name__}, {self.steps} steps, on the {self.evaluator})"
+
+    @known_options
+    def solve(
+        self,
+        start: Any,
+        end: Any,
+        horizon: float,
+        guess: Guess | Solution | None = None,
+        parameters: Any = None,
+        tolerance: float | None = None,
+        max_iterations: int = 100,
+        callback: Callable[[Iteration], Any] | None = None,
+        verbose: bool = False,
+        throw: bool = True,
+        classification: Classification | None = None,
+        integrator: SingularIntegrator | None = None,
+    ) -> Solution:
+        """The extremal between two boundary conditions over ``[0, horizon]``; see ``solve`` for the arguments they share.
+
+        ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something true.
+        ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best iterate.
+        """
+        require_concrete("solve", start, end, horizon, guess, parameters)
+        options = _options(tolerance, max_iterations, callback, verbose)
+        began = time.perf_counter()
+        with one_reading():
+            member = self._member(start, end, horizon, guess, parameters)
+            problem, conditions = self._conditions(member)
+            c = self._classification(problem, conditions, member) if classification is None else classification
+            _check_method(problem, self.method, c, integrator)
+            if c is not None and not c.regular:
+                solution = self._on_final_manifold(problem, conditions, member, options, (c, integrator))
+            else:
+                solution = self._solved([member], [conditions], options, began)[0]
+        return solution.require_success() if throw else solution
+
+    @known_options
+    def solve_many(
+        self,
+        starts: Any,
+        ends: Any,
+        horizons: Any,
+        guesses: Any = None,
+        parameters: Any = None,
+        tolerance: float | None = None,
+        max_iterations: int = 100,
+        callback: Callable[[Iteration], Any] | None = None,
+        verbose: bool = False,
+    ) -> Solutions:
+        """The extremals between many pairs of ends at once.
+
+        ``starts``, ``ends``, ``horizons``: as for ``solve``, or with one more leading axis, of the same length B wherever it is;
+        ``parameters``: arrays with this axis. ``guesses``: a ``Guess`` or ``Solution`` for all, or a list of B. The same factors
+        are free for all. Nothing is raised for a member that is not solved: read ``success``. Regular problems only.
+        """
+        require_concrete("solve_many", starts, ends, horizons, parameters)
+        options = _options(tolerance, max_iterations, callback, verbose)
+        began = time.perf_counter()
+        with one_reading():
+            members = list(self._members(starts, ends, horizons, guesses, parameters))
+            problem, first = self._conditions(members[0])
+            c = self._classification(problem, first, members[0])
+            if c is not None and not c.regular:
+                raise InvalidInputError("solve_many solves regular problems, and this one is singular; call solve for each")
+            conditions = [first, *(self._conditions(member)[1] for member in members[1:])]
+            kinds = {tuple(condition.parts for condition in pair) for pair in conditions}
+            if len(kinds) > 1:
+                raise InvalidInputError("the members of a batch have other free factors; solve those with the same ones together")
+            return Solutions(self._solved(members, conditions, options, began))
+
+    def _member(self, start: Any, end: Any, horizon: Any, guess: Any, parameters: Any) -> _Member:
+        """The arguments of one trajectory, checked."""
+        if not (is_finite_number(horizon) and horizon > 0):
+            hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+            raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
+        _check_parameters(self.problem, parameters)
+        if guess is not None:
+            guess = guess.guess() if isinstance(guess, Solution) else guess
+            guess = checked_guess(self.problem, guess, self.steps, len(self.stages))
+        return _Member(start, end, float(horizon), guess, parameters)
+
+    def _members(self, starts: Any, ends: Any, horizons: Any, guesses: Any, parameters: Any) -> Iterator[_Member]:
+        """The members of a batch one by one."""
+        manifold = self.problem.manifold
+        lengths = [*_lengths(manifold, starts), *_lengths(manifold, ends), *(np.shape(h) for h in [horizons] if np.ndim(h))]
+        lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(parameters)]
+        several = isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
+        lengths += [(len(guesses),)] if several else []
+        if len(set(lengths)) != 1 or not lengths[0]:
+            raise InvalidInputError(
+                f"the leading axes of starts, ends, horizons, parameters and guesses have lengths {sorted(set(lengths))}, expected one "
+                "length B, wherever there is such an axis; for a single trajectory call solve"
+            )
+        for k in range(lengths[0][0]):
+            pair = _taken(manifold, starts, k), _taken(manifold, ends, k)
+            given = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], parameters)
+            horizon = np.asarray(horizons)[k].item() if np.ndim(horizons) else horizons
+            yield self._member(*pair, horizon, guesses[k] if several else guesses, given)
+
+    def _conditions(self, member: _Member) -> tuple[OptimalControlProblem, tuple[NodeCondition, NodeCondition]]:
+        """The problem with the parameters of a member, and its boundary conditions."""
+        problem = self.problem.with_parameters(member.parameters)
+        return problem, boundary_conditions(problem.manifold, member.start, member.end, member.guess is not None)
+
+    def _traced(self, parameters: Any) -> _Traced:
+        """The functions with parameters of this structure."""
+        key = _structure(parameters)
+        if key not in self._found:
+            given = self.problem, parameters, self._evaluator
+            if isinstance(self.method, Gauss) and self.method.stages > 1:
+                steps: Any = Collocation(self.problem, self.method, *given[1:])
+            else:
+                method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
+                steps = OneStage(self.problem, method, *given[1:])
+            self._found[key] = _Traced(steps, Nodes(*given), Diagnosis(*given))
+        return self._found[key]
+
+    def _classification(
+        self, problem: OptimalControlProblem, conditions: tuple[NodeCondition, NodeCondition], member: _Member
+    ) -> Classification | None:
+        """The classification of a singular problem, None of a regular one; the functions are looked at once."""
+        first, last = conditions
+        values = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(member.parameters)]
+        key = _structure(member.parameters), tuple(values), last.parts
+        if key not in self._classes:
+            known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
+            regular = problem.check(known, resting_control(problem.controls))
+            if problem.terminal_cost is None or all(part.fixed for part in last.parts):
+                problem.require_cost(known)
+            self._classes[key] = None if regular else classify(problem)
+        return self._classes[key]
+
+    def _solved(
+        self,
+        members: list[_Member],
+        conditions: list[tuple[NodeCondition, NodeCondition]],
+        options: _Options,
+        began: float,
+    ) -> list[Solution]:
+        """Solutions of regular problems."""
+        parameters = np.stack([parameter_layout(m.parameters).rows(m.parameters, 0) for m in members])
+        traced = self._traced(members[0].parameters)
+        first, last = conditions[0]
+        rows = [np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1)]
+        self._require_on_manifold(traced, members, rows)
+        data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters)
+        guess = self._guess(traced, members, rows, data)
+        tracing = time.perf_counter() - began
+        first, last = conditions[0]
+        entries = self._entries(first), self._entries(last)
+        ends = Ends(*rows, *entries, *(np.array(c.fixed_coordinates, float) for c in (first, last)))
+        with np.errstate(all="ignore"):  # what is not finite is judged
+            found = newton(Conditions(traced.steps, traced.nodes, ends, data), guess, *options)
+            seconds = tracing, time.perf_counter() - began - tracing
+            return list(self._records(traced, data, found, options, seconds))
+
+    def _entries(self, condition: NodeCondition) -> np.ndarray:
+        """Which entries of a flat point are prescribed."""
+        leaves, structure = jax.tree.flatten(self.problem.manifold.ambient)
+        full = [np.full(leaf.shape, fixed * (1 + 1j)) for leaf, fixed in zip(leaves, condition.fixed_leaves, strict=True)]
+        real = [a if np.issubdtype(leaf.dtype, np.complexfloating) else a.real for a, leaf in zip(full, leaves, strict=True)]
+        return self.state.rows(jax.tree.unflatten(structure, real), 0) > 0
+
+    def _require_on_manifold(self, traced: _Traced, members: list[_Member], rows: list[np.ndarray]) -> None:
+        """Raise if a prescribed part of an end is off its manifold."""
+        for flat in rows:
+            off = ~(np.max(traced.nodes.violations(flat), axis=1, initial=0.0) <= default_tolerance())
+            for k in np.flatnonzero(off):
+                require_ends_on(self.problem.manifold, members[k].start, members[k].end)
+
+    def _guess(self, traced: _Traced, members: list[_Member], rows: list[np.ndarray], data: Data) -> Iterate:
+        """The guesses that are given, or curves from start to end with controls at rest and costates zero."""
+        count, places, size = len(members), self.stages, self.state.size
+        shape = count, self.steps, len(places)
+        if members[0].guess is None:
+            for member in members:
+                require_known_ends(self.problem.manifold, member.start, member.end)
+            starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
+            fractions = (starts[:, None] + places * self.fractions[:, None]).ravel()
+            states = self._start.states(*rows, fractions).reshape(*shape, size)
+            rest = self.control.rows(jax.tree.map(np.asarray, resting_control(self.problem.controls)), 0)
+            controls = np.broadcast_to(rest, (*shape, rest.size))
+            costates = np.zeros((count, self.steps + 1, size))
+        else:
+            guesses: Any = [member.guess for member in members]
+            states = np.stack([self.state.rows(guess.states, 1) for guess in guesses]).reshape(*shape, size)
+            controls = np.stack([self.control.rows(guess.controls, 1) for guess in guesses]).reshape(*shape, -1)
+            costates = np.stack([self.state.rows(guess.costates, 1) for guess in guesses])
+        return Iterate(traced.steps.begin(states, controls, costates, data), costates)
+
+    def _records(
+        self, traced: _Traced, data: Data, found: Found, options: _Options, seconds: tuple[float, float]
+    ) -> Iterator[Solution]:
+        """The records of all members."""
+        nodes, costates = found.assembled.nodes, found.assembled.costates
+        costates = traced.nodes.projected(nodes, costates)
+        stages = traced.steps.at_stages(found.iterate.unknowns, costates, data)
+        diagnostics = traced.diagnosis((nodes, costates), stages, data.parameters)
+        results = outcomes(found, options.tolerance, options.max_iterations)
+        for k, result in enumerate(results):
+            own: Any = jax.tree.map(lambda leaf, k=k: leaf[k], diagnostics)
+            _require_tangent_dynamics(self.problem, float(own.normal))
+            times = np.concatenate([[0.0], np.cumsum(data.steps[k])])
+            gap, stationarity = float(found.residuals.gap[k]), float(found.residuals.stationarity[k])
+            yield Solution(
+                times=times,
+                states=self.state.points(nodes[k]),
+                costates=self.state.points(costates[k]),
+                stage_times=(times[:-1, None] + data.steps[k][:, None] * self.stages).ravel(),
+                stage_states=self.state.points(stages[0][k]),
+                stage_costates=self.state.points(stages[2][k]),
+                controls=self.control.points(stages[1][k]),
+                hamiltonians=own.hamiltonians,
+                momenta=own.momenta,
+                body_costates=own.body,
+                spatial_costates=own.spatial,
+                cost=float(found.assembled.cost[k]),
+                success=result == Result.successful,
+                result=Result[result],
+                checks=Checks.of(own, gap, stationarity, bool(found.strict_minimum[k])),
+                statistics=Statistics(int(found.iterations[k]), *seconds),
+            )
+
+    def _on_final_manifold(
+        self,
+        problem: OptimalControlProblem,
+        conditions: tuple[NodeCondition, NodeCondition],
+        member: _Member,
+        options: _Options,
+        method: tuple[Classification, SingularIntegrator | None],
+    ) -> Solution:
+        """The extremal of a singular problem."""
+        if not isinstance(self.method, DiscretizationMap):
+            raise InvalidInputError(
+                f"the problem is singular, and solve takes a discretization map for it, got {self.method!r}; try "
+                "Midpoint(default_retraction(manifold))"
+            )
+        if np.ptp(self.fractions) > 1e-12:
+            raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
+        require_ends_on(problem.manifold, member.start, member.end)
+        h = np.asarray(member.horizon / self.steps, working_precision())
+        limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
+        request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
+        return solve_on_final_manifold(request, *method)
+
+
+def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result]:
+    """The result codes of finished iterations."""
+    largest, results = found.residuals.largest, []
+    meets = np.max(np.abs(found.missing), axis=1) <= tolerance
+    for k in range(len(largest)):
+        undetermined = largest[k] <= tolerance and not found.claimed[k] and not found.stopped
+        if not (np.isfinite(largest[k]) and np.isfinite(found.assembled.cost[k])):
+            result = Result.not_finite
+        elif found.claimed[k]:
+            result = Result.successful
+        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > tolerance:
+            result = Result.wrong_point
+        elif (not found.solvable[k] and not meets[k]) or undetermined:
+            result = Result.singular
+        elif found.stopped:
+            result = Result.stopped
+        elif found.iterations[k] >= max_iterations:
+            result = Result.too_many_iterations
+        else:
+            result = Result.no_improvement
+        results.append(result)
+    return results
+
+
+def _structure(parameters: Any) -> Any:
+    return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
+
+
+def _check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
+    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
+    if problem.takes_parameters and parameters is None:
+        raise InvalidInputError(
+            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or tuples or "
+            "dictionaries of them"
+        )
+    if not problem.takes_parameters and parameters is not None:
+        raise InvalidInputError(
+            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions of "
+            "(q, u, parameters)"
+        )
+    for leaf in jax.tree.leaves(parameters):
+        if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
+            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {leaf!r:.80}")
+
+
+def _options(tolerance: float | None, max_iterations: int, callback: Any, verbose: bool) -> _Options:
+    """The options of an iteration, checked."""
+    warn_about_precision()
+    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+    if not (is_finite_number(limit) and limit > 0):
+        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
+    if not is_count(max_iterations):
+        raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+    if callback is not None and not callable(callback):
+        raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
+    return _Options(float(limit), int(max_iterations), printed(callback) if verbose else callback)
+
+
+def _fractions(steps: Any) -> np.ndarray:
+    """Lengths of the steps as fractions of the horizon, from their number or from lengths."""
+    if is_count(steps):
+        if steps > MOST_STEPS:
+            raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
+        return np.full(int(steps), 1 / int(steps))
+    given = np.asarray(steps)
+    if np.ndim(steps) == 1 and given.size and given.dtype.kind in "fiu" and np.all(np.isfinite(given)) and np.all(given > 0):
+        return given / np.sum(given)
+    raise InvalidInputError(
+        f"steps must be a whole number of at least 1, got {steps!r:.80}; or the lengths of the steps, positive numbers"
+    )
+
+
+def _check_problem(problem: Any, method: Any) -> None:
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+    if not isinstance(method, DiscretizationMap | Gauss):
+        raise InvalidInputError(
+            f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
+        )
+    problem.check_discretization(method)
+
+
+def _check_method(
+    problem: OptimalControlProblem, method: Method, classification: Classification | None, integrator: SingularIntegrator | None
+) -> None:
+    """Raise if the classification or the integrator belongs to something else than the problem."""
+    if classification is not None and not (isinstance(classification, Classification) and classification.is_of(problem)):
+        raise InvalidInputError(
+            f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
+            "classify(problem)"
+        )
+    if integrator is None:
+        return
+    if classification is None or classification.regular:
+        raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
+    if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
+        raise InvalidInputError(
+            f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
+            "try singular_integrator(classification, discretization), and a Composition of it in integrate"
+        )
+
+
+def _require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
+    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked before."""
+    if normal > default_tolerance():
+        raise NotOnManifoldError(
+            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
+            f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+        )
+
+
+def _lengths(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
+    """Lengths of the leading axes that points have in addition."""
+    if given is None:
+        return []
+    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+        return [length for pair in zip(manifold.factors, given, strict=True) for length in _lengths(*pair)]
+    return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
+
+
+def _taken(manifold: Manifold, given: Any, k: int) -> Any:
+    """Member ``k`` of what may be a batch of points, with None where they are free."""
+    if given is None:
+        return None
+    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+        return tuple(_taken(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if _is_batch(manifold, given) else given
+
+
+def _is_batch(manifold: Manifold, given: Any) -> bool:
+    shapes = [np.ndim(leaf) for leaf in jax.tree.leaves(given)]
+    return shapes == [len(leaf.shape) + 1 for leaf in jax.tree.leaves(manifold.ambient)]
