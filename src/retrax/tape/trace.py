@@ -21,8 +21,8 @@ from .moves import MOVES, stacked
 
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
 
-# A number of its own for each trace, in the keys of JAX's caches: what it traced before of a part of a function, as one under jit,
-# with the values that were read then, is not found again.
+# A number of its own for each trace, in the keys of JAX's caches: what it traced before of a part of a function, as one under
+# jit, with the values that were read then, is not found again.
 _anew, _numbers = jax.make_user_context(None), itertools.count(1)
 
 
