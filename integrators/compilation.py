@@ -33,9 +33,9 @@ def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, floa
     """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
 
     Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants only
-    have one executable. Where JAX is transforming the caller the function is called as it is.
+    have one executable. Where JAX is transforming the caller, or ``jit`` is disabled, the function is called as it is.
     """
-    if is_transformed(arguments):
+    if is_transformed(arguments) or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
         return function(*arguments), 0.0, 0.0
     leaves, structure = jax.tree.flatten(arguments)
     data = [leaf for leaf in leaves if _is_data(leaf)]
@@ -66,7 +66,7 @@ def _is_data(leaf: Any) -> bool:
 def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``, traced if that was not done in this reading."""
     # What is held in the reading keeps its identity.
-    fixed = tuple("data" if _is_data(leaf) else (type(leaf), leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
+    fixed = tuple("data" if _is_data(leaf) else repr(leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
     key = id(function), fixed, tuple(jax.typeof(leaf) for leaf in data), structure
     with one_reading() as reading:
         try:

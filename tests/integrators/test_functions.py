@@ -8,6 +8,7 @@ from retrax.integrators import SymplecticIntegrator, compilation, integrate
 from retrax.integrators.compilation import call_compiled, digest
 from retrax.integrators.functions import is_transformed, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds.numerics.reading import one_reading, reads_once
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
 LINE = Euclidean(1)
@@ -140,3 +141,32 @@ def test_values_that_are_no_arrays_are_returned():
     value, *_ = call_compiled(lambda x: {"x": x, "name": "x", "none": None, "count": 3}, THREE)
     assert (value["name"], value["none"], value["count"]) == ("x", None, 3)
     np.testing.assert_array_equal(value["x"], THREE)
+
+
+def test_numbers_that_are_equal_are_told_apart_where_they_compute_otherwise():
+    with one_reading():
+        for k in (0.0, -0.0, 0, False):
+            value, *_ = call_compiled(lambda k, x: jnp.copysign(x, k), k, THREE)
+            np.testing.assert_array_equal(np.signbit(value), np.signbit(np.full(3, float(k))))
+
+
+def test_within_one_reading_a_function_is_traced_once_and_after_it_again():
+    traces = []
+
+    def counted(x):
+        traces.append(x)
+        return x + 1
+
+    @reads_once
+    def often():
+        return [call_compiled(counted, x)[0] for x in (THREE, 2 * THREE, jnp.arange(4.0))]
+
+    for done in (2, 4):
+        np.testing.assert_array_equal(often()[1], 2 * THREE + 1)
+        assert len(traces) == done
+
+
+def test_a_loop_runs_where_jit_is_disabled():
+    with jax.disable_jit():
+        value, *_ = call_compiled(lambda x: jax.lax.while_loop(lambda y: jnp.sum(y) < 30, lambda y: 2 * y, x), THREE)
+    np.testing.assert_array_equal(value, 16 * THREE)
