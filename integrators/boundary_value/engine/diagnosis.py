@@ -71,7 +71,7 @@ class Diagnosis:
         momenta = dict(zip(self._names, frames, strict=False))
         rest = frames[len(self._names) :]
         body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
-        worst = dict(zip(self._equations, np.max(violations, axis=1).T, strict=True))
+        worst = dict(zip(self._equations, np.max(violations, axis=1).T[1:], strict=True))
         return Diagnostics(hamiltonians, size, momenta, body, spatial, worst, brackets, np.max(normal, axis=1))
 
     def _rounding(self, stages: list[np.ndarray], given: np.ndarray) -> np.ndarray:
@@ -104,7 +104,8 @@ class Diagnosis:
             momenta.append(factor.momentum(x, covector))
             if isinstance(factor, MatrixLieGroup):
                 covectors += [factor.body(x, covector), factor.spatial(x, covector)]
-        return *momenta, *covectors, jnp.stack(list(manifold.violations(self.state.point(q)).values()))
+        violations = manifold.violations(self.state.point(q))
+        return *momenta, *covectors, jnp.stack([jnp.zeros(()), *violations.values()])
 
     def _terms_of(self, d: Array, *given: Array) -> tuple[Array, ...]:
         problem, q, u, p = self._bound(*given)

@@ -122,7 +122,7 @@ class _Search:
         while True:
             self.state = state
             self.report(state, state.descends)
-            finished = state.done | ~_solvable(state) | (self.trials > self.max_iterations)
+            finished = state.done | ~_solvable(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
             state = self.leave(state, finished)
             if state is None or self.stopped:
                 return
@@ -226,6 +226,12 @@ class _Search:
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=isolated | stuck)
+
+    def elsewhere(self, state: _State) -> np.ndarray:
+        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move."""
+        missing = np.max(np.abs(state.assembled.gap), axis=1) / self.conditions.of(state.member).units.nodes
+        met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
+        return met & (state.residuals.gap > self.tolerance)
 
     def report(self, state: _State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""
