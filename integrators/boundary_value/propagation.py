@@ -85,7 +85,7 @@ class Propagator:
     states, Newton's method makes the ends of the steps meet their beginnings. Where the error is too large for that, the
     steps follow one another. Steps are halved until this changes the error by less than one hundredth.
 
-    ``parameters``: an example of the problem's parameters, None if it has none.
+    ``parameters``: an example of those that the problem's functions take.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Propagator:
         return (vec.components(controls.basis(u), v),)
 
     def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, parameters: Array) -> tuple[Array]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters)) if self.parameter.size else self.problem
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
         u = self.problem.steer(self.control.point(base), offset)
         (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
         (columns,) = jax.vmap(push)(jnp.eye(c.size))

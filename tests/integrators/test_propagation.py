@@ -126,22 +126,14 @@ def test_escape_to_infinity() -> None:
     assert found.distances["R^1"][0] == 0
 
 
-class AnyInertia:
-    """A problem whose inertia is a parameter."""
-
-    manifold, controls = RIGID, Euclidean(3)
-    steer = problem().steer
-
-    def with_parameters(self, inertia: Any) -> OptimalControlProblem:
-        def dynamics(q: tuple, u: Any) -> tuple:
-            return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
-
-        return problem(dynamics)
+def body_of_inertia(q: tuple, u: Any, inertia: Any) -> tuple:
+    """The body, its inertia a parameter."""
+    return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
 
 
 def test_parameters() -> None:
     """One propagator for all values: the error grows with the distance of a parameter from that of the states."""
-    propagator: Any = Propagator(AnyInertia(), Cayley(RIGID), INERTIA)
+    propagator = Propagator(problem(body_of_inertia), Cayley(RIGID), INERTIA)
     states, at = body_states(TIMES, 1), stage_times(TIMES, 2)
     controls, errors = np.array([torque(t, 1) for t in at]), []
     for change in (0.0, 1e-9, 1e-6, 1e-3, 0.5):
