@@ -29,13 +29,12 @@ def cases():
     from casadi_orders import OrderedSlew
     from crocoddyl_slew import CrocoddylSlew
     from pontryagin_slew import PontryaginSlew
-    from retrax_slew import STAGES, RetraxSlew
+    from retrax_slew import RetraxSlew
 
     for stages, sizes in SIZES.items():
         name = "midpoint" if stages == 1 else f"Gauss {stages}"
         for steps in sizes:
-            if stages in STAGES:
-                yield f"retrax, {name}", steps, RetraxSlew(steps, stages, TOLERANCE)
+            yield f"retrax, {name}", steps, RetraxSlew(steps, stages, TOLERANCE)
             for solver in ("ipopt", "fatrop") if stages > 1 else ():
                 yield f"{solver.upper()}, {name}", steps, OrderedSlew(name, steps, solver)
     for scheme, solver, attitude in (

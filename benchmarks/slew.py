@@ -165,12 +165,12 @@ def many_of_ours(stages, angles, axes):
     import numpy as np
     from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
 
-    starts, ends = at_rest(np.broadcast_to(np.eye(3), (COUNT, 3, 3))), at_rest(turns(angles, axes))
+    start, ends = at_rest(np.eye(3)), at_rest(turns(angles, axes))
     for steps in FEW:
         solver = RetraxSlew(steps, stages, TOLERANCE).solver
 
         def call(solver=solver):
-            return solver.solve_many(starts, ends, HORIZON)
+            return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
 
         found = call()
         torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in found]

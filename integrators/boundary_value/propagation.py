@@ -85,7 +85,7 @@ class Propagator:
     states, Newton's method makes the ends of the steps meet their beginnings. Where the error is too large for that, the
     steps follow one another. Steps are halved until this changes the error by less than one hundredth.
 
-    ``parameters``: an example of the problem's parameters, None if it has none.
+    ``parameters``: an example of those that the problem's functions take.
     """
 
     def __init__(
@@ -205,7 +205,7 @@ class Propagator:
         return (vec.components(controls.basis(u), v),)
 
     def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, parameters: Array) -> tuple[Array]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters)) if self.parameter.size else self.problem
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
         u = self.problem.steer(self.control.point(base), offset)
         (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
         (columns,) = jax.vmap(push)(jnp.eye(c.size))
@@ -225,9 +225,10 @@ class _AtOnce:
         self.propagator, self.given = propagator, given
         self.coordinates = np.zeros(given.frames.shape[:2])
         self.derivatives: np.ndarray | None = None
-        factors = propagator.problem.manifold.factors if isinstance(propagator.problem.manifold, Product) else ()
-        ends = np.cumsum([0, *(factor.dimension for factor in factors)])
-        self.starts = np.unique(ends[:-1]) if factors else np.zeros(1, int)  # of the coordinates of each factor
+        manifold = propagator.problem.manifold
+        factors = manifold.factors if isinstance(manifold, Product) else (manifold,)
+        self.starts = np.cumsum([0, *(f.dimension for f in factors if f.dimension)])[:-1]  # of the coordinates of each factor
+        self.entries = np.cumsum([0, *(Layout.of(f).size for f in factors)])[:-1]  # of its flat points
 
     def __call__(self, parts: int) -> np.ndarray | None:
         """The states, each step in some parts; None if the moves do not become small."""
@@ -252,21 +253,29 @@ class _AtOnce:
         return np.maximum.reduceat(np.max(np.abs(coordinates), axis=0), self.starts)
 
     def _move(self, parts: int) -> np.ndarray:
-        """Newton's move of the coordinates; that of the first state is zero."""
+        """Newton's move of the coordinates; that of the first state is zero. NaN where the states are too far for it."""
         given, count = self.given, len(self.given.steps)
         n, aside = len(given.scales), np.sqrt(np.finfo(float).eps) * given.scales
         ways = np.zeros((1, n)) if self.derivatives is not None else np.concatenate([np.zeros((1, n)), np.diag(aside)])
         k = np.repeat(np.arange(count), len(ways))
         begin = (self.coordinates[:-1, None] + ways).reshape(-1, n)
         ends = self.propagator.ends(given, k, given.states[k], begin, parts).reshape(count, len(ways), -1)
-        there = self.propagator.points(given.states[1:], self.coordinates[1:])
-        misses = np.einsum("kne,kwe->knw", given.frames[1:], ends - there[:, None])
+        gaps = ends - self.propagator.points(given.states[1:], self.coordinates[1:])[:, None]
+        misses = np.einsum("kne,kwe->knw", given.frames[1:], gaps)
+        if not self._seen(gaps[:, 0], misses[:, :, 0]):
+            return np.full((count + 1, n), np.nan)
         if self.derivatives is None:
             self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
         move = np.zeros((count + 1, n))
         for i in range(count):
             move[i + 1] = self.derivatives[i] @ move[i] + misses[i, :, 0]
         return move
+
+    def _seen(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
+        """Whether gaps are tangential rather than normal: of the chord to a far point the frames see little, or nothing."""
+        tangential = np.einsum("kne,kn->ke", self.given.frames[1:], misses)
+        sizes = [np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])]
+        return bool(np.all(sizes[0] <= sizes[1] + ROUNDING**2 * sizes[2]))
 
 
 def _lagrange(places: np.ndarray, time: float) -> np.ndarray:

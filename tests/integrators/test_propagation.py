@@ -95,6 +95,21 @@ def test_states_off_by_known_distances(propagator: Propagator, stages: int) -> N
             assert found.resolution[name] <= max(0.01 * angle, 1e-13)
 
 
+@pytest.mark.parametrize("manifold", [S2, SO3], ids=str)
+def test_states_that_jump(manifold: Any) -> None:
+    """Up to the opposite point, from where the chord to the start has no tangential part."""
+    still = OptimalControlProblem(manifold, lambda q, u: 0 * u[0] * q, half_square, 1)
+    propagator = Propagator(still, Exponential(manifold))
+    for angle in (0.0, 1e-9, 1e-3, 0.1, 0.5, 0.8, 1.0, 1.5, np.pi / 2, 1.6, 2.0, 3.0, 3.14, np.pi):
+        turned = rotation([0.0, 0.0, angle])
+        states = np.stack([np.eye(3), *[turned] * 6])
+        points = states if manifold is SO3 else states[:, :, 0]
+        found = propagator.discretization_error(TIMES, points, stage_times(TIMES, 1), np.zeros((6, 1)))
+        off = np.abs(found.distances[str(manifold)] - np.array([0.0, *[angle] * 6]))
+        assert np.max(off) <= found.resolution[str(manifold)] + 1e-12
+        assert found.resolution[str(manifold)] <= 0.01 * angle
+
+
 def test_its_own_error_is_bounded_by_the_resolution(propagator: Propagator) -> None:
     """Steps from short to so long that an explicit method of order 8 needs parts of them."""
     for stretch in (0.1, 1.0, 2.0, 5.0):
@@ -126,22 +141,14 @@ def test_escape_to_infinity() -> None:
     assert found.distances["R^1"][0] == 0
 
 
-class AnyInertia:
-    """A problem whose inertia is a parameter."""
-
-    manifold, controls = RIGID, Euclidean(3)
-    steer = problem().steer
-
-    def with_parameters(self, inertia: Any) -> OptimalControlProblem:
-        def dynamics(q: tuple, u: Any) -> tuple:
-            return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
-
-        return problem(dynamics)
+def body_of_inertia(q: tuple, u: Any, inertia: Any) -> tuple:
+    """The body, its inertia a parameter."""
+    return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
 
 
 def test_parameters() -> None:
     """One propagator for all values: the error grows with the distance of a parameter from that of the states."""
-    propagator: Any = Propagator(AnyInertia(), Cayley(RIGID), INERTIA)
+    propagator = Propagator(problem(body_of_inertia), Cayley(RIGID), INERTIA)
     states, at = body_states(TIMES, 1), stage_times(TIMES, 2)
     controls, errors = np.array([torque(t, 1) for t in at]), []
     for change in (0.0, 1e-9, 1e-6, 1e-3, 0.5):
