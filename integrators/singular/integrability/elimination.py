@@ -41,7 +41,7 @@ class Echelon(NamedTuple):
         has = np.stack([np.isin(np.arange(self.matrix.shape[2]), rows) for rows in self.rows])
         solved = np.where(has[..., None], self.matrix[:, 0], 0.0)
         solved /= np.where(has, np.linalg.norm(solved[..., :-1], axis=2), 1.0)[..., None]
-        finite = np.isfinite(solved).all(axis=(1, 2))
+        finite = np.array(np.isfinite(solved).all(axis=(1, 2)))
         known = np.where(finite[:, None, None], solved, 0.0)
         found = np.linalg.pinv(known[..., :-1], rcond=JITTER) @ known[..., -1:]
         return np.where(finite, np.max(np.abs(found), axis=(1, 2), initial=0.0), np.inf)
