@@ -12,6 +12,7 @@ from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
+from .numerics.frames import null_frame
 from .numerics.newton import tolerance
 from .numerics.root import solve_small
 
@@ -62,8 +63,7 @@ class Submanifold(Manifold):
     def basis(self, x: Ambient) -> Frame:
         frame = self.parent.basis(x)
         rows = jax.vmap(lambda normal: vec.components(frame, normal))(self.normals(x))
-        directions = jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :]
-        return vec.combine_each(frame, directions)
+        return vec.combine_each(frame, null_frame(rows))
 
     def restore(self, x: Ambient) -> Ambient:
         near = self.parent.restore(x)

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
-from jaxtyping import Array, ArrayLike, Bool
+from jaxtyping import Array, Bool
 
 from .newton import Vector, newton
 
@@ -24,17 +24,16 @@ Axes = tuple[tuple[int | None, ...], ...]  # for each level of vmap, innermost f
 def implicit_root(
     residual: Callable[[Vector], Vector],
     first: Vector,
-    rounding: ArrayLike = 0.0,
     inverse: Array | None = None,
     known: bool = False,
 ) -> tuple[Vector, Bool[Array, ""]]:
     """Root of ``residual`` near ``first``, or, if it is ``known``, ``first`` itself; and whether the iteration converged.
 
-    ``inverse`` is an approximate inverse Jacobian to begin with; steps up to ``rounding`` are the rounding of the residual.
-    Derivatives are those with respect to what ``residual`` closes over.
+    ``inverse`` is an approximate inverse Jacobian to begin with. Derivatives are those with respect to what ``residual``
+    closes over.
     """
     closed = jax.make_jaxpr(residual)(first)
-    begin = [first, jnp.asarray(rounding, first.dtype), *([] if inverse is None else [inverse])]
+    begin = [first, *([] if inverse is None else [inverse])]
     root, converged = _root.bind(*begin, *closed.consts, jaxpr=closed.jaxpr, begin=len(begin), known=known, axes=())
     return root, converged
 
@@ -57,10 +56,10 @@ def _mapped(function: Callable, axes: Axes) -> Callable:
 @_root.def_impl
 def _value(*operands: Any, jaxpr: Jaxpr, begin: int, known: bool, axes: Axes) -> Sequence[Array]:
     def value(*operands: Any) -> Sequence[Array]:
-        (first, rounding, *inverse), consts = operands[:begin], operands[begin:]
+        (first, *inverse), consts = operands[:begin], operands[begin:]
         if known:
             return first, jnp.array(True)
-        return newton(_residual(jaxpr, consts), first, rounding, *inverse or [None])
+        return newton(_residual(jaxpr, consts), first, *inverse or [None])
 
     return _mapped(value, axes)(*operands)
 

@@ -11,6 +11,7 @@ from . import ambient as vec
 
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
+CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
 
 Vector = Float[Array, " k"]
@@ -29,34 +30,33 @@ class _Iteration(NamedTuple):
     chords: Array  # steps taken with the present Jacobian
 
 
-def newton(
-    residual: Callable[[Vector], Vector], start: Vector, rounding: Array, inverse: Array | None
-) -> tuple[Vector, Bool[Array, ""]]:
-    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given.
-
-    Steps up to ``rounding`` are the rounding of the residual.
-    """
-    infinity, zero = jnp.asarray(jnp.inf, start.dtype), jnp.zeros((), int)
-    state = _Iteration(start, infinity, infinity, jnp.array(False), zero)
+def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
+    """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given."""
+    state = _fresh(start)
     if inverse is not None:
-        tried = _chords(residual, lambda r: inverse @ r, state, rounding, exact=False)
+        tried = _chords(residual, lambda r: inverse @ r, state, exact=False)
         better = tried.converged | (tried.step < 1)
         state = tried._replace(c=jnp.where(better, tried.c, start))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
         factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], rounding, exact=True), pair[1] + 1
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
         return ~state.converged & (jacobians < MAX_JACOBIANS) & jnp.all(jnp.isfinite(state.c))
 
-    state, _ = jax.lax.while_loop(unfinished, outer, (state, zero))
+    state, _ = jax.lax.while_loop(unfinished, outer, (state, jnp.zeros((), int)))
     return state.c, state.converged
 
 
+def _fresh(c: Vector) -> _Iteration:
+    infinity = jnp.asarray(jnp.inf, c.dtype)
+    return _Iteration(c, infinity, infinity, jnp.array(False), jnp.zeros((), int))
+
+
 def _chords(
-    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, rounding: Array, exact: bool
+    residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, exact: bool
 ) -> _Iteration:
     """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
     quadratic, smallest = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
@@ -65,16 +65,16 @@ def _chords(
         d = solve(residual(s.c))
         step = vec.size(d)
         ratio = step / s.step
-        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-        remaining = jnp.where(s.chords == 0, step * step if exact else step, step * jnp.minimum(ratio, 1.0))
+        # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is no matter
+        # of the sizes of their unknowns. One ratio alone may be that of unknowns that are found at once, beside slower ones.
+        ratios = jnp.stack([CURVED * step if exact else jnp.ones_like(step), jnp.sqrt(ratio), ratio])
+        remaining = step * jnp.minimum(ratios[jnp.minimum(s.chords, 2)], 1.0)
         stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)
-        done = (remaining <= smallest) | (step <= rounding) | stalled
+        done = (remaining <= smallest) | stalled  # by rounding
         taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
         return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
 
     def going(s: _Iteration) -> Array:
         return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
 
-    infinity = jnp.asarray(jnp.inf, state.c.dtype)
-    fresh = state._replace(step=infinity, ratio=infinity, converged=jnp.array(False), chords=jnp.zeros((), int))
-    return jax.lax.while_loop(going, chord, fresh)
+    return jax.lax.while_loop(going, chord, _fresh(state.c))

@@ -24,22 +24,20 @@ def find_root(
     start: Vector,
     scale: ArrayLike = 1.0,
     inverse: np.ndarray | None = None,
-    rounding: ArrayLike = 0.0,
 ) -> tuple[Vector, Bool[Array, ""]]:
     """Root of ``residual`` near ``start`` and whether the iteration converged to it.
 
     Newton's method that keeps its Jacobian while the steps shrink fivefold each (chord iteration) and renews it where
     they do not. ``scale`` holds the typical sizes of the unknowns, shape ``(k,)`` or one number; ``inverse``, if given, is
-    an approximate inverse Jacobian to begin with; steps up to ``rounding``, in units of ``scale``, are known to be the
-    rounding of ``residual``. Derivatives with respect to anything that ``residual`` closes over come from the implicit
-    function theorem, in every autodiff mode.
+    an approximate inverse Jacobian to begin with. Derivatives with respect to anything that ``residual`` closes over come
+    from the implicit function theorem, in every autodiff mode.
     """
     if not start.size:
         return start, jnp.array(True)
     unit = jax.lax.stop_gradient(jnp.broadcast_to(jnp.asarray(scale, start.dtype), start.shape))
     first = jax.lax.stop_gradient(start) / unit
     scaled = None if inverse is None else jnp.asarray(inverse, first.dtype) / unit[:, None]
-    root, converged = implicit_root(lambda c: residual(unit * c), first, jax.lax.stop_gradient(rounding), scaled)
+    root, converged = implicit_root(lambda c: residual(unit * c), first, scaled)
     return unit * root, converged
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import InvalidInputError, LevelSet, Sphere, Submanifold
+from retrax.manifolds import Euclidean, InvalidInputError, LevelSet, Sphere, Submanifold
 
 from tests.support.cases import MANIFOLDS
 from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
@@ -126,6 +126,28 @@ def test_the_point_nearby_is_differentiated_in_both_modes():
     difference = (curve.nearby(x + 1e-5 * d) - curve.nearby(x - 1e-5 * d)) / 2e-5
     np.testing.assert_allclose(slope, difference, atol=1e-8)
     np.testing.assert_allclose(pulled @ d, np.sum(slope), atol=1e-13)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_the_derivative_of_a_basis_is_right_where_gradients_are_unit_vectors(count):
+    """Through zero, where they are: that of the projector, in both modes; three equations in space leave no basis."""
+
+    def equations(x):
+        return jnp.stack([x[2] - x[0] * x[1], x[1] + jnp.sin(x[0]) ** 2, x[0] + x[1] ** 2])[:count]
+
+    def projected(x):
+        frame = Submanifold(Euclidean(3), equations).basis(x)
+        return frame.T @ frame
+
+    def exact(x):
+        rows = jax.jacfwd(equations)(x)
+        return jnp.eye(3) - rows.T @ jnp.linalg.solve(rows @ rows.T, rows)
+
+    slopes = compiled(lambda x: tuple(mode(f)(x) for f in (projected, exact) for mode in (jax.jacfwd, jax.jacrev)))
+    for along in (0.0, 1e-300, 1e-20, 1e-9, 1e-3, 0.1):
+        forward, backward, expected, _ = slopes(along * np.array([0.6, -0.8, 1.0]))
+        np.testing.assert_allclose(forward, expected, atol=1e-13, err_msg=str(along))
+        np.testing.assert_allclose(backward, expected, atol=1e-13, err_msg=str(along))
 
 
 def test_what_no_point_is_near_is_refused_in_words():

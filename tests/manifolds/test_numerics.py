@@ -137,16 +137,17 @@ def test_find_root_knows_the_size_of_its_unknowns(scale):
     np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
 
 
-@pytest.mark.parametrize(("rounding", "found"), [(0.0, False), (1e-4, True)])
-def test_find_root_does_not_solve_for_the_rounding_of_the_residual_that_it_is_told(rounding, found):
-    def residual(c):
-        return c**2 - 2 + 1e-4 * jnp.sin(1e12 * c)  # noise, of which the derivative knows nothing
-
-    quiet = jax.custom_jvp(residual)
-    quiet.defjvp(lambda primals, tangents: (residual(*primals), 2 * primals[0] * tangents[0]))
-    c, converged = find_root(quiet, jnp.array([1.0]), rounding=rounding)
-    assert converged == found
-    np.testing.assert_allclose(c, np.sqrt(2), rtol=1e-4)
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-8, 9, 2))
+def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_unknowns(size):
+    """Of unknowns with sizes given too large, or beside one that is found at once, the small one is found to rounding as well."""
+    c, converged = find_root(
+        lambda c: jnp.stack([c[0] - size, jnp.exp(c[1]) - 2]), jnp.array([0.0, 0.69]), jnp.array([size, 1.0])
+    )
+    assert converged
+    assert abs(c[1] - np.log(2)) < 2e-16
+    c, converged = find_root(lambda c: jnp.exp(c) - 2, jnp.array([0.69]), size)
+    assert converged
+    assert abs(c[0] - np.log(2)) < 2e-16 * max(1.0, size)
 
 
 @pytest.mark.parametrize(

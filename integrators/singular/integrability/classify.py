@@ -184,9 +184,11 @@ def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
 
 
 def _known(points: Points) -> Points:
-    """The points with those noted at which a rank is not clear."""
-    decided = [all(ranks.decided for ranks in history) for history in _histories(points)]
-    return replace(points, unclear=~np.array(decided) | points.drowned)
+    """The points with those noted at which a rank is not clear, or depends on what is smaller than rounding."""
+    histories, rounded = _histories(points), _histories(points.rounded)
+    decided = [all(ranks.decided for ranks in history) for history in histories]
+    drowned = [_signatures(a) != _signatures(b) for a, b in zip(histories, rounded, strict=True)]
+    return replace(points, unclear=~np.array(decided) | drowned | points.at.lost)
 
 
 def _require_finite(points: Points, level: Level) -> None:

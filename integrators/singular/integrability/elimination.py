@@ -34,10 +34,17 @@ class Echelon(NamedTuple):
         return (self.smallest >= CERTAIN) & (self.largest <= ZERO)
 
     def steps(self) -> np.ndarray:
-        """Largest component of a step to where the equations hold whose values are the last column, ``(batch,)``."""
-        values = np.abs(self.matrix[:, 0, :, -1])
-        has = np.stack([np.isin(np.arange(values.shape[1]), rows) for rows in self.rows])
-        return np.max(np.where(has, values, 0.0), axis=1, initial=0.0)
+        """Largest component of the least step to where the equations hold whose values are the last column, ``(batch,)``.
+
+        Not of the step of the pivots alone: any number serves for a pivot, also one beside which others are large.
+        """
+        has = np.stack([np.isin(np.arange(self.matrix.shape[2]), rows) for rows in self.rows])
+        solved = np.where(has[..., None], self.matrix[:, 0], 0.0)
+        solved /= np.where(has, np.linalg.norm(solved[..., :-1], axis=2), 1.0)[..., None]
+        finite = np.array(np.isfinite(solved).all(axis=(1, 2)))
+        known = np.where(finite[:, None, None], solved, 0.0)
+        found = np.linalg.pinv(known[..., :-1], rcond=JITTER) @ known[..., -1:]
+        return np.where(finite, np.max(np.abs(found), axis=(1, 2), initial=0.0), np.inf)
 
     def null_basis(self, block: slice) -> np.ndarray:
         """Null vectors of the rows with pivots in a block of columns, one for each column without; zeros for the others."""
@@ -57,10 +64,10 @@ def significance(stack: np.ndarray) -> np.ndarray:
     return size / np.where(size > 0, np.maximum(change, size / MOST), 1.0)
 
 
-def without_steady(stack: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """The stack with zeros for entries of at most these sizes that do not change."""
+def without_small(stack: np.ndarray, least: np.ndarray, steady: float) -> np.ndarray:
+    """The stack with zeros for entries of at most these sizes that change by no more than a multiple ``steady`` of their own."""
     size, change = np.abs(stack[:, 0]), np.max(np.abs(stack[:, 1:] - stack[:, :1]), axis=1)
-    return np.where(((size <= least) & (change <= JITTER * size))[:, None], 0.0, stack)
+    return np.where(((size <= least) & (change <= steady * size))[:, None], 0.0, stack)
 
 
 def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -> Echelon:

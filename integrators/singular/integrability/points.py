@@ -16,7 +16,7 @@ from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
-from .elimination import COUNTED, ZERO, significance, without_steady
+from .elimination import COUNTED, JITTER, ZERO, significance, without_small
 from .jets import DerivativeArray, Pair, hamiltonian_field
 from .underflow import underflows
 from .units import LEAST, Sizes, Units, own_sizes, sizes_at_starts, units_at
@@ -25,7 +25,6 @@ CONVERGED = 1e-10  # largest value of an equation over its unit: how far its zer
 APPROACHED = 1e-6  # largest one, in units at the starts, of equations that are nearly met
 LOOSE = 1e4  # of what is met as well as at the starts: how much worse by the sizes that all variables have at the point
 RESOLUTION, SAMPLES = 1e-10, 8  # length of the tiny steps, in units, and their number: rounding rarely repeats so often
-DROWNED = 1e-13  # largest derivative, in units, by a coordinate that enters only in the rounding of all equations
 BATCH = 20  # points that the kernel takes
 
 Numbers = np.ndarray | Array  # what the kernel returns is held as NumPy arrays
@@ -156,27 +155,31 @@ class Points:
 
         Rounding that is the same beside a point, as that of constants, is told by its size alone.
         """
+        return self._slopes(JITTER)
+
+    def _slopes(self, change: float) -> tuple[np.ndarray, np.ndarray]:
+        """The same, also without what is as small and changes relatively by at most this much."""
         least = LEAST * self.units.terms[..., None]
         by_state, by_jet = self.stack("by_state"), self.stack("by_jet")
         return (
-            without_steady(by_state, least / self.units.state[:, None, None]),
-            without_steady(by_jet, least[..., None] / self.units.jet[:, None, None]),
+            without_small(by_state, least / self.units.state[:, None, None], change),
+            without_small(by_jet, least[..., None] / self.units.jet[:, None, None], change),
         )
 
     def known(self) -> np.ndarray:
         """Which derivatives along the state are not zero, nor rounding, ``(batch, order + 1, m, 2n)``."""
         return significance(self.slopes[0]) > COUNTED
 
-    @cached_property
-    def drowned(self) -> np.ndarray:
-        """Where functions of the problem underflow, or a coordinate enters only in the rounding of equations.
+    @property
+    def rounded(self) -> "Points":
+        """The points without any derivatives that are smaller than the rounding of the terms of their equations.
 
-        So it does by ``exp(-800)``, and, beside 1, by ``exp(-50)``; ranks there are those of another problem.
+        So is what ``exp(-50)`` adds beside 1: a rank that depends on it is that of another problem.
         """
-        k = max(self.level, 0) + 1
-        sizes = np.where(self.known(), np.abs(self.at.by_state), 0.0)[:, :k] / self.units.rows[:, :k, :, None]
-        largest = np.max(sizes, axis=(1, 2)) * self.units.state
-        return self.at.lost | ((largest > 0) & (largest < DROWNED)).any(axis=1)
+        by_state, by_jet = self._slopes(np.inf)
+        at = self.at._replace(by_state=by_state[:, 0], by_jet=by_jet[:, 0])
+        beside = self.beside._replace(by_state=np.moveaxis(by_state[:, 1:], 1, 0), by_jet=np.moveaxis(by_jet[:, 1:], 1, 0))
+        return replace(self, at=at, beside=beside)
 
     def stack(self, name: str) -> np.ndarray:
         """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""

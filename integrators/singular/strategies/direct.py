@@ -19,13 +19,17 @@ from ...problem import OptimalControlProblem
 from ..integrability import Classification
 from ..integrability.jets import hamiltonian_field
 from ..words import many
-from .dynamics import DynamicsIntegrator, FinalDynamics, Memory
+from .dynamics import DynamicsIntegrator, FinalDynamics, Memory, Pair
 from .strategy import Gauge, NotApplicableError
 
 TEST_STEP = 0.5  # length of the steps of the test of composability, relative to the time in which states change by their size
 TEST_STEPS = 10  # steps from each state, each from P_f: one alone may hide how they leave it
 HALVINGS = 20  # of that length, where it is too long for Newton's method
-COMPOSED = 0.85  # power of the machine epsilon up to which departures from P_f are rounding: 5e-14
+COMPOSED = 0.9  # power of the machine epsilon up to which departures from P_f are rounding: 8e-15, ten times what flat ones show
+SHRINKS = 64  # how much less at most steps of half the length depart, of order up to 6 in it, unless the longer were spurious
+# Powers of the machine epsilon up to which steps of any length may depart: of a P_f that is flat to rounding, 1e-11, and
+# the first one, for a start may be beside P_f by what a check of it allows, 9e-8.
+STAYED, STARTED = 0.7, 0.45
 NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
 
 
@@ -36,6 +40,7 @@ class DirectIntegrator(DynamicsIntegrator):
     [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 3.]
     The relation is Lagrangian in ``P_{f,d}``. It is a map of ``P_f`` into itself only where the ends of its steps stay on
     ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that, and takes nothing but rounding for it.
+    A step of which the end is not on ``P_f`` to rounding, as where that is curved elsewhere, is not solved; rounding is removed.
     """
 
     presymplectic: ClassVar[bool] = True
@@ -63,7 +68,16 @@ class DirectIntegrator(DynamicsIntegrator):
         return self.dynamics.begin()
 
     def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
-        return self.dynamics.on(system).step(self.lift, h, q, p, previous)
+        dynamics = self.dynamics.on(system)
+        end, departure, unknowns, solved = _stepped(dynamics, self.lift, h, (q, p), previous)
+        allowed = jnp.where(previous.time == 0, tolerance(departure, STARTED), tolerance(departure, STAYED))
+        return StepResult(*end, unknowns, solved & (departure <= allowed))
+
+    def hint(self, system: OptimalControlProblem, first: Pair, last: Pair) -> str:
+        return (
+            f"{super().hint(system, first, last)} Or a step of this length leaves P_f, as where that is curved: take a shorter "
+            "one, or another strategy."
+        )
 
     def control(self, unknowns: Memory) -> Ambient:
         return unknowns.control
@@ -96,7 +110,7 @@ def _trials(integrator: DirectIntegrator, problem: OptimalControlProblem, states
         def shorter(trial: _Trial) -> _Trial:
             h = trial.length / 2
             departure, solved = _steps(integrator, problem, h, start)
-            left = departure > allowed
+            left = departure > jnp.where(trial.departed > 0, jnp.minimum(allowed, trial.departure / SHRINKS), allowed)
             return _Trial(h, departure, solved & ~left, jnp.where(left, trial.departed + 1, 0), trial.halvings + 1)
 
         def unknown(trial: _Trial) -> Array:
@@ -111,14 +125,12 @@ def _steps(
     integrator: DirectIntegrator, problem: OptimalControlProblem, h: Array, start: tuple[Ambient, Ambient]
 ) -> tuple[Array, Array]:
     """Largest departure at the ends of some steps, up to the first that is not solved, and whether all are solved."""
-    final = integrator.dynamics.manifold
+    dynamics = integrator.dynamics.on(problem)
 
     def step(state: tuple[Any, Array, Array, Array]) -> tuple[Any, Array, Array, Array]:
-        last, departure, _, count = state
-        new = integrator.step(problem, h, *last)
-        end, gap = final.restore((new.q, new.p)), _departure(final, last[:2], (new.q, new.p))
-        solved = new.converged & jnp.isfinite(gap)
-        return (*end, new.unknowns), jnp.where(solved, jnp.maximum(departure, gap), departure), solved, count + 1
+        (q, p, memory), departure, _, count = state
+        end, gap, unknowns, solved = _stepped(dynamics, integrator.lift, h, (q, p), memory)
+        return (*end, unknowns), jnp.where(solved, jnp.maximum(departure, gap), departure), solved, count + 1
 
     def going(state: tuple[Any, Array, Array, Array]) -> Array:
         return state[2] & (state[3] < TEST_STEPS)
@@ -128,7 +140,17 @@ def _steps(
     return departure, solved
 
 
-def _departure(final: Manifold, begin: tuple[Ambient, Ambient], end: tuple[Ambient, Ambient]) -> Array:
+def _stepped(
+    dynamics: FinalDynamics, lift: CotangentLift, h: ArrayLike, begin: Pair, previous: Memory
+) -> tuple[Pair, Array, Memory, Array]:
+    """The end of a step, moved to ``P_f``, from which it departed by so much; what is left to the next; whether it is solved."""
+    new = dynamics.step(lift, h, *begin, previous)
+    end = new.q, new.p
+    departure = _departure(dynamics.manifold, begin, end)
+    return dynamics.manifold.restore(end), departure, new.unknowns, new.converged & jnp.isfinite(departure)
+
+
+def _departure(final: Manifold, begin: Pair, end: Pair) -> Array:
     """Equations of ``P_f`` at the end of a step, relative to one or to what moves of the size of a state change them by.
 
     To the rounding of that size, of its largest entry, steps are solved.

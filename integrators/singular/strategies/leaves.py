@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.newton import tolerance
 
 Point = tuple[Ambient, Ambient]
 Constraints = Callable[[Ambient, Ambient], Float[Array, " m"]]
@@ -54,9 +55,18 @@ def leaf_flow(constraints: Constraints, z: Point, time: Float[Array, " m"]) -> P
     second = field(vec.add(z, vec.scale(0.5, first)))
     third = field(vec.add(z, vec.scale(0.5, second)))
     fourth = field(vec.add(z, third))
-    change, size = vec.size(vec.subtract(second, first)), vec.size(z)
     short = jax.tree.map(lambda a, *k: a + (k[0] + 2 * k[1] + 2 * k[2] + k[3]) / 6, z, first, second, third, fourth)
-    return jax.lax.cond(change**2 <= jnp.finfo(size.dtype).eps * size**2, lambda: short, lambda: _extrapolated(field, z))
+    enough = jnp.all(jnp.stack([jnp.all(leaf) for leaf in jax.tree.leaves(jax.tree.map(_straight, z, first, second))]))
+    return jax.lax.cond(enough, lambda: short, lambda: _extrapolated(field, z))
+
+
+def _straight(leaf: Array, first: Array, second: Array) -> Array:
+    """Where a field changes half-way by so little of itself that the fourth power of that is rounding, or by rounding.
+
+    Entry by entry: others, as a coordinate that does not enter, may be of any size.
+    """
+    rounding = tolerance(leaf.real, 1.0) * vec.largest(leaf)
+    return jnp.abs(second - first) <= tolerance(leaf.real, 0.25) * jnp.abs(first) + rounding
 
 
 def _extrapolated(field: Callable[[Point], Point], z: Point) -> Point:

@@ -113,11 +113,10 @@ class RattleIntegrator(SingularIntegrator):
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
         times = _leaf_times(split, (q, p))
-        sizes = jnp.concatenate([times, equations.sizes])
-        # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on.
-        moved_by = jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q))
-        rounding = tolerance(sizes, 1.0) / jnp.maximum(moved_by, tolerance(sizes, 0.5))
-        root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes, rounding=rounding)
+        # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on: its time is not asked for.
+        moved_by = jnp.maximum(jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q)), tolerance(times, 0.5))
+        sizes = jnp.concatenate([times / moved_by, equations.sizes])
+        root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])
         near = flow((q1, p1), moved)
         w = jax.lax.stop_gradient(unknowns[1])
