@@ -108,14 +108,10 @@ HORIZON = 1.0
 COUNTS = {1: (8, 16, 32), 2: (4, 8, 16), 3: (3, 5, 8), 4: (2, 3, 5)}
 QUICK = (*(("R2", stages) for stages in COUNTS), ("S2", 2), ("controlled body", 2))
 OTHERS = (
-    ("S2", 4),
-    ("SO3", 2),
-    ("SO3", 4),
+    *((name, stages) for name in ("S2", "SO3", "controlled body") for stages in COUNTS if (name, stages) not in QUICK),
     ("ellipsoid", 3),
     ("SE3", 2),
     ("St42", 4),
-    ("controlled body", 3),
-    ("controlled body", 4),
 )
 
 
