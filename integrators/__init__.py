@@ -58,6 +58,7 @@ __all__ = [
     "ControlStage",
     "DiracIntegrator",
     "DiracSystem",
+    "GaussStage",
     "GeodesicRetraction",
     "Guess",
     "HamiltonianStage",
