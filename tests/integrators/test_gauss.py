@@ -162,7 +162,7 @@ def errors_of(name: str, method: Any, counts: Iterable[int], weights: tuple[floa
 
 @pytest.mark.parametrize(("name", "stages"), [usual_or_slow(*case, usual=case in QUICK) for case in QUICK + OTHERS])
 def test_states_and_covectors_are_of_order_twice_the_number_of_stages(name, stages):
-    counts = np.array(COUNTS[stages]) * (2 if name == "ellipsoid" else 1)  # it starts fast
+    counts = np.array(COUNTS[stages]) * (4 if name == "ellipsoid" else 1)  # longer steps there do not show the order yet
     errors = errors_of(name, Gauss(stages, SUBJECTS[name].retraction), counts)
     for column in errors.T:
         assert slope(1 / counts, column, 1e-12) > 2 * stages - 0.3
