@@ -39,7 +39,7 @@ from .singular import (
     classify,
     singular_integrator,
 )
-from .stages import ControlStage, HamiltonianStage, Stage
+from .stages import ControlStage, GaussStage, HamiltonianStage, Stage
 
 if TYPE_CHECKING:
     from .singular.symbolic import SymbolicClassification as SymbolicClassification
@@ -58,6 +58,7 @@ __all__ = [
     "ControlStage",
     "DiracIntegrator",
     "DiracSystem",
+    "GaussStage",
     "GeodesicRetraction",
     "Guess",
     "HamiltonianStage",

@@ -83,7 +83,6 @@ class GaussStage(Stage):
 
     def begin(self, q: Ambient, p: Ambient, u: Ambient) -> GaussUnknowns:
         """Unknowns of a step that stands still."""
-
         return GaussUnknowns(q, *map(self._at_points, (vec.zeros(q), p, u)))
 
     def frame(self, y: GaussUnknowns) -> tuple[Frame, Any]:
