@@ -160,18 +160,36 @@ def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[i
 
 
 @inner
-def scale(v: np.ndarray, u: np.ndarray, last: int) -> None:
-    """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones."""
-    u[:] = 0.0
-    for i in range(last):
+def _sizes(v: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
+    """Sizes of the rows: of unknowns by their largest entry, of the equations after them by the unknowns in their sizes."""
+    for i in range(u.size):
+        u[i] = 0.0
+    for i in range(z):
         largest = u[i]
         for j in range(i, last):
-            size = abs(v[i, j])
-            largest = size if size > largest else largest
+            largest = abs(v[i, j]) if abs(v[i, j]) > largest else largest
+            u[j] = abs(v[i, j]) if j < z and abs(v[i, j]) > u[j] else u[j]
+        u[i] = math.sqrt(largest)
+        for j in range(z, last):
+            size = abs(v[i, j]) / u[i] if u[i] > 0 else 0.0
             u[j] = size if size > u[j] else u[j]
-        u[i] = largest
+    for i in range(z, last):
+        for j in range(i, last):
+            size = math.sqrt(abs(v[i, j]))
+            u[i] = size if size > u[i] else u[i]
+            u[j] = size if size > u[j] else u[j]
+
+
+@inner
+def scale(v: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
+    """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones.
+
+    First come z unknowns. The entries of the equations after them are made one too, so that weights in the Hessian of the unknowns
+    do not make them small.
+    """
+    _sizes(v, u, z, last)
     for i in range(u.size):
-        u[i] = 1 / math.sqrt(u[i]) if u[i] > 0 else 1.0
+        u[i] = 1 / u[i] if u[i] > 0 else 1.0
     for i in range(last):
         for j in range(i, v.shape[1]):
             v[i, j] *= u[i] * u[j]

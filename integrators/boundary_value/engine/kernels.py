@@ -107,7 +107,7 @@ def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work
         if k == count - 1:
             last += n
             _close(v, nodes[count], fixed[1])
-        scale(v, sizes[k], last)
+        scale(v, sizes[k], z, last)
         found, size = factorise(v, swaps[k], last, z + 2 * n)
         negative += found
         if size < smallest or size != size:
