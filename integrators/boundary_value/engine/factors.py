@@ -79,10 +79,7 @@ def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
     Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch and Kaufman
     does not [Ashcraft, Grimes, Lewis 1998].
     """
-    size, r = _largest(v, k, k, last)
-    if abs(v[k, k]) >= BALANCE * size or r == k:
-        return k, k
-    i = k
+    i, r, size = k, k, -1.0
     while True:
         larger, j = _largest(v, r, k, last)
         if abs(v[r, r]) >= BALANCE * larger:
@@ -107,27 +104,24 @@ def _swap(v: np.ndarray, first: int, k: int, r: int) -> None:
 
 
 @inner
-def _eliminated_one(v: np.ndarray, k: int, rows: int) -> None:
-    inverse = 1 / v[k, k]
-    for i in range(k + 1, rows):
-        f = v[k, i] * inverse
-        if f != 0:
-            for j in range(i & -LANES, v.shape[1], LANES):
-                add_vector(v, i, j, -f, v, k, j)
+def _eliminated(v: np.ndarray, k: int, width: int, rows: int) -> None:
+    """Subtract what the pivot of one or two rows from k on explains of the rows after it.
 
-
-@inner
-def _eliminated_two(v: np.ndarray, k: int, rows: int) -> None:
-    """The inverse is formed relative to the entry beside the diagonal, the largest."""
-    inverse = 1 / v[k, k + 1]
-    a, c = v[k, k] * inverse, v[k + 1, k + 1] * inverse
-    inverse /= a * c - 1
-    for i in range(k + 2, rows):
-        f, g = inverse * (c * v[k, i] - v[k + 1, i]), inverse * (a * v[k + 1, i] - v[k, i])
+    The inverse of a pivot of two is formed relative to the entry beside the diagonal, the largest.
+    """
+    h = k + width - 1
+    inverse = 1 / v[k, h]
+    a, c = v[k, k] * inverse, v[h, h] * inverse
+    both = inverse / (a * c - 1)
+    for i in range(h + 1, rows):
+        f, g = v[k, i] * inverse, 0.0
+        if width == 2:
+            f, g = both * (c * v[k, i] - v[h, i]), both * (a * v[h, i] - v[k, i])
         if f != 0 or g != 0:
             for j in range(i & -LANES, v.shape[1], LANES):
                 add_vector(v, i, j, -f, v, k, j)
-                add_vector(v, i, j, -g, v, k + 1, j)
+                if width == 2:
+                    add_vector(v, i, j, -g, v, h, j)
 
 
 @inner
@@ -140,20 +134,16 @@ def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[i
     while k < last:
         i, r = _chosen(v, k, last)
         a, b, c = v[i, i], v[min(i, r), max(i, r)], v[r, r]
-        _swap(v, k, k, i)
-        if i == r:
-            swaps[k] = i
-            negative, size = negative + (a < 0), abs(a)
-            _eliminated_one(v, k, rows)
-            k += 1
-        else:
-            r = i if r == k else r
-            _swap(v, k, k + 1, r)
-            swaps[k], swaps[k + 1] = -1 - i, -1 - r
-            large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
-            negative, size = negative + 1, abs(a * (c / large) - b * (b / large))
-            _eliminated_two(v, k, rows)
-            k += 2
+        width = 1 if i == r else 2
+        for t in range(width):
+            other = i if t == 0 or r == k else r
+            _swap(v, k, k + t, other)
+            swaps[k + t] = other if width == 1 else -1 - other
+        _eliminated(v, k, width, rows)
+        k += width
+        large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
+        size = abs(a) if width == 1 else abs(a * (c / large) - b * (b / large))
+        negative += width == 2 or a < 0
         if size < smallest or size != size:
             smallest = size
     return negative, smallest
@@ -201,21 +191,20 @@ def substitute(rows: np.ndarray, bases: np.ndarray, swaps: np.ndarray, x: np.nda
 
     ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; right-hand side: column ``side``.
     """
-    size, k = x.size, last - 1
+    k = last - 1
     while k >= 0:
-        base, r = bases[k], swaps[k]
-        if r >= 0:
-            x[k] = (rows[base + side] - dot(x, k + 1, size, rows, base)) / rows[base + k]
-            x[k], x[r] = x[r], x[k]
-            k -= 1
-        else:
-            other, r, i = bases[k - 1], -1 - r, -1 - swaps[k - 1]
-            f = rows[other + side] - dot(x, k + 1, size, rows, other)
-            g = rows[base + side] - dot(x, k + 1, size, rows, base)
-            inverse = 1 / rows[other + k]
-            a, c = rows[other + k - 1] * inverse, rows[base + k] * inverse
-            inverse /= a * c - 1
-            x[k - 1], x[k] = inverse * (c * f - g), inverse * (a * g - f)
-            x[k], x[r] = x[r], x[k]
-            x[k - 1], x[i] = x[i], x[k - 1]
-            k -= 2
+        width = 1 if swaps[k] >= 0 else 2
+        h = k - width + 1
+        f, g = 0.0, 0.0
+        for i in range(h, k + 1):
+            f, g = g, rows[bases[i] + side] - dot(x, k + 1, x.size, rows, bases[i])
+        inverse = 1 / rows[bases[h] + k]
+        a, c = rows[bases[h] + h] * inverse, rows[bases[k] + k] * inverse
+        both = inverse / (a * c - 1)
+        x[k] = g * inverse if width == 1 else both * (a * g - f)
+        if width == 2:
+            x[h] = both * (c * f - g)
+        for i in range(k, h - 1, -1):
+            r = swaps[i] if width == 1 else -1 - swaps[i]
+            x[i], x[r] = x[r], x[i]
+        k = h - 1

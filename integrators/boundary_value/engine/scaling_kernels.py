@@ -49,5 +49,5 @@ def gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray, work: tupl
         decompose(v, swaps, lower, weights[0])
         back_substitute(v, start, lower)
         _move(near[k], far[k], v, start, move, push)
-        _congruent(out[k + 1], move, out[k])
-        _congruent(out[k + 1], push, variance)
+        for i in range(2):
+            _congruent(out[k + 1], move if i == 0 else push, out[k] if i == 0 else variance)
