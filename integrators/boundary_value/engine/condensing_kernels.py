@@ -39,7 +39,7 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
 
 @inner
 def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
-    """``(dx, sum_j weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``, by rows; the last two of point i, if there is one."""
+    """``(dx, sum_j h weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``; the last two of point i, if there is one."""
     n, m, i = sizes
     for a in range(x.shape[0]):
         for j in range(x.shape[1]):
@@ -85,9 +85,9 @@ def _store(y: np.ndarray, matrix: np.ndarray, columns: np.ndarray) -> None:
 def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, out: tuple) -> None:
     """Condense the steps ``first`` to ``last``.
 
-    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix and
-    weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the shares of
-    ``nu_0`` in the gaps before and after.
+    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix
+    and weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the
+    shares of ``nu_0`` in the gaps before and after.
     """
     (v, x, y, weights, total), (h, matrix, b), (s, n, q) = work, table, points[1].shape[1:]
     m, start = q - 3 * n, v.shape[1] - total.shape[1]
@@ -155,8 +155,8 @@ def expand(
 ) -> None:
     """Chart velocities and multipliers of the points of the steps ``first`` to ``last``, one column.
 
-    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the slopes
-    of points and ends; ``out``: ``dnu`` and ``dlambda``.
+    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the
+    slopes of points and ends, the latter overwritten; ``out``: ``dnu`` and ``dlambda``.
     """
     (h, matrix, b), (w, before, after, shifts, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
     (e, x), m = work, q - 3 * n

@@ -74,16 +74,16 @@ def eliminate(
     out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
 
     def run(part: range) -> None:
-        work, factors = _places(count, n, z, columns)
-        for m in part:
-            _solve(m, system, units, raised[m], (work, factors), out)
+        places = _places(count, n, z, columns)
+        with np.errstate(all="ignore"):
+            for m in part:
+                _solve(m, system, units, raised[m], places, out)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
-    if unknown.any():
-        np.copyto(out.steps, np.nan, where=unknown[:, None, None])
-        np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
-    out.size[:] = np.einsum("bkz,bz,bkz->b", out.steps[..., 0], scales, out.steps[..., 0])
+    if not (np.isfinite(out.steps).all() and np.isfinite(out.multipliers).all()):
+        _refuse(out)
+    with np.errstate(over="ignore"):
+        out.size[:] = np.sum(np.sum(out.steps[..., 0] ** 2, axis=1) * scales, axis=1)
     return out
 
 
@@ -104,6 +104,13 @@ def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places
     work, factors = places
     out.negative[m], out.smallest[m] = kernels.forward(blocks, units, weight, np.stack(fixed), work, factors)
     out.curvature[m] = kernels.backward(blocks, units, weight, work, factors, (out.steps[m], out.multipliers[m]))
+
+
+def _refuse(out: BlockSolution) -> None:
+    """Make columns NaN as a whole that are not finite somewhere."""
+    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
+    np.copyto(out.steps, np.nan, where=unknown[:, None, None])
+    np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
 
 
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:

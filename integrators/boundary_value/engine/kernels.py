@@ -88,10 +88,10 @@ def _keep(v: np.ndarray, rows: np.ndarray, bases: np.ndarray, last: int) -> None
 def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work: Blocks, factors: tuple) -> tuple[int, float]:
     """Factorise step after step; the number of negative pivots and the size of the smallest.
 
-    ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of the Hessians
-    with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of the last;
-    ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, a column of unknowns;
-    ``factors``: the rows of all steps, their bases, their units, and the swaps.
+    ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of
+    the Hessians with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of
+    the last; ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, columns
+    of unknowns; ``factors``: the rows of all steps, their bases, their units, and the swaps.
     """
     (_, lefts, _, steps, nodes), (hessian, left, right, v, _), (rows, bases, sizes, swaps) = blocks, work, factors
     (count, n, z), negative, smallest = lefts.shape, 0, np.inf

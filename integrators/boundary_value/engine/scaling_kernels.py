@@ -35,9 +35,9 @@ def _congruent(out: np.ndarray, a: np.ndarray, g: np.ndarray) -> None:
 
 @compiled
 def gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray, work: tuple, swaps: np.ndarray, out: np.ndarray) -> None:
-    """``G_k = A G_{k-1} A' + B W B'`` from the ends of the steps in their order, shape ``(N, n, z)``; ``out``: shape ``(N + 1, n, n)``.
+    """``G_k = A G_{k-1} A' + B W B'`` from the ends of the steps in their order, shape ``(N, n, z)``.
 
-    ``variance``: the diagonal matrix ``W``; ``out`` comes as zeros.
+    ``variance``: the diagonal matrix ``W``; ``out``: shape ``(N + 1, n, n)``, comes as zeros.
     """
     (v, lower, weights, move, push), (count, n, _) = work, near.shape
     start = v.shape[1] // 2
