@@ -37,20 +37,23 @@ def dot(x: np.ndarray, first: int, last: int, y: np.ndarray, base: int) -> float
     return total
 
 
+VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+
+
+def _place(context: Any, builder: Any, signature: Any, values: Any, first: int) -> Any:
+    """Where the vector begins whose array, row and column are the arguments from ``first`` on."""
+    value = context.make_array(signature.args[first])(context, builder, values[first])
+    row = builder.mul(values[first + 1], builder.extract_value(value.shape, 1))
+    return builder.bitcast(builder.gep(value.data, [builder.add(row, values[first + 2])]), VECTOR.as_pointer())
+
+
 @intrinsic
 def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
     """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        vector = ir.VectorType(ir.DoubleType(), LANES)
-
-        def place(array: int) -> Any:
-            value = context.make_array(signature.args[array])(context, builder, values[array])
-            row = builder.mul(values[array + 1], builder.extract_value(value.shape, 1))
-            return builder.bitcast(builder.gep(value.data, [builder.add(row, values[array + 2])]), vector.as_pointer())
-
-        to, of = place(0), place(4)
-        factor = ir.Constant(vector, ir.Undefined)
+        to, of = (_place(context, builder, signature, values, first) for first in (0, 4))
+        factor = ir.Constant(VECTOR, ir.Undefined)
         for t in range(LANES):
             factor = builder.insert_element(factor, values[3], ir.Constant(ir.IntType(32), t))
         product = builder.fmul(factor, builder.load(of, align=8), flags=("contract",))
@@ -58,6 +61,18 @@ def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: A
         return context.get_dummy_value()
 
     return types.void(y, types.intp, types.intp, types.float64, x, types.intp, types.intp), generate
+
+
+@intrinsic
+def copy_vector(typing: Any, y: Any, i: Any, j: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
+    """``y[i, j : j + LANES] = x[k, l : l + LANES]``."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        to, of = (_place(context, builder, signature, values, first) for first in (0, 3))
+        builder.store(builder.load(of, align=8), to, align=8)
+        return context.get_dummy_value()
+
+    return types.void(y, types.intp, types.intp, x, types.intp, types.intp), generate
 
 
 @inner
@@ -161,8 +176,9 @@ def _sizes(v: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
             largest = abs(v[i, j]) if abs(v[i, j]) > largest else largest
             u[j] = abs(v[i, j]) if j < z and abs(v[i, j]) > u[j] else u[j]
         u[i] = math.sqrt(largest)
+        inverse = 1 / u[i] if largest > 0 else 0.0
         for j in range(z, last):
-            size = abs(v[i, j]) / u[i] if u[i] > 0 else 0.0
+            size = abs(v[i, j]) * inverse
             u[j] = size if size > u[j] else u[j]
     for i in range(z, last):
         for j in range(i, last):

@@ -7,7 +7,7 @@ complement: those of the next step. At the last step all are eliminated.
 import numpy as np
 
 from .arrays import LANES
-from .factors import add_vector, compiled, dot, factorise, inner, scale, substitute
+from .factors import add_vector, compiled, copy_vector, dot, factorise, inner, scale, substitute
 
 Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Units = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -78,10 +78,10 @@ def _load_step(v: np.ndarray, hessian: np.ndarray, left: np.ndarray, right: np.n
 
 
 @inner
-def _keep(v: np.ndarray, rows: np.ndarray, bases: np.ndarray, last: int) -> None:
-    for k in range(last):
-        for j in range(k & -LANES, v.shape[1]):
-            rows[bases[k] + j] = v[k, j]
+def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int) -> None:
+    for i in range(last):
+        for j in range(i & -LANES, v.shape[1], LANES):
+            copy_vector(rows, k, bases[i] + j, v, i, j)
 
 
 @compiled
@@ -112,7 +112,7 @@ def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work
         negative += found
         if size < smallest or size != size:
             smallest = size
-        _keep(v, rows[k], bases, last)
+        _keep(v, rows, k, bases, last)
     return negative, smallest
 
 
