@@ -38,7 +38,7 @@ class Points(NamedTuple):
 
 @final
 class Ends(NamedTuple):
-    """At the two ends of each step, in ``(dx, deta)``, ``eta = h sum_j b_j nu_j``: derivatives of the Lagrangian and of the ends."""
+    """At both ends of each step, in ``(dx, deta)``, ``eta = h sum_j b_j nu_j``: derivatives of the Lagrangian and of the ends."""
 
     hessian: Float[np.ndarray, "B N 2n 2n"]
     left: Float[np.ndarray, "B N n 2n"]
@@ -60,8 +60,9 @@ class Parts(NamedTuple):
     def system(self, gap: Float[np.ndarray, "B N+1 n k"], start: np.ndarray, end: np.ndarray) -> BlockSystem:
         """The condensed system, from the gaps of the nodes and the fixed coordinates of both ends, shape ``(B, n)``."""
         gap = np.array(gap, dtype=float)
-        gap[:, :-1] += self.before
-        gap[:, 1:] -= self.after
+        with np.errstate(invalid="ignore"):
+            gap[:, :-1] += self.before
+            gap[:, 1:] -= self.after
         return BlockSystem(self.hessian, self.left, self.right, self.slope, gap, start, end)
 
 
@@ -88,9 +89,9 @@ class Expanded(NamedTuple):
 def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: Tableau) -> tuple[Parts, Condensed]:
     """Eliminate ``nu`` and ``lambda`` from Newton's equations of every step.
 
-    With ``d = T w + t``, ``T`` and ``t`` having the rows ``N`` and ``nu_0`` for ``nu``, a null-space step: the condensed Hessian is
-    ``T' H T``, the slope ``T' (g + H t)``, the ends' derivatives are ``left T`` and ``right T``. Where the equations of a step do not
-    determine ``nu``, its blocks are not finite.
+    With ``d = T w + t``, ``T`` and ``t`` having the rows ``N`` and ``nu_0`` for ``nu``, a null-space step: the condensed
+    Hessian is ``T' H T``, the slope ``T' (g + H t)``, the ends' derivatives are ``left T`` and ``right T``. Where the equations
+    of a step do not determine ``nu``, its blocks are not finite.
     """
     from . import condensing_kernels
 

@@ -39,7 +39,7 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
 
 @inner
 def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
-    """``(dx, sum_j weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``, by rows; the last two of point i, if there is one."""
+    """``(dx, sum_j h weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``; the last two of point i, if there is one."""
     n, m, i = sizes
     for a in range(x.shape[0]):
         for j in range(x.shape[1]):
@@ -85,9 +85,9 @@ def _store(y: np.ndarray, matrix: np.ndarray, columns: np.ndarray) -> None:
 def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, out: tuple) -> None:
     """Condense the steps ``first`` to ``last``.
 
-    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix and
-    weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the shares of
-    ``nu_0`` in the gaps before and after.
+    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix
+    and weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the
+    shares of ``nu_0`` in the gaps before and after.
     """
     (v, x, y, weights, total), (h, matrix, b), (s, n, q) = work, table, points[1].shape[1:]
     m, start = q - 3 * n, v.shape[1] - total.shape[1]
@@ -101,19 +101,18 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
         for i in range(total.shape[0]):
             for j in range(total.shape[1]):
                 total[i, j] = 0.0
-        for i in range(s):
-            _map(x, v, start, h[t], matrix[i], (n, m, i))
-            _pull(total, y, points[0][t, i], points[2][t, i], x)
-        _map(x, v, start, h[t], b, (n, m, np.int64(-1)))
-        _pull(total, y, ends[0][t], ends[3][t], x)
+        for i in range(s + 1):
+            at_ends = i == s
+            _map(x, v, start, h[t], b if at_ends else matrix[i], (n, m, -1 if at_ends else i))
+            block, slope = (ends[0][t], ends[3][t]) if at_ends else (points[0][t, i], points[2][t, i])
+            _pull(total, y, block, slope, x)
         for i in range(total.shape[0]):
             for j in range(i):
                 total[i, j] = total[j, i]
         _store(total, out[0][t], out[3][t])
-        product(y, ends[1][t], x)
-        _store(y, out[1][t], out[4][t])
-        product(y, ends[2][t], x)
-        _store(y, out[2][t], out[5][t])
+        for i in range(2):
+            product(y, ends[1][t] if i == 0 else ends[2][t], x)
+            _store(y, out[1][t] if i == 0 else out[2][t], out[4][t] if i == 0 else out[5][t])
 
 
 @inner
@@ -156,25 +155,26 @@ def expand(
 ) -> None:
     """Chart velocities and multipliers of the points of the steps ``first`` to ``last``, one column.
 
-    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the slopes
-    of points and ends; ``out``: ``dnu`` and ``dlambda``.
+    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the
+    slopes of points and ends, the latter overwritten; ``out``: ``dnu`` and ``dlambda``.
     """
     (h, matrix, b), (w, before, after, shifts, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
-    (e, x), nothing, m = work, np.int64(-1), q - 3 * n
+    (e, x), m = work, q - 3 * n
     for t in range(first, last):
         nu = out[0][t]
         for i in range(s * n):
             nu[i], x[i] = shifts[t, i], 0.0
             for j in range(w.shape[1]):
                 nu[i] += kept[2][t, i, j] * w[t, j]
-        for i in range(s):
-            _place(e, w[t], nu, h[t], matrix[i], (n, m, i))
-            _push(x, e, points[0][t, i], slopes[t, i], h[t], matrix[i], (n, m, i))
-        _place(e, w[t], nu, h[t], b, (n, m, nothing))
         for c in range(n, 2 * n):
             for a in range(n):
                 pulls[t, c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
-        _push(x, e, ends[0][t], pulls[t], h[t], b, (n, m, nothing))
+        for i in range(s + 1):
+            at_ends = i == s
+            weights, sizes = b if at_ends else matrix[i], (n, m, -1 if at_ends else i)
+            _place(e, w[t], nu, h[t], weights, sizes)
+            block, slope = (ends[0][t], pulls[t]) if at_ends else (points[0][t, i], slopes[t, i])
+            _push(x, e, block, slope, h[t], weights, sizes)
         solve_transposed(kept[0][t], kept[1][t], x)
         for i in range(s * n):
             out[1][t, i] = -x[i]

@@ -10,6 +10,7 @@ from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
 CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+MANY = 1e3  # equations of nodes: with more, and so with larger weights, rounding hides more
 
 
 @final
@@ -73,16 +74,16 @@ def eliminate(
     out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
 
     def run(part: range) -> None:
-        work, factors = _places(count, n, z, columns)
-        for m in part:
-            _solve(m, system, units, raised[m], (work, factors), out)
+        places = _places(count, n, z, columns)
+        with np.errstate(all="ignore"):
+            for m in part:
+                _solve(m, system, units, raised[m], places, out)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
-    if unknown.any():
-        np.copyto(out.steps, np.nan, where=unknown[:, None, None])
-        np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
-    out.size[:] = np.einsum("bkz,bz,bkz->b", out.steps[..., 0], scales, out.steps[..., 0])
+    if not (np.isfinite(out.steps).all() and np.isfinite(out.multipliers).all()):
+        _refuse(out)
+    with np.errstate(over="ignore"):
+        out.size[:] = np.sum(np.sum(out.steps[..., 0] ** 2, axis=1) * scales, axis=1)
     return out
 
 
@@ -105,6 +106,13 @@ def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places
     out.curvature[m] = kernels.backward(blocks, units, weight, work, factors, (out.steps[m], out.multipliers[m]))
 
 
+def _refuse(out: BlockSolution) -> None:
+    """Make columns NaN as a whole that are not finite somewhere."""
+    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
+    np.copyto(out.steps, np.nan, where=unknown[:, None, None])
+    np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
+
+
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
     rows = z + 2 * n
@@ -121,4 +129,5 @@ def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
     This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
     if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
     """
-    return (solution.negative == count) & (solution.smallest > np.finfo(float).eps ** CLEAR)
+    clear = np.finfo(float).eps ** CLEAR * max(1.0, count / MANY)
+    return (solution.negative == count) & (solution.smallest > clear)

@@ -18,6 +18,7 @@ from .arrays import LANES
 
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
+# None of these functions allocates: without counts of references they are a third shorter.
 compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
 inner = numba.njit(
     error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
@@ -36,20 +37,23 @@ def dot(x: np.ndarray, first: int, last: int, y: np.ndarray, base: int) -> float
     return total
 
 
+VECTOR = ir.VectorType(ir.DoubleType(), LANES)
+
+
+def _place(context: Any, builder: Any, signature: Any, values: Any, first: int) -> Any:
+    """Where the vector begins whose array, row and column are the arguments from ``first`` on."""
+    value = context.make_array(signature.args[first])(context, builder, values[first])
+    row = builder.mul(values[first + 1], builder.extract_value(value.shape, 1))
+    return builder.bitcast(builder.gep(value.data, [builder.add(row, values[first + 2])]), VECTOR.as_pointer())
+
+
 @intrinsic
 def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
     """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        vector = ir.VectorType(ir.DoubleType(), LANES)
-
-        def place(array: int) -> Any:
-            value = context.make_array(signature.args[array])(context, builder, values[array])
-            row = builder.mul(values[array + 1], builder.extract_value(value.shape, 1))
-            return builder.bitcast(builder.gep(value.data, [builder.add(row, values[array + 2])]), vector.as_pointer())
-
-        to, of = place(0), place(4)
-        factor = ir.Constant(vector, ir.Undefined)
+        to, of = (_place(context, builder, signature, values, first) for first in (0, 4))
+        factor = ir.Constant(VECTOR, ir.Undefined)
         for t in range(LANES):
             factor = builder.insert_element(factor, values[3], ir.Constant(ir.IntType(32), t))
         product = builder.fmul(factor, builder.load(of, align=8), flags=("contract",))
@@ -57,6 +61,18 @@ def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: A
         return context.get_dummy_value()
 
     return types.void(y, types.intp, types.intp, types.float64, x, types.intp, types.intp), generate
+
+
+@intrinsic
+def copy_vector(typing: Any, y: Any, i: Any, j: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
+    """``y[i, j : j + LANES] = x[k, l : l + LANES]``."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        to, of = (_place(context, builder, signature, values, first) for first in (0, 3))
+        builder.store(builder.load(of, align=8), to, align=8)
+        return context.get_dummy_value()
+
+    return types.void(y, types.intp, types.intp, x, types.intp, types.intp), generate
 
 
 @inner
@@ -76,13 +92,10 @@ def _largest(v: np.ndarray, r: int, first: int, last: int) -> tuple[float, int]:
 def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
     """Rows of the next pivot, equal where it is of size one: the entry is the largest in both its rows.
 
-    Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch and Kaufman
-    does not [Ashcraft, Grimes, Lewis 1998].
+    Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch and
+    Kaufman does not [Ashcraft, Grimes, Lewis 1998].
     """
-    size, r = _largest(v, k, k, last)
-    if abs(v[k, k]) >= BALANCE * size or r == k:
-        return k, k
-    i = k
+    i, r, size = k, k, -1.0
     while True:
         larger, j = _largest(v, r, k, last)
         if abs(v[r, r]) >= BALANCE * larger:
@@ -107,27 +120,24 @@ def _swap(v: np.ndarray, first: int, k: int, r: int) -> None:
 
 
 @inner
-def _eliminated_one(v: np.ndarray, k: int, rows: int) -> None:
-    inverse = 1 / v[k, k]
-    for i in range(k + 1, rows):
-        f = v[k, i] * inverse
-        if f != 0:
-            for j in range(i & -LANES, v.shape[1], LANES):
-                add_vector(v, i, j, -f, v, k, j)
+def _eliminated(v: np.ndarray, k: int, width: int, rows: int) -> None:
+    """Subtract what the pivot of one or two rows from k on explains of the rows after it.
 
-
-@inner
-def _eliminated_two(v: np.ndarray, k: int, rows: int) -> None:
-    """The inverse is formed relative to the entry beside the diagonal, the largest."""
-    inverse = 1 / v[k, k + 1]
-    a, c = v[k, k] * inverse, v[k + 1, k + 1] * inverse
-    inverse /= a * c - 1
-    for i in range(k + 2, rows):
-        f, g = inverse * (c * v[k, i] - v[k + 1, i]), inverse * (a * v[k + 1, i] - v[k, i])
+    The inverse of a pivot of two is formed relative to the entry beside the diagonal, the largest.
+    """
+    h = k + width - 1
+    inverse = 1 / v[k, h]
+    a, c = v[k, k] * inverse, v[h, h] * inverse
+    both = inverse / (a * c - 1)
+    for i in range(h + 1, rows):
+        f, g = v[k, i] * inverse, 0.0
+        if width == 2:
+            f, g = both * (c * v[k, i] - v[h, i]), both * (a * v[h, i] - v[k, i])
         if f != 0 or g != 0:
             for j in range(i & -LANES, v.shape[1], LANES):
                 add_vector(v, i, j, -f, v, k, j)
-                add_vector(v, i, j, -g, v, k + 1, j)
+                if width == 2:
+                    add_vector(v, i, j, -g, v, h, j)
 
 
 @inner
@@ -140,38 +150,53 @@ def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[i
     while k < last:
         i, r = _chosen(v, k, last)
         a, b, c = v[i, i], v[min(i, r), max(i, r)], v[r, r]
-        _swap(v, k, k, i)
-        if i == r:
-            swaps[k] = i
-            negative, size = negative + (a < 0), abs(a)
-            _eliminated_one(v, k, rows)
-            k += 1
-        else:
-            r = i if r == k else r
-            _swap(v, k, k + 1, r)
-            swaps[k], swaps[k + 1] = -1 - i, -1 - r
-            large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
-            negative, size = negative + 1, abs(a * (c / large) - b * (b / large))
-            _eliminated_two(v, k, rows)
-            k += 2
+        width = 1 if i == r else 2
+        for t in range(width):
+            other = i if t == 0 or r == k else r
+            _swap(v, k, k + t, other)
+            swaps[k + t] = other if width == 1 else -1 - other
+        _eliminated(v, k, width, rows)
+        k += width
+        large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
+        size = abs(a) if width == 1 else abs(a * (c / large) - b * (b / large))
+        negative += width == 2 or a < 0
         if size < smallest or size != size:
             smallest = size
     return negative, smallest
 
 
 @inner
-def scale(v: np.ndarray, u: np.ndarray, last: int) -> None:
-    """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones."""
-    u[:] = 0.0
-    for i in range(last):
+def _sizes(v: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
+    """Sizes of the rows: of unknowns by their largest entry, of the equations after them by the unknowns in their sizes."""
+    for i in range(u.size):
+        u[i] = 0.0
+    for i in range(z):
         largest = u[i]
         for j in range(i, last):
-            size = abs(v[i, j])
-            largest = size if size > largest else largest
+            largest = abs(v[i, j]) if abs(v[i, j]) > largest else largest
+            u[j] = abs(v[i, j]) if j < z and abs(v[i, j]) > u[j] else u[j]
+        u[i] = math.sqrt(largest)
+        inverse = 1 / u[i] if largest > 0 else 0.0
+        for j in range(z, last):
+            size = abs(v[i, j]) * inverse
             u[j] = size if size > u[j] else u[j]
-        u[i] = largest
+    for i in range(z, last):
+        for j in range(i, last):
+            size = math.sqrt(abs(v[i, j]))
+            u[i] = size if size > u[i] else u[i]
+            u[j] = size if size > u[j] else u[j]
+
+
+@inner
+def scale(v: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
+    """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones.
+
+    First come z unknowns. The entries of the equations after them are made one too, so that weights in the Hessian of the
+    unknowns do not make them small.
+    """
+    _sizes(v, u, z, last)
     for i in range(u.size):
-        u[i] = 1 / math.sqrt(u[i]) if u[i] > 0 else 1.0
+        u[i] = 1 / u[i] if u[i] > 0 else 1.0
     for i in range(last):
         for j in range(i, v.shape[1]):
             v[i, j] *= u[i] * u[j]
@@ -181,23 +206,23 @@ def scale(v: np.ndarray, u: np.ndarray, last: int) -> None:
 def substitute(rows: np.ndarray, bases: np.ndarray, swaps: np.ndarray, x: np.ndarray, last: int, side: int) -> None:
     """Solve for the first ``last`` entries of ``x``, whose others, those of the borders, are known.
 
-    ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; right-hand side: column ``side``.
+    ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; ``side``: the column of the
+    right-hand side.
     """
-    size, k = x.size, last - 1
+    k = last - 1
     while k >= 0:
-        base, r = bases[k], swaps[k]
-        if r >= 0:
-            x[k] = (rows[base + side] - dot(x, k + 1, size, rows, base)) / rows[base + k]
-            x[k], x[r] = x[r], x[k]
-            k -= 1
-        else:
-            other, r, i = bases[k - 1], -1 - r, -1 - swaps[k - 1]
-            f = rows[other + side] - dot(x, k + 1, size, rows, other)
-            g = rows[base + side] - dot(x, k + 1, size, rows, base)
-            inverse = 1 / rows[other + k]
-            a, c = rows[other + k - 1] * inverse, rows[base + k] * inverse
-            inverse /= a * c - 1
-            x[k - 1], x[k] = inverse * (c * f - g), inverse * (a * g - f)
-            x[k], x[r] = x[r], x[k]
-            x[k - 1], x[i] = x[i], x[k - 1]
-            k -= 2
+        width = 1 if swaps[k] >= 0 else 2
+        h = k - width + 1
+        f, g = 0.0, 0.0
+        for i in range(h, k + 1):
+            f, g = g, rows[bases[i] + side] - dot(x, k + 1, x.size, rows, bases[i])
+        inverse = 1 / rows[bases[h] + k]
+        a, c = rows[bases[h] + h] * inverse, rows[bases[k] + k] * inverse
+        both = inverse / (a * c - 1)
+        x[k] = g * inverse if width == 1 else both * (a * g - f)
+        if width == 2:
+            x[h] = both * (c * f - g)
+        for i in range(k, h - 1, -1):
+            r = swaps[i] if width == 1 else -1 - swaps[i]
+            x[i], x[r] = x[r], x[i]
+        k = h - 1

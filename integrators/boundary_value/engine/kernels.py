@@ -7,7 +7,7 @@ complement: those of the next step. At the last step all are eliminated.
 import numpy as np
 
 from .arrays import LANES
-from .factors import add_vector, compiled, dot, factorise, inner, scale, substitute
+from .factors import add_vector, compiled, copy_vector, dot, factorise, inner, scale, substitute
 
 Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Units = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -78,20 +78,20 @@ def _load_step(v: np.ndarray, hessian: np.ndarray, left: np.ndarray, right: np.n
 
 
 @inner
-def _keep(v: np.ndarray, rows: np.ndarray, bases: np.ndarray, last: int) -> None:
-    for k in range(last):
-        for j in range(k & -LANES, v.shape[1]):
-            rows[bases[k] + j] = v[k, j]
+def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int) -> None:
+    for i in range(last):
+        for j in range(i & -LANES, v.shape[1], LANES):
+            copy_vector(rows, k, bases[i] + j, v, i, j)
 
 
 @compiled
 def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work: Blocks, factors: tuple) -> tuple[int, float]:
     """Factorise step after step; the number of negative pivots and the size of the smallest.
 
-    ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of the Hessians
-    with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of the last;
-    ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, a column of unknowns;
-    ``factors``: the rows of all steps, their bases, their units, and the swaps.
+    ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of
+    the Hessians with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of
+    the last; ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, columns
+    of unknowns; ``factors``: the rows of all steps, their bases, their units, and the swaps.
     """
     (_, lefts, _, steps, nodes), (hessian, left, right, v, _), (rows, bases, sizes, swaps) = blocks, work, factors
     (count, n, z), negative, smallest = lefts.shape, 0, np.inf
@@ -107,12 +107,12 @@ def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work
         if k == count - 1:
             last += n
             _close(v, nodes[count], fixed[1])
-        scale(v, sizes[k], last)
+        scale(v, sizes[k], z, last)
         found, size = factorise(v, swaps[k], last, z + 2 * n)
         negative += found
         if size < smallest or size != size:
             smallest = size
-        _keep(v, rows[k], bases, last)
+        _keep(v, rows, k, bases, last)
     return negative, smallest
 
 

@@ -35,9 +35,9 @@ def _congruent(out: np.ndarray, a: np.ndarray, g: np.ndarray) -> None:
 
 @compiled
 def gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray, work: tuple, swaps: np.ndarray, out: np.ndarray) -> None:
-    """``G_k = A G_{k-1} A' + B W B'`` from the ends of the steps in their order, shape ``(N, n, z)``; ``out``: shape ``(N + 1, n, n)``.
+    """``G_k = A G_{k-1} A' + B W B'`` from the ends of the steps in their order, shape ``(N, n, z)``.
 
-    ``variance``: the diagonal matrix ``W``; ``out`` comes as zeros.
+    ``variance``: the diagonal matrix ``W``; ``out``: shape ``(N + 1, n, n)``, comes as zeros.
     """
     (v, lower, weights, move, push), (count, n, _) = work, near.shape
     start = v.shape[1] // 2
@@ -49,5 +49,5 @@ def gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray, work: tupl
         decompose(v, swaps, lower, weights[0])
         back_substitute(v, start, lower)
         _move(near[k], far[k], v, start, move, push)
-        _congruent(out[k + 1], move, out[k])
-        _congruent(out[k + 1], push, variance)
+        for i in range(2):
+            _congruent(out[k + 1], move if i == 0 else push, out[k] if i == 0 else variance)

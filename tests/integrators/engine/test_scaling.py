@@ -1,0 +1,57 @@
+"""Natural units of a batch of linearised trajectories."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators.boundary_value import elimination as in_jax
+from retrax.integrators.boundary_value import scaling as units_in_jax
+from retrax.integrators.boundary_value.engine.elimination import BlockSystem
+from retrax.integrators.boundary_value.engine.scaling import natural_units
+
+from .systems import random_system
+
+NODE, STEP = 3, 5
+
+
+def drawn(seed: int, count: int = 6) -> tuple[BlockSystem, np.ndarray, np.ndarray, np.ndarray]:
+    """Steps near the identity, with a gradient of the cost and sizes of states and controls."""
+    rng, system = np.random.default_rng(seed), random_system(seed, (3, count, NODE, STEP, 1))
+    system = system._replace(left=np.eye(NODE, STEP) + 0.2 * system.left, right=np.eye(NODE, STEP) + 0.2 * system.right)
+    return system, rng.standard_normal((3, count, STEP)), rng.random((3, NODE)), rng.random((3, STEP - NODE))
+
+
+@pytest.mark.parametrize("count", [1, 6])
+def test_they_agree_with_those_in_jax(count):
+    system, gradient, states, controls = drawn(1, count)
+    states[0] = 0.0
+    system.hessian[1, :, -1] = system.hessian[1, :, :, -1] = 0.0
+    system.left[2, :, :, 0] = 0.0  # a singular step
+    ours = natural_units(system, gradient, states, controls)
+    for m in range(3):
+        one = in_jax.BlockSystem(*(jnp.asarray(a[m, ..., 0] if a.ndim == 4 and a.shape[3] == 1 else a[m]) for a in system))
+        theirs = units_in_jax.natural_units(one, gradient[m], states[m], controls[m])
+        for a, b in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(a[m], b, rtol=1e-10)
+
+
+@pytest.mark.parametrize("power", [-12, -3, 0, 2, 9])
+def test_they_change_with_the_units_of_the_problem(power):
+    system, gradient, states, controls = drawn(2)
+    own = natural_units(system, gradient, states, controls)
+    d = np.array([1.0, 10.0**power, 1.0, 1.0, 10.0 ** (power / 2)])
+    node = d[:NODE, None]
+    written = system._replace(
+        hessian=system.hessian / np.outer(d, d), left=system.left / d * node, right=system.right / d * node, gap=system.gap * node
+    )
+    units = natural_units(written, gradient / d, states * d[:NODE], controls * d[NODE:])
+    np.testing.assert_allclose(units.unknowns, own.unknowns * d, rtol=1e-9)
+    np.testing.assert_allclose(units.nodes, own.nodes * d[:NODE], rtol=1e-9)
+    np.testing.assert_allclose(units.cost, own.cost, rtol=1e-9)
+
+
+def test_members_do_not_know_of_each_other():
+    system, *others = drawn(3)
+    together = natural_units(system, *others)
+    for m in range(3):
+        alone = natural_units(BlockSystem(*(a[m : m + 1] for a in system)), *(a[m : m + 1] for a in others))
+        assert all(np.array_equal(a[m], b[0]) for a, b in zip(together, alone, strict=True))
