@@ -72,7 +72,9 @@ def solve(
         guess = _checked_guess(problem, guess.guess() if isinstance(guess, Solution) else guess, steps)
     known = first.point if guess is None else jax.tree.map(lambda leaf: leaf[0], guess.states)
     regular = _is_regular(problem, known, last)
-    c = classify(problem) if classification is None and not regular else classification
+    c = classification
+    if c is None and not regular:
+        c = classify(problem, exclude_zero_costate=None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False)
     _check_method(problem, discretization, c, integrator)
     if c is not None and not c.regular:
         request = Request(problem, discretization, EndConditions(problem, first, last), guess, h, steps, limit, max_iterations)
@@ -92,8 +94,7 @@ def solve(
 def _is_regular(problem: OptimalControlProblem, known: Ambient, last: NodeCondition) -> bool:
     """Whether the problem is regular at a point; raises where its functions are not what a solution can be found with."""
     regular = problem.check(known, resting_control(problem.controls))
-    if problem.terminal_cost is None or all(part.fixed for part in last.parts):
-        problem.require_cost(known)
+    problem.require_cost(known, last.point, last.fixed_leaves)
     return regular
 
 
