@@ -85,12 +85,29 @@ def _on_piece(request: Request, c: Classification, integrator: SingularIntegrato
     began = time.perf_counter()
     shooting, reason = _shooting(request, c, integrator)
     first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
+    _require_choice(request, c)
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
     prepared = time.perf_counter()
     found = meet_conditions(shooting, request.conditions, guess, float(request.tolerance), request.max_iterations)
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
+
+
+def _require_choice(request: Request, c: Classification) -> None:
+    """Raise where ends are prescribed, and every curve between them is an extremal.
+
+    ``P_f`` on which all controls are free is left by no control. All curves from a point of it are extremals then, and
+    the cost is stationary at each of those that end in one point: it is the same for all that can be deformed into each other.
+    """
+    parts = *request.conditions.start.parts, *request.conditions.end.parts
+    which = "the control is" if c.gauge_controls == 1 else f"all {c.gauge_controls} controls are"
+    if c.gauge_controls == request.problem.controls.dimension and all(part.fixed for part in parts):
+        raise InvalidInputError(
+            f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of them cost the "
+            "same, as where the running cost is a total derivative along the dynamics, and none is the solution; expected a cost "
+            "that tells them apart, such as one with u @ u / 2 added"
+        )
 
 
 def _shooting(request: Request, c: Classification, integrator: SingularIntegrator | None) -> tuple[Shooting, str]:
