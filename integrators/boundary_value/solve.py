@@ -1,5 +1,6 @@
 """The boundary-value problem: from a problem and its boundary conditions to a solution."""
 
+from dataclasses import replace
 from numbers import Number
 from typing import Any, NamedTuple, cast
 
@@ -15,6 +16,7 @@ from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
 from ..functions import by_data, require_concrete, same_by_data
+from ..kinks import kinks_near
 from ..options import HORIZON, known_options
 from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
@@ -78,8 +80,7 @@ def solve(
     _check_method(problem, discretization, c, integrator)
     if c is not None and not c.regular:
         request = Request(problem, discretization, EndConditions(problem, first, last), guess, h, steps, limit, max_iterations)
-        solution = solve_on_final_manifold(request, c, integrator)
-        return solution.require_success() if throw else solution
+        return _explained(problem, solve_on_final_manifold(request, c, integrator), throw)
     if guess is None:
         require_known_ends(problem.manifold, start, end)
         guess = default_guess(problem, discretization, first.point, last.point, steps)
@@ -87,7 +88,14 @@ def solve(
     discrete = DiscreteTrajectory(stage, first, last, problem.final_cost)
     output, *seconds = call_compiled(_kernel, discrete, guess, limit, np.asarray(max_iterations))
     _require_tangent_dynamics(problem, float(output.diagnostics.normal))
-    solution = _record(output, discretization.theta, float(horizon), *seconds)
+    return _explained(problem, _record(output, discretization.theta, float(horizon), *seconds), throw)
+
+
+def _explained(problem: OptimalControlProblem, solution: Solution, throw: bool) -> Solution:
+    """The solution, where it has no success with the kink that may be why; raises then if ``throw``."""
+    kink = "" if solution.success else kinks_near(problem, solution)
+    if kink:
+        solution = replace(solution, result=f"The conditions are not met, and this may be why: {kink}.")
     return solution.require_success() if throw else solution
 
 
