@@ -1,4 +1,4 @@
-"""Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, however near one looks."""
+"""Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, from however near."""
 
 from typing import TYPE_CHECKING, NamedTuple
 

@@ -105,8 +105,8 @@ def _require_choice(request: Request, c: Classification) -> None:
     if c.gauge_controls == request.problem.controls.dimension and all(part.fixed for part in parts):
         raise InvalidInputError(
             f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of them cost "
-            "the same, as where the running cost is a total derivative along the dynamics, and none is the solution; expected a cost "
-            "that tells them apart, such as one with u @ u / 2 added"
+            "the same, as where the running cost is a total derivative along the dynamics, and none is the solution; expected a "
+            "cost that tells them apart, such as one with u @ u / 2 added"
         )
 
 
