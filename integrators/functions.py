@@ -5,6 +5,9 @@ parameter in a closure or a global, for constant: a changed parameter would be i
 """
 
 from collections.abc import Callable
+from functools import partial
+from inspect import unwrap
+from traceback import walk_tb
 from types import CodeType, FunctionType, MethodType, ModuleType
 from typing import Any, final
 
@@ -89,6 +92,27 @@ def _stacked(value: Any) -> Any:
         return jnp.asarray(value)
     except (TypeError, ValueError):
         return None
+
+
+def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
+    """Where a user's function, one of those that are named, raised an error: its name, a line and a file; else empty."""
+    frames = list(walk_tb(error.__traceback__))
+    codes = {code: name for name, function in functions.items() if (code := _code(function)) is not None}
+    called = [i for i, (frame, _) in enumerate(frames) if frame.f_code in codes]
+    if not called:
+        return ""
+    inside = [at for at in frames[called[-1] :] if at[0].f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES]
+    frame, line = (inside or [frames[called[-1]]])[-1]
+    return f"{codes[frames[called[-1]][0].f_code]}, line {line} of {frame.f_code.co_filename}"
+
+
+def _code(function: Any) -> CodeType | None:
+    """The code that runs where this is called, if it is written in Python."""
+    while isinstance(function, ByData | partial):
+        function = function.function if isinstance(function, ByData) else function.func
+    if not isinstance(function, FunctionType | MethodType):
+        function = getattr(function, "__call__", function)  # noqa: B004  what is called, not whether something can be
+    return getattr(unwrap(getattr(function, "__func__", function)), "__code__", None)
 
 
 def by_data(tree: Any) -> Any:

@@ -17,7 +17,7 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, default_retraction
 from .compilation import call_compiled
-from .functions import in_precision, real_number
+from .functions import failing_line, in_precision, real_number
 from .options import HORIZON, known_options, require_arguments
 from .probing import (
     CURVATURES,
@@ -114,6 +114,20 @@ class OptimalControlProblem(eqx.Module):
         """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
         power, rate = self.parts(q, p, u)
         return power - rate
+
+    def imprecise(self, q: Ambient, u: Ambient) -> str:
+        """Words on functions that compute in a lower precision than is in use; empty if none does."""
+        eps = np.finfo(working_precision()).eps
+        for name in ("dynamics", "running_cost"):
+            kinds = [leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(getattr(self, name), q, u))]
+            low = [kind for kind in kinds if jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > eps]
+            if low:
+                return (
+                    f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be met to more "
+                    f"digits than these have; compute it in {working_precision()}, or give a tolerance above "
+                    f"{float(jnp.finfo(low[0]).eps):.0e}"
+                )
+        return ""
 
     def check_discretization(self, discretization: DiscretizationMap) -> None:
         """Raise if a discretization map acts on another manifold than this problem."""
@@ -245,12 +259,14 @@ class OptimalControlProblem(eqx.Module):
         shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
         reason, hint = str(error), "try another number of controls, or index what is there"
         if isinstance(error, jax.errors.JAXTypeError):
-            reason, hint = "JAX cannot trace them", TRACEABLE
+            reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
         elif not self._has_velocity(q, u) and self._has_velocity(u, q):
             hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
+        names = "dynamics", "running_cost", "terminal_cost"
+        where = failing_line(error, {name: getattr(self, name) for name in names})
         return (
             f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
-            f"{self.controls}, shape {shapes[1]}: {reason}; {hint}"
+            f"{self.controls}, shape {shapes[1]}{where and ', in ' + where}: {reason}; {hint}"
         )
 
     def _has_velocity(self, *arguments: Ambient) -> bool:

@@ -92,10 +92,12 @@ def solve(
 
 
 def _explained(problem: OptimalControlProblem, solution: Solution, throw: bool) -> Solution:
-    """The solution, where it has no success with the kink that may be why; raises then if ``throw``."""
-    kink = "" if solution.success else kinks_near(problem, solution)
-    if kink:
-        solution = replace(solution, result=f"The conditions are not met, and this may be why: {kink}.")
+    """The solution, where it has no success with what in a function may be why; raises then if ``throw``."""
+    if not solution.success:
+        q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (solution.stage_states, solution.controls))
+        reason = problem.imprecise(q, u) or kinks_near(problem, solution)
+        if reason:
+            solution = replace(solution, result=f"The conditions are not met, and this may be why: {reason}.")
     return solution.require_success() if throw else solution
 
 

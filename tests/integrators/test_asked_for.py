@@ -204,3 +204,13 @@ def test_a_bound_is_kept_from_where_it_does_not_matter_to_where_it_does(name):
         used = np.abs(steer(solution.controls, a))
         assert np.max(used) < a
         assert (np.sum(used > 0.95 * a) > 2) == (a < 6)
+
+
+def test_what_is_missing_is_named():
+    given = OptimalControlProblem(PLANE, cart, effort, 1)
+    with pytest.raises(InvalidInputError, match=rf"^solve: missing a required argument: 'horizon', expected solve\(.*{HORIZON}"):
+        solve(given, MIDPOINT, REST, AHEAD)
+    with pytest.raises(InvalidInputError, match=r"^solve: missing a required argument: 'steps', expected .* steps, \.\.\.\)$"):
+        solve(given, MIDPOINT, REST, AHEAD, 1.0)
+    with pytest.raises(InvalidInputError, match=r"^OptimalControlProblem: missing a required argument: 'running_cost'"):
+        OptimalControlProblem(PLANE, cart)
