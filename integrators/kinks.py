@@ -1,6 +1,6 @@
 """Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, from however near."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean
+from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import Ambient
 from .compilation import call_compiled
 from .probing import PARTS, ROUNDING, SMOOTH
@@ -21,9 +22,7 @@ REACH = 2.0  # times the largest control: how far
 PIECES, ROUNDS = 16, 13  # of an interval, of which that with the largest unexplained change is taken next
 FINEST = 256.0  # times the machine epsilon and the interval: as close as the points of a piece may come
 LASTS = 4  # last intervals, over a factor of 16^3, that tell a kink
-SLOWER = (
-    0.75  # a change of a slope goes with a lower power of the distance than this at a kink, with the first where it is smooth
-)
+SLOWER = 0.75  # at a kink a slope changes with a lower power of the distance than this, and with the first where it is smooth
 ACCOUNTED = 1.2  # times the interval and the larger second derivative at its ends: no smooth function changes by more
 STEEPER = 8.0  # how much that grows over the last intervals where it is not bounded
 JUMP = 1e-6  # of the largest slope: a smaller change may be rounding of a user's function in single precision
@@ -78,8 +77,8 @@ def zoomed(
             return jax.tree.map(lambda a, b: jnp.where(fine, a, b), ends, (s[i], s[i + 1])), seen
 
         # Ends at odd places: at a kink between two points no derivative is asked for.
-        _, (widths, *rest, sizes) = jax.lax.scan(closer, (-0.93 * reach, 1.01 * reach), None, ROUNDS)
-        return Zoom(widths, *rest, sizes[0]), problem.steer(u, rest[-1][-1] * way)
+        _, (widths, changes, bends, places, sizes) = jax.lax.scan(closer, (-0.93 * reach, 1.01 * reach), None, ROUNDS)
+        return Zoom(widths, changes, bends, places, sizes[0]), problem.steer(u, places[-1] * way)
 
     by_part = jax.vmap(one, (None, None, None, None, 0))
     by_way = jax.vmap(by_part, (None, None, None, 0, None))
@@ -112,13 +111,13 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
     found = solution.stage_states, solution.stage_costates, solution.controls
     q, p, u = (jax.tree.map(lambda leaf: np.asarray(leaf)[stages], part) for part in found)
     ways, reach = _ways(problem, u)
-    (zoom, controls), *_ = call_compiled(zoomed, problem, q, p, u, ways, reach)
-    zoom = Zoom(*(np.asarray(a) for a in zoom))
+    at_all: Any = jax.tree.map(np.asarray, call_compiled(zoomed, problem, q, p, u, ways, reach)[0])
+    zoom, controls = at_all
     worst, words = 0.0, ""
     for at in np.ndindex(zoom.size.shape):
         size, change = float(zoom.size[at]), float(zoom.changes[at][-1])
         if is_kink(zoom.widths[at], zoom.changes[at], zoom.curvatures[at], size) and abs(change) / size > worst:
-            place = jax.tree.map(lambda leaf, at=at: _rounded(np.asarray(leaf)[at], float(reach)), controls)
+            place = jax.tree.map(lambda leaf, at=at: _rounded(leaf[at], float(reach)), controls)
             worst, words = abs(change) / size, _words(at[-1], zoom.changes[at], place, float(solution.stage_times[stages[at[0]]]))
     return words
 
@@ -138,8 +137,7 @@ def _ways(problem: "OptimalControlProblem", u: Ambient) -> tuple[np.ndarray, np.
         reach = REACH * float(size.max()) or 1.0
         if m > 1:
             ways = np.concatenate([ways, (flat / np.where(size > 0, size, 1.0))[:, None]], axis=1)
-    dtype = np.asarray(jax.tree.leaves(u)[0]).real.dtype
-    return ways.astype(dtype), np.asarray(reach, dtype)
+    return ways.astype(working_precision()), np.asarray(reach, working_precision())
 
 
 def _words(part: int, changes: np.ndarray, control: Ambient, time: float) -> str:
