@@ -121,30 +121,6 @@ def test_a_terminal_cost_that_is_a_number_too_is_no_cost():
         solve(constant, MIDPOINT, REST, None, 1.0, 10)
 
 
-class Derivative(eqx.Module):
-    """``x u + weight x^2/2``: along ``x' = u`` that is ``d/dt x^2/2`` and the rest."""
-
-    weight: Array
-
-    def __call__(self, q: Array, u: Array) -> Array:
-        return q[0] * u[0] + self.weight * q[0] ** 2 / 2
-
-
-def test_a_total_derivative_tells_no_curve_from_another():
-    """It was solved: all curves from start to end cost the same. Whatever else there is of the cost counts."""
-
-    def message(weight: float) -> str:
-        given = OptimalControlProblem(LINE, lambda q, u: u, Derivative(jnp.asarray(weight)), 1)
-        with pytest.raises(InvalidInputError) as caught:
-            solve(given, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 4)
-        return str(caught.value)
-
-    for weight in (0.0, 1e-20):
-        assert message(weight).startswith("the control is free on P_f, of dimension 1: every curve from start to end is an")
-    for weight in (1e-6, 1.0):
-        assert "the boundary data admit no extremal" in message(weight)
-
-
 def test_other_costs_that_vanish_somewhere_are_not_constant():
     for cost in (lambda q, u: q @ q, lambda q, u: jnp.maximum(u[0] ** 2 - 50.0, 0.0)):
         OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST, REST)

@@ -17,14 +17,15 @@ PAIR = LINE * LINE
 
 
 class Running(eqx.Module):
-    """``rate + price u^2 / 2 + slope x``."""
+    """``rate + price u^2 / 2 + turn x u + pull x^2 / 2``; along ``x' = u`` the third is ``d/dt turn x^2 / 2``."""
 
     rate: Array
     price: Array
-    slope: Array
+    turn: Array
+    pull: Array
 
     def __call__(self, q: Array, u: Array) -> Array:
-        return self.rate + self.price * u @ u / 2 + self.slope * q[0]
+        return self.rate + self.price * u @ u / 2 + self.turn * q[0] * u[0] + self.pull * q @ q / 2
 
 
 class Terminal(eqx.Module):
@@ -38,15 +39,16 @@ class Terminal(eqx.Module):
         return self.unit * (self.tilt * q[0] + self.bend * (q[0] - 1) ** 2 / 2)
 
 
-def problem(rate=0.0, price=0.0, slope=0.0, unit=1.0, tilt=0.0, bend=1.0) -> OptimalControlProblem:
-    running, terminal = Running(*map(jnp.asarray, (rate, price, slope))), Terminal(*map(jnp.asarray, (unit, tilt, bend)))
+def problem(rate=0.0, price=0.0, turn=0.0, pull=0.0, unit=1.0, tilt=0.0, bend=1.0) -> OptimalControlProblem:
+    running = Running(*map(jnp.asarray, (rate, price, turn, pull)))
+    terminal = Terminal(*map(jnp.asarray, (unit, tilt, bend)))
     return OptimalControlProblem(LINE, lambda q, u: u, running, 1, terminal_cost=terminal)
 
 
-def answer(given: OptimalControlProblem) -> tuple[bool, float, float] | str:
-    """Success, cost and end from ``x = 0`` to a free end; the message where the problem is refused."""
+def answer(given: OptimalControlProblem, end: np.ndarray | None = None) -> tuple[bool, float, float] | str:
+    """Success, cost and end from ``x = 0``, by default to a free end; the message where the problem is refused."""
     try:
-        found = solve(given, Midpoint(Addition(LINE)), np.zeros(1), None, 1.0, 4, throw=False)
+        found = solve(given, Midpoint(Addition(LINE)), np.zeros(1), end, 1.0, 4, throw=False)
     except InvalidInputError as error:
         return str(error)
     return found.success, found.cost, float(found.states[-1, 0])
@@ -83,6 +85,16 @@ def test_no_extremal_has_a_vanishing_costate_where_the_terminal_cost_is_steep_ev
             success, _, end = answer(given)
             assert success, a
             np.testing.assert_allclose(end, 1 - 1 / a, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_total_derivative_tells_no_curve_from_another():
+    """It was solved: all curves from start to end cost the same. Whatever else there is of the cost counts."""
+    for pull in (0.0, 1e-20):
+        words = answer(problem(turn=1.0, pull=pull), np.ones(1))
+        assert words.startswith("the control is free on P_f, of dimension 1: every curve from start to end is an extremal")
+    for pull in (1e-6, 1.0):
+        assert "the boundary data admit no extremal" in answer(problem(turn=1.0, pull=pull), np.ones(1))
 
 
 STEEP_IN_ONE = OptimalControlProblem(
