@@ -1,7 +1,10 @@
 """Functions that users write: the number that they return, and whether they are called while JAX is transforming the caller."""
 
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache
+from functools import cache, partial
+from inspect import unwrap
+from traceback import walk_tb
+from types import CodeType, FunctionType, MethodType
 from typing import Any
 
 import jax
@@ -14,6 +17,9 @@ from ..manifolds import InvalidInputError
 from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import is_traced
 from .results import warn_of_coarse_values
+
+
+LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 
 
 def real_number(name: str, value: Any) -> Array:
@@ -53,6 +59,27 @@ def _stacked(value: Any) -> Any:
         return jnp.asarray(value)
     except (TypeError, ValueError):
         return None
+
+
+def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
+    """Where a user's function, one of those that are named, raised an error: its name, a line and a file; else empty."""
+    frames = list(walk_tb(error.__traceback__))
+    codes = {code: name for name, function in functions.items() if (code := _code(function)) is not None}
+    called = [i for i, (frame, _) in enumerate(frames) if frame.f_code in codes]
+    if not called:
+        return ""
+    inside = [at for at in frames[called[-1] :] if at[0].f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES]
+    frame, line = (inside or [frames[called[-1]]])[-1]
+    return f"{codes[frames[called[-1]][0].f_code]}, line {line} of {frame.f_code.co_filename}"
+
+
+def _code(function: Any) -> CodeType | None:
+    """The code that runs where this is called, if it is written in Python."""
+    while isinstance(function, partial):
+        function = function.func
+    if not isinstance(function, FunctionType | MethodType):
+        function = getattr(function, "__call__", function)  # noqa: B004  what is called, not whether something can be
+    return getattr(unwrap(getattr(function, "__func__", function)), "__code__", None)
 
 
 def is_transformed(*arguments: Any) -> bool:

@@ -59,22 +59,33 @@ def asked_for(name: str) -> str:
 
 
 def known_options(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, with an ``InvalidInputError`` in words for keywords that it does not have."""
-    names = [name for name in inspect.signature(function).parameters if name != "self"]
+    """The function, with an ``InvalidInputError`` in words for keywords that it does not have, and for missing arguments."""
+    signature, what = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
+    names = [name for name in signature.parameters if name != "self"]
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
         unknown = next((name for name in options if name not in names), None)
         if unknown is None:
+            _require_all(signature, what, arguments, options)
             return function(*arguments, **options)
         near = get_close_matches(unknown, names, 1, CLOSE)
         hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
-        what = function.__qualname__.removesuffix(".__init__")
         raise InvalidInputError(
             f"{what} has no option {unknown!r}, expected one of {', '.join(names)}" + (f"; {hint}" if hint else "")
         )
 
     return call
+
+
+def _require_all(signature: inspect.Signature, what: str, arguments: tuple, options: dict[str, Any]) -> None:
+    """Raise where an argument is missing, given twice or too many."""
+    try:
+        signature.bind(*arguments, **options)
+    except TypeError as error:
+        required = [name for name, p in signature.parameters.items() if p.default is p.empty and name != "self"]
+        hint = f"; {HORIZON}" if "'horizon'" in str(error) else ""
+        raise InvalidInputError(f"{what}: {error}, expected {what}({', '.join(required)}, ...){hint}") from error
 
 
 def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:

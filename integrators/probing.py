@@ -78,6 +78,15 @@ def cost_rates(
     return jax.vmap(lambda move: jax.vmap(lambda c: at(retraction.chart(q, frame, move), c))(directions))(moves)
 
 
+def terminal_costs(problem: "OptimalControlProblem", points: Ambient) -> tuple[Array, Ambient]:
+    """The terminal cost at several points, and its differentials there, of the structure of the points."""
+
+    def at(q: Ambient) -> tuple[Array, Ambient]:
+        return problem.final_cost(q), problem.manifold.projection(q, vec.gradient(problem.final_cost, q))
+
+    return jax.vmap(at)(points)
+
+
 def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
     """The coordinates, zero before them, each with a covector."""
     with_first = jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf]), covectors)

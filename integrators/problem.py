@@ -17,9 +17,22 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled, digest
-from .functions import in_precision, real_number
+from .functions import failing_line, in_precision, real_number
 from .options import HORIZON, known_options, require_arguments, takes_more
-from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
+from .probing import (
+    CURVATURES,
+    LADDER,
+    ROUNDING,
+    SPREAD,
+    Probed,
+    along_lines,
+    bend,
+    cost_rates,
+    flats,
+    kink_words,
+    probe,
+    terminal_costs,
+)
 
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
 
@@ -115,6 +128,20 @@ class OptimalControlProblem(eqx.Module):
         power, rate = self.parts(q, p, u)
         return power - rate
 
+    def imprecise(self, q: Ambient, u: Ambient) -> str:
+        """Words on functions that compute in a lower precision than is in use; empty if none does."""
+        eps = np.finfo(working_precision()).eps
+        for name in ("dynamics", "running_cost"):
+            kinds = [leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(getattr(self, name), q, u))]
+            low = [kind for kind in kinds if jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > eps]
+            if low:
+                return (
+                    f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be met to more "
+                    f"digits than these have; compute it in {working_precision()}, or give a tolerance above "
+                    f"{float(jnp.finfo(low[0]).eps):.0e}"
+                )
+        return ""
+
     def digest(self) -> bytes | None:
         """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
 
@@ -152,20 +179,54 @@ class OptimalControlProblem(eqx.Module):
         u, (directions, covectors) = resting_control(self.controls), self._directions()
         self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
 
-    def require_cost(self, q: Ambient) -> None:
-        """Raise if the running cost is one number, at ``q`` and at random points around it, with random controls."""
+    def require_cost(self, q: Ambient, end: Ambient, fixed: tuple[bool, ...] = ()) -> None:
+        """Raise if both costs are a number each, near ``q`` and at random points with random controls.
+
+        The terminal one at points of which the arrays that are ``fixed`` at the end are those of ``end``.
+        """
         directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
         moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, self.manifold.dimension)).astype(directions.dtype)
         moves[0] = 0.0
         costs, slopes = call_compiled(cost_rates, self, q, moves, resting_control(self.controls), directions)[0]
-        rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
-        if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
+        if self.abnormal or not _is_one_number(costs, np.max(slopes)):
             return
+        terminal = "no terminal cost of a free end is given"
+        if self.terminal_cost is not None and not (fixed and all(fixed)):
+            ends, tilts = self._terminal(self._points(end, fixed))
+            if not _is_one_number(ends, max(np.max(np.abs(tilt)) for tilt in _free_leaves(tilts, fixed))):
+                return
+            terminal = f"the terminal cost is {float(ends[0]):.6g} at every end"
         raise InvalidInputError(
-            f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and no terminal cost of a "
-            "free end is given: over a fixed horizon all curves from start to end then cost the same, and none is the solution; "
-            f"expected a cost of states or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
+            f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and {terminal}: over a "
+            "fixed horizon all curves from start to end then cost the same, and none is the solution; expected a cost of states "
+            f"or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
         )
+
+    def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
+        """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not zero.
+
+        Where that is free, of arrays that are not ``fixed``, no extremal ends with ``p = 0``.
+        """
+        if self.terminal_cost is None:
+            return False
+        _, tilts = self._terminal(self._points(self.manifold.random_point(jax.random.key(1))))
+        rounding = ROUNDING * np.finfo(working_precision()).eps
+        return any(
+            bool(np.any((a[0] != 0) & np.all(np.abs(a - a[0]) <= rounding * np.abs(a[0]), axis=0)))
+            for a in _free_leaves(tilts, fixed)
+        )
+
+    def _points(self, q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
+        """A point and random ones, along the leading axis; those of its arrays that are ``fixed`` are the same in all."""
+        keys = jax.random.split(jax.random.key(0), CURVATURES)
+        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
+        leaves, structure = jax.tree.flatten(jax.tree.map(lambda *leaves: np.stack(leaves), *points))
+        known = fixed or (False,) * len(leaves)
+        leaves = [np.broadcast_to(a[0], a.shape) if is_known else a for a, is_known in zip(leaves, known, strict=True)]
+        return jax.tree.unflatten(structure, leaves)
+
+    def _terminal(self, points: Ambient) -> tuple[np.ndarray, Ambient]:
+        return jax.tree.map(np.asarray, call_compiled(terminal_costs, self, points)[0])
 
     def _probed(self, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> Probed:
         """The functions at ``(q, u)`` and around, in NumPy arrays; raises if they fail there."""
@@ -221,12 +282,14 @@ class OptimalControlProblem(eqx.Module):
         shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
         reason, hint = str(error), "try another number of controls, or index what is there"
         if isinstance(error, jax.errors.JAXTypeError):
-            reason, hint = "JAX cannot trace them", TRACEABLE
+            reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
         elif not self._has_velocity(q, u) and self._has_velocity(u, q):
             hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
+        names = "dynamics", "running_cost", "terminal_cost"
+        where = failing_line(error, {name: getattr(self, name) for name in names})
         return (
             f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
-            f"{self.controls}, shape {shapes[1]}: {reason}; {hint}"
+            f"{self.controls}, shape {shapes[1]}{where and ', in ' + where}: {reason}; {hint}"
         )
 
     def _has_velocity(self, *arguments: Ambient) -> bool:
@@ -235,6 +298,18 @@ class OptimalControlProblem(eqx.Module):
         except FAILURES:
             return False
         return True
+
+
+def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:
+    """Arrays of a pytree that are not ``fixed``, all if that is empty."""
+    leaves = jax.tree.leaves(tree)
+    return [leaf for leaf, known in zip(leaves, fixed or (False,) * len(leaves), strict=True) if not known]
+
+
+def _is_one_number(values: np.ndarray, slope: Any) -> bool:
+    """Whether values of a function, and the largest of its slopes, say that it is constant."""
+    rounding = ROUNDING * np.finfo(working_precision()).eps * np.max(np.abs(values))
+    return bool(np.ptp(values) <= rounding and slope <= rounding)
 
 
 def resting_control(controls: Manifold) -> Ambient:

@@ -14,6 +14,7 @@ import numpy as np
 from ..manifolds import InvalidInputError
 
 VERSION = 1
+LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
 LONGEST_TEXT = 100  # characters
 REAL = tuple(map(np.dtype, (np.float32, np.float64)))
 NUMBERS = (*REAL, *map(np.dtype, (np.complex64, np.complex128)))
@@ -57,13 +58,13 @@ class RecordFile:
         except InvalidInputError as error:
             raise InvalidInputError(f"this {self.name.lower()} cannot be saved: {error}") from error
         flat = {"schema": np.asarray(self._mark), **_flattened(values)}
-        with Path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
+        with _path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
             np.savez(file, allow_pickle=False, **flat)
 
     def read(self, path: str | Path) -> dict[str, Any]:
         """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something else."""
         try:
-            return self._require(self._values(_entries(Path(path))))
+            return self._require(self._values(_entries(_path(path))))
         except (InvalidInputError, RecursionError) as error:  # the second for tuples in tuples, a thousand deep
             expected = f"expected a file from {self.name}.save"
             raise InvalidInputError(f"{path} is not a saved {self.name.lower()}: {error}; {expected}") from error
@@ -73,7 +74,9 @@ class RecordFile:
         mark = flat.pop("schema", None)
         if mark is None or mark.shape or str(mark) != self._mark:
             came = "no entry schema" if mark is None else f"the schema {mark!s:.60}"
-            raise InvalidInputError(f"it has {came}, where this version of retrax reads {self._mark!r}")
+            kind = str(mark).removeprefix("retrax.").partition(" ")[0]
+            hint = f"; try {LOADERS[kind]}" if kind in LOADERS and kind != self.name else ""
+            raise InvalidInputError(f"it has {came}, where this version of retrax reads {self._mark!r}{hint}")
         values = {name: _unflatten(name, flat) for name in self.schema}
         if flat:
             raise InvalidInputError(f"it has the entry {min(flat)!r}, which nothing reads")
@@ -99,6 +102,13 @@ class RecordFile:
         if wrong:
             raise InvalidInputError(wrong)
         return made
+
+
+def _path(path: Any) -> Path:
+    try:
+        return Path(path)
+    except TypeError as error:
+        raise InvalidInputError(f"the path must be a text or a pathlib.Path, got {path!r}") from error
 
 
 def _ordered(times: Any) -> bool:

@@ -1,5 +1,6 @@
 """The one table of results: each entry is a sentence that says what happened and what to try next."""
 
+import inspect
 import warnings
 from functools import cache
 
@@ -45,6 +46,16 @@ class Result(eqx.Enumeration):
     not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
 
 
+def _callers() -> int:
+    """The level of the stack, as ``warnings.warn`` counts it for the caller of this, that called into this library."""
+    frame, levels, level = inspect.currentframe(), list[int](), 0
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
+            levels.append(level)
+        frame, level = frame.f_back, level + 1
+    return levels[-1] + 1
+
+
 @cache
 def warn_if_single_precision(dtype: str) -> None:
     """Warn once if JAX computes in single precision."""
@@ -52,7 +63,7 @@ def warn_if_single_precision(dtype: str) -> None:
         warnings.warn(
             "JAX is in single precision, so about six digits can be expected; for double precision run "
             'jax.config.update("jax_enable_x64", True) before the first array is made',
-            stacklevel=3,
+            stacklevel=_callers(),
         )
 
 
@@ -62,7 +73,7 @@ def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
     warnings.warn(
         f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not be met to "
         f"the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
-        stacklevel=3,
+        stacklevel=_callers(),
     )
 
 

@@ -123,7 +123,7 @@ class Manifold(eqx.Module):
             return wrong
         known = [leaf for leaf in jax.tree.leaves(a) if not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))]
         if not all(np.all(np.isfinite(np.asarray(leaf))) for leaf in known):
-            return f"{role} of {self} has entries that are NaN or infinite"
+            return f"{self._named(role)} has entries that are NaN or infinite"
         return ""
 
     def describe_shapes(self, a: Ambient, role: str) -> str:
@@ -132,12 +132,12 @@ class Manifold(eqx.Module):
             numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
             hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
             hint = "; the parts of a point are a tuple" if isinstance(a, list) and isinstance(self.ambient, tuple) else hint
-            return f"{role} of {self} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
+            return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
-                return f"{role} of {self} has shape {shape.shape} where {came} came{hint}"
+                return f"{self._named(role)} has shape {shape.shape} where {came} came{hint}"
         return ""
 
     def _describe_kinds(self, a: Ambient, role: str) -> str:
@@ -145,10 +145,14 @@ class Manifold(eqx.Module):
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
             if not jnp.issubdtype(kind, jnp.number):
-                return f"{role} of {self} has numbers as entries, got an array of {kind}"
+                return f"{self._named(role)} has numbers as entries, got an array of {kind}"
             if jnp.issubdtype(kind, jnp.complexfloating) and not jnp.issubdtype(expected.dtype, jnp.complexfloating):
-                return f"{role} of {self} has real entries, got complex ones; try jnp.real of it where the rest is rounding"
+                return f"{self._named(role)} has real entries, got complex ones; try jnp.real of it where the rest is rounding"
         return ""
+
+    def _named(self, role: str) -> str:
+        """``a point of SO(3)``; with a comma after it where there is one inside."""
+        return f"{role} of {self}" + ("," if "," in role else "")
 
     def __str__(self) -> str:
         """As a paper would name it: ``SO(3)``, ``SO(3) x R^3``."""

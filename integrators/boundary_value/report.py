@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..singular.words import table
+from ..singular.words import many, table
 from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
@@ -30,12 +30,12 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
 
 def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
     form = f"its form has a kernel of dimension {arc.kernel}" if arc.kernel else "symplectic"
-    gauge = f"; {arc.gauge_controls} gauge controls" if arc.gauge_controls else ""
+    gauge = f"; {many(arc.gauge_controls, 'gauge control')}" if arc.gauge_controls else ""
     yield "problem", f"singular: the extremal lies in P_f, of dimension {arc.dimension}, {form}{gauge}"
     kind = "presymplectic" if arc.presymplectic else "not presymplectic"
     yield "integrator", f"{kind}\n{arc.strategy}"
     yield "second order", arc.second_order
-    yield "ends", f"{len(arc.conditions)} conditions, {arc.independent} coordinates of them independent on P_f"
+    yield "ends", f"{many(len(arc.conditions), 'condition')}, {many(arc.independent, 'coordinate')} of them independent on P_f"
     for name, violation in arc.conditions.items():
         yield "", f"{name} missed by {violation:.1e}"
 
@@ -68,7 +68,7 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
     statistics, step = solution.statistics, solution.times[1] - solution.times[0]
     method = "Newton" if solution.singular is None else "Gauss-Newton"
-    yield "iterations", f"{statistics.iterations} {method} steps on {solution.steps} steps of {step:.6g}"
+    yield "iterations", f"{many(statistics.iterations, f'{method} step')} on {many(solution.steps, 'step')} of {step:.6g}"
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds
         yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"

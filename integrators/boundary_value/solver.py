@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from numbers import Number
 from typing import Any, NamedTuple, final
 
@@ -15,6 +16,7 @@ from ...manifolds.numerics.ambient import is_count, is_finite_number
 from ...manifolds.numerics.reading import one_reading
 from ...retractions import DiscretizationMap, Gauss, Midpoint
 from ..functions import require_concrete
+from ..kinks import kinks_near
 from ..options import HORIZON, known_options
 from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
@@ -145,6 +147,7 @@ class Solver:
                 solution = self._on_final_manifold(problem, conditions, member, options, (c, integrator))
             else:
                 solution = self._solved([member], [conditions], options, began)[0]
+            solution = _explained(problem, solution)
         return solution.require_success() if throw else solution
 
     @known_options
@@ -238,9 +241,9 @@ class Solver:
         if key not in self._classes:
             known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
             regular = problem.check(known, resting_control(problem.controls))
-            if problem.terminal_cost is None or all(part.fixed for part in last.parts):
-                problem.require_cost(known)
-            self._classes[key] = None if regular else classify(problem)
+            problem.require_cost(known, last.point, last.fixed_leaves)
+            excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
+            self._classes[key] = None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key]
 
     def _solved(
@@ -355,6 +358,15 @@ class Solver:
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
         return solve_on_final_manifold(request, *method)
+
+
+def _explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
+    """The solution, where it has no success with what in a function may be why."""
+    if solution.success or solution.result == Result[Result.stopped]:
+        return solution
+    q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (solution.stage_states, solution.controls))
+    reason = problem.imprecise(q, u) or kinks_near(problem, solution)
+    return replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
 
 
 def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result]:

@@ -112,7 +112,7 @@ def sparse_words(missing: int, tried: int) -> str:
 
 
 CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
-EXCLUDED = "p = 0 is excluded"
+EXCLUDED = "p = 0 is excluded (exclude_zero_costate=False admits it)"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 UNDECIDED = (
     "not decided: at every point found, a number that decides a rank may be zero or not within the precision of the point, or a "
@@ -120,6 +120,7 @@ UNDECIDED = (
     "near=(q, p), a state where the functions are of comparable size, or other units"
 )
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
+WITH_IT = "; extremals with p = 0, which is excluded, were not looked for"
 
 
 def strata_words(count: int) -> str:

@@ -75,7 +75,7 @@ def test_a_hamiltonian_of_time_is_refused():
 def test_a_constant_cost_is_told_from_a_weak_one(price):
     def refused(weight: float) -> bool:
         try:
-            OptimalControlProblem(PLANE, cart, Priced(price, jnp.asarray(weight)), 1).require_cost(REST)
+            OptimalControlProblem(PLANE, cart, Priced(price, jnp.asarray(weight)), 1).require_cost(REST, REST)
         except InvalidInputError as error:
             return "every state and control that was tried" in str(error)
         return False
@@ -94,10 +94,37 @@ def test_a_minimum_time_over_a_fixed_horizon_is_refused_at_once(cost):
         solve(fixed, MIDPOINT, REST, AHEAD, 1.0, 10)
 
 
+class Last(eqx.Module):
+    """``3 + weight x``."""
+
+    weight: Array
+
+    def __call__(self, q: Array) -> Array:
+        return 3.0 + self.weight * q[0]
+
+
+def test_a_terminal_cost_that_is_a_number_too_is_no_cost():
+    """``3 + a x`` at the end, with ``a`` from nothing through the rounding of 3 to where it counts."""
+
+    def refused(weight: float, *fixed: bool) -> bool:
+        given = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, terminal_cost=Last(jnp.asarray(weight)))
+        try:
+            given.require_cost(REST, REST, fixed)
+        except InvalidInputError as error:
+            return "the running cost is 1 at every state and control that was tried, and " in str(error)
+        return False
+
+    assert [refused(a) for a in (0.0, 1e-18, 1e-11, 1e-6, 1.0)] == [True, True, False, False, False]
+    assert [refused(a, True) for a in (0.0, 1.0)] == [True, True]
+    constant = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, terminal_cost=lambda q: 3.0)
+    with pytest.raises(InvalidInputError, match=r"and the terminal cost is 3 at every end: over a fixed horizon"):
+        solve(constant, MIDPOINT, REST, None, 1.0, 10)
+
+
 def test_other_costs_that_vanish_somewhere_are_not_constant():
     for cost in (lambda q, u: q @ q, lambda q, u: jnp.maximum(u[0] ** 2 - 50.0, 0.0)):
-        OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST)
-    OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST)
+        OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST, REST)
+    OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST, REST)
 
 
 @pytest.mark.slow
@@ -153,3 +180,13 @@ def test_a_bound_is_kept_from_where_it_does_not_matter_to_where_it_does(name):
         used = np.abs(steer(solution.controls, a))
         assert np.max(used) < a
         assert (np.sum(used > 0.95 * a) > 2) == (a < 6)
+
+
+def test_what_is_missing_is_named():
+    given = OptimalControlProblem(PLANE, cart, effort, 1)
+    with pytest.raises(InvalidInputError, match=rf"^solve: missing a required argument: 'horizon', expected solve\(.*{HORIZON}"):
+        solve(given, MIDPOINT, REST, AHEAD)
+    with pytest.raises(InvalidInputError, match=r"^solve: missing a required argument: 'steps', expected .* steps, \.\.\.\)$"):
+        solve(given, MIDPOINT, REST, AHEAD, 1.0)
+    with pytest.raises(InvalidInputError, match=r"^OptimalControlProblem: missing a required argument: 'running_cost'"):
+        OptimalControlProblem(PLANE, cart)

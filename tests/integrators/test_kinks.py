@@ -1,6 +1,6 @@
 """Kinks in the controls are told from singular controls, and from curvature that is narrow or weak."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, solve
 from retrax.integrators.initial_value.integrator import resting_control
+from retrax.integrators.kinks import kinks_near
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
@@ -137,14 +138,87 @@ def stationarity(given: OptimalControlProblem, solution: Any) -> float:
 
 @pytest.mark.parametrize("price", [mixed, pytest.param(smoothed, marks=pytest.mark.slow)])
 def test_a_success_is_stationary_at_the_controls_it_returns(price):
-    """Through the weights at which Newton's method no longer gets past the kink, and the widths that it can follow."""
+    """Through the weights at which Newton's method no longer gets past the kink, and the widths that it can follow.
+
+    What is no success says why, and names no kink of a smooth function.
+    """
     found = []
     for number in 10.0 ** np.arange(-3, 3):
         given = problem(price, number)
         solution = solve(given, MIDPOINT, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10, throw=False)
         assert not solution.success or stationarity(given, solution) < 1e-9, number
+        kink = "running_cost has a kink or a jump in the controls at u = [0.]" in solution.result
+        assert kink == (price is mixed and not solution.success), (number, solution.result)
         found.append(solution.success)
     assert len(set(found)) == 2, "the sweep passes through the decision"
+
+
+class Stopped(NamedTuple):
+    """What is looked at of a solution without success, at a few controls of some size."""
+
+    controls: np.ndarray
+    stage_states: np.ndarray
+    stage_costates: np.ndarray
+    stage_times: np.ndarray
+
+
+def stopped(size: float, controls: int = 1) -> Any:
+    draw = np.random.default_rng(0).standard_normal
+    return Stopped(size * draw((7, controls)), draw((7, 2)), draw((7, 2)), np.arange(7.0))
+
+
+def power(u: Array, exponent: Array) -> Array:
+    return jnp.abs(u[0]) ** exponent + u[0] ** 2
+
+
+def bounded(u: Array, a: Array) -> Array:
+    return -a * jnp.log(1.1 - u[0] ** 2) + jnp.exp(3 * u[0])
+
+
+CURVED = {
+    "beside curvature": (lambda u, a: jnp.abs(u[0]) + a * u[0] ** 2, 10.0 ** np.arange(-6, 5), "has a kink"),
+    "of a weight": (lambda u, a: a * jnp.abs(u[0]) + u[0] ** 4 + u[0] ** 2, 10.0 ** np.arange(-1, 5), "has a kink"),
+    "below rounding in single precision": (lambda u, a: a * jnp.abs(u[0]) + u[0] ** 2, [0.0, 1e-15, 1e-12, 1e-8], ""),
+    "at another control": (lambda u, a: jnp.abs(u[0] - a) + jnp.cosh(u[0]), [-0.5, -1e-3, 1e-9, 0.25, 0.7], "has a kink"),
+    "one-sided": (lambda u, a: jnp.maximum(u[0] - a, 0) + u[0] ** 2, [-0.3, 0.0, 0.3], "has a kink"),
+    "powers": (power, [1.1, 1.2, 1.3, 1.4, 1.5], "grows without bound"),
+    "higher powers": (power, [1.95, 2.0, 2.5, 3.0], ""),
+    "Huber": (lambda u, a: huber(u, a) + u[0] ** 2 / 10, 10.0 ** np.arange(-9, 2), ""),
+    "smoothed": (lambda u, a: smoothed(u, a) + u[0] ** 2 / 10, 10.0 ** np.arange(-9, 2), ""),
+    "smoothed elsewhere": (lambda u, a: smoothed(u - 0.3, a) + u[0] ** 2, 10.0 ** np.arange(-8, 2), ""),
+    "barriers": (bounded, 10.0 ** np.arange(-9, 2), ""),
+    "wiggles": (lambda u, a: jnp.sin(u[0] / a) + u[0] ** 2, 10.0 ** np.arange(-4, 2), ""),
+}
+
+
+@pytest.mark.parametrize("name", CURVED)
+def test_a_kink_beside_curvature_is_told_from_narrow_curvature(name):
+    price, numbers, expected = CURVED[name]
+    for a in numbers:
+        words = kinks_near(problem(price, a), stopped(1.0))
+        assert expected in words, a
+        assert bool(words) == bool(expected), (a, words)
+
+
+@pytest.mark.parametrize("unit", 10.0 ** np.arange(-6, 7, 3))
+def test_a_kink_beside_curvature_has_no_unit(unit):
+    def kinked(u: Array, a: Array) -> Array:
+        return jnp.abs(u[0] / a) + (u[0] / a) ** 2
+
+    def smooth(u: Array, a: Array) -> Array:
+        return smoothed(u / a, jnp.asarray(1e-6)) + (u[0] / a) ** 2
+
+    assert "has a kink or a jump in the controls at u = [0.]" in kinks_near(problem(kinked, unit), stopped(unit))
+    assert not kinks_near(problem(smooth, unit), stopped(unit))
+
+
+def test_a_kink_beside_curvature_is_found_along_every_direction():
+    def price(u: Array, a: Array) -> Array:
+        return jnp.linalg.norm(u) + a * u @ u  # a cone: along coordinate lines it is smooth
+
+    assert "running_cost has a kink" in kinks_near(problem(price, 0.1, 2), stopped(1.0, 2))
+    clipped = problem(lambda u, a: u @ u, 1.0, dynamics=lambda q, u: jnp.stack([q[1], jnp.clip(u[0], -0.3, 0.3)]))
+    assert "dynamics has a kink" in kinks_near(clipped, stopped(1.0))
 
 
 @pytest.mark.slow

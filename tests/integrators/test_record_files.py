@@ -209,6 +209,21 @@ def test_another_version_is_refused_in_words(record, version, tmp_path):
         record[1](path)
 
 
+def test_the_other_kind_of_record_is_said_to_have_another_function(record, tmp_path):
+    path, _ = saved(record[0], tmp_path)
+    kinds = {"Solution": (load_trajectory, "load_solution"), "Trajectory": (load_solution, "load_trajectory")}
+    other, words = kinds[type(record[0]).__name__]
+    with pytest.raises(InvalidInputError, match=rf"; try {words}; expected a file from"):
+        other(path)
+
+
+@pytest.mark.parametrize("path", [5, None, 1.0, ["record.npz"]])
+def test_what_is_no_path_is_named(record, path):
+    require_refused(record[1], path)
+    with pytest.raises(InvalidInputError, match=r"the path must be a text or a pathlib\.Path, got "):
+        record[0].save(path)
+
+
 def test_a_file_that_is_not_there_is_the_usual_error(record, tmp_path):
     with pytest.raises(FileNotFoundError):
         record[1](tmp_path / "nothing.npz")

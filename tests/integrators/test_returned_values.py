@@ -1,5 +1,9 @@
 """What functions return: converted where that is harmless, refused in words where it is not."""
 
+from functools import partial
+from warnings import catch_warnings, simplefilter
+
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -48,7 +52,7 @@ def test_what_is_no_real_number_is_named_wherever_it_is_asked_for(kind):
 @pytest.mark.parametrize(
     ("dynamics", "words"),
     [
-        (lambda q, u: cart(q, u) + 0j, r"dynamics, a tangent vector of R\^2 has real entries, got complex ones"),
+        (lambda q, u: cart(q, u) + 0j, r"dynamics, a tangent vector of R\^2, has real entries, got complex ones"),
         (lambda q, u: cart(q, u) > 0, r"dynamics, .* has numbers as entries, got an array of bool"),
         (lambda q, u: [q[1], u[0]], r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
         (lambda q, u: (q[1], u[0]), r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
@@ -88,6 +92,50 @@ def test_single_precision_is_raised_with_a_warning(where):
     exact, function = functions[where], functions[where]
     functions[where] = lambda q, u: function(q, u).astype(jnp.float32)
     assert exact(REST, jnp.ones(1)).dtype == float
-    with pytest.warns(UserWarning, match=f"{where} returns float32 values where float64 is in use"):
+    with pytest.warns(UserWarning, match=f"{where} returns float32 values where float64 is in use") as caught:
         solution = solve(OptimalControlProblem(PLANE, **functions, controls=1), MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=1e-5)
     assert solution.cost == pytest.approx(600 / 99, rel=1e-5)
+    assert caught[0].filename == __file__, "the line is the one that called the library"
+
+
+def test_single_precision_is_named_where_a_tolerance_asks_for_more():
+    coarse = OptimalControlProblem(PLANE, lambda q, u: cart(q, u).astype(jnp.float32), effort, 1)
+    found = {}
+    for tolerance in (1e-11, 1e-5):
+        with catch_warnings():
+            simplefilter("ignore")
+            found[tolerance] = solve(coarse, MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=tolerance, throw=False)
+    assert found[1e-5].success
+    assert not found[1e-11].success
+    assert "dynamics returns float32 values where float64 is in use, and no condition can be met" in found[1e-11].result
+
+
+def branching(q, u):
+    if u[0] > 0:
+        return u @ u
+    return u @ u / 2
+
+
+class Called(eqx.Module):
+    """A function that calls another one."""
+
+    def __call__(self, q, u):
+        return branching(q, u)
+
+
+@pytest.mark.parametrize("cost", [branching, Called(), partial(branching), lambda q, u: branching(q, u)])
+def test_a_function_that_jax_cannot_trace_is_named_with_its_line(cost):
+    line = branching.__code__.co_firstlineno + 1
+    words = rf"fail at a point q of R\^2.* in running_cost, line {line} of {__file__}: JAX cannot trace them \(TracerBool"
+    for run in (
+        lambda: solve(OptimalControlProblem(PLANE, cart, cost, 1), MIDPOINT, REST, AHEAD, 1.0, 4),
+        lambda: classify(OptimalControlProblem(PLANE, cart, cost, 1)),
+    ):
+        with pytest.raises(InvalidInputError, match=words):
+            run()
+
+
+def test_an_error_in_a_function_is_found_in_it():
+    given = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u.speed]), effort, 1)
+    with pytest.raises(InvalidInputError, match=rf"in dynamics, line \d+ of {__file__}: .*has no attribute"):
+        solve(given, MIDPOINT, REST, AHEAD, 1.0, 4)

@@ -140,13 +140,21 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
             InvalidInputError,
             r"fail at .*its arguments are \(q, u\), in this order",
         ),
-        ({"cost": lambda q, u: u @ np.ones(4)}, InvalidInputError, r"fail at .*shape \(3,\): .*try another number"),
+        (
+            {"cost": lambda q, u: u @ np.ones(4)},
+            InvalidInputError,
+            r"fail at .*shape \(3,\), in running_cost, line .*: .*try another",
+        ),
         ({"cost": lambda q, u: u * u}, InvalidInputError, r"running_cost must return a scalar, got .*\(3,\)"),
         ({"terminal_cost": lambda q: q}, InvalidInputError, r"terminal_cost must return a scalar, got .*\(3, 3\)"),
         ({"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)}, InvalidInputError, r"finite at .*u = \[0. 0. 0.\].*cost nan"),
         ({"dynamics": lambda q, u: q @ hat(u * jnp.sqrt(1e-4 - u @ u))}, InvalidInputError, r"at .*u = \[.\d\.\d.* velocity nan"),
         ({"cost": lambda q, u: jnp.sqrt(u @ u)}, InvalidInputError, r"no finite derivative .*try .*u @ u"),
-        ({"cost": lambda q, u: np.sin(u) @ u}, InvalidInputError, r"JAX cannot trace them; try functions written in jax.numpy"),
+        (
+            {"cost": lambda q, u: np.sin(u) @ u},
+            InvalidInputError,
+            r"JAX cannot trace them \(Tracer\w+\); try functions written in",
+        ),
     ],
 )
 def test_functions_that_return_the_wrong_thing_are_named(options, error, words):

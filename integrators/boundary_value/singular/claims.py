@@ -97,7 +97,9 @@ def not_stationary(problem: OptimalControlProblem, stages: np.ndarray, found: St
 
 def broken_end(conditions: EndConditions, ends: AtEnds, states: Ambient, costates: Ambient) -> str:
     """The first boundary condition that is missed relative to the trajectory itself, in words; empty if there is none."""
-    covector = max((float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(costates)), default=0.0)
+    covector = max((float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(costates)), default=0.0) / float(conditions.unit)
+    if conditions.problem.terminal_cost is not None:  # p + dPhi = 0 has terms of this size, though both may vanish
+        covector = max(covector, 1.0)
     rounding = ROUNDING * np.finfo(np.asarray(ends.start).dtype).eps
     for condition, rows in ((conditions.start, ends.start), (conditions.end, ends.end)):
         leaf = row = 0
@@ -108,8 +110,10 @@ def broken_end(conditions: EndConditions, ends: AtEnds, states: Ambient, costate
             worst = float(np.max(np.abs(missed), initial=0.0))
             if not worst <= max(default_tolerance() * size, rounding):
                 kind = "state" if part.fixed else "costate"
+                unit = 1.0 if part.fixed else float(conditions.unit)
                 return (
-                    f"the condition on the {kind} at the {part.name} is missed by {worst:.3g}, and the {kind}s reach {size:.3g}"
+                    f"the condition on the {kind} at the {part.name} is missed by {unit * worst:.3g}, and the {kind}s reach "
+                    f"{unit * size:.3g}"
                 )
             leaf, row = leaf + part.leaves, row + part.dimension
     return ""

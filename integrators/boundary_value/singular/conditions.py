@@ -1,13 +1,14 @@
 """Boundary conditions of an extremal on the final manifold ``P_f``, and whether each end alone can be met there."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import NamedTuple, final
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
@@ -21,16 +22,35 @@ from .least_squares import least_squares
 from .shooting import Pair
 
 MOST_STARTS = 8
-CONTRADICTED = 1e-9  # residual of the equations of P_f, which are of order one near it
+VANISHING = 1e-6  # of the equations of P_f, of order one: their rounding at a point of it
+CONTRADICTED = 1e-9  # residual of the equations of P_f, over their terms
+RANDOM = 5  # points at which a terminal cost is looked at
 
 
 @final
 class EndConditions(eqx.Module):
-    """``q`` as prescribed at both ends; where it is free ``p = 0`` at the start and ``p = -dPhi`` at the end: ``2n`` in all."""
+    """``q`` as prescribed at both ends; where it is free ``p = 0`` at the start and ``p = -dPhi`` at the end: ``2n`` in all.
+
+    Costates are measured in ``unit``, so that no condition depends on the unit of the cost.
+    """
 
     problem: OptimalControlProblem
     start: NodeCondition
     end: NodeCondition
+    unit: Array | float = 1.0
+
+    def in_units_of(self, c: Classification) -> "EndConditions":
+        """The same with the largest as unit of the sizes of ``dPhi`` at the ends and random points, and of ``p`` on ``P_f``.
+
+        The size of ``p`` says nothing where ``p = 0`` meets the equations: it is any number, or rounding.
+        """
+        s = c.stratum
+        slopes, at_zero = jax.device_get(_scales(self.problem, c.equations, s.q, s.p, self.start.point, self.end.point))
+        size = np.max(slopes)
+        if not np.max(np.abs(at_zero), initial=0.0) <= VANISHING:
+            leaves = jax.tree.leaves(s.states[1])
+            size = max(size, *(np.median(np.max(np.abs(a.reshape(len(a), -1)), axis=1, initial=0.0)) for a in leaves))
+        return replace(self, unit=jnp.asarray(size if size > 0 else 1.0))
 
     def costate_at_start(self, z: Pair) -> Ambient:
         """The covector that vanishes along the directions free at the start."""
@@ -42,17 +62,17 @@ class EndConditions(eqx.Module):
 
     def at_start(self, z: Pair) -> Float[Array, " n"]:
         """The conditions at the start, in coordinates of the tangent space of Q."""
-        return _rows(self.problem.manifold, self.start, z[0], self.costate_at_start(z))
+        return _rows(self.problem.manifold, self.start, z[0], vec.scale(1 / self.unit, self.costate_at_start(z)))
 
     def at_end(self, z: Pair) -> Float[Array, " n"]:
         """The conditions at the end."""
-        return _rows(self.problem.manifold, self.end, z[0], self.costate_at_end(z))
+        return _rows(self.problem.manifold, self.end, z[0], vec.scale(1 / self.unit, self.costate_at_end(z)))
 
     def at(self, first: Pair, frame: Frame, last: Pair, moves: Frame) -> "AtEnds":
         """The conditions at both ends, and their derivatives along frames there."""
         start, by_first = _along(self.at_start, first, frame)
         end, by_last = _along(self.at_end, last, moves)
-        missed = *_violations(self.start, first, start), *_violations(self.end, last, end)
+        missed = *_violations(self.start, first, start, self.unit), *_violations(self.end, last, end, self.unit)
         return AtEnds(start, by_first, end, by_last, dict(missed))
 
 
@@ -80,13 +100,23 @@ def _rows(manifold: Manifold, condition: NodeCondition, q: Ambient, costate: Amb
     return mask * vec.components(frame, vec.subtract(q, node)) + (1 - mask) * vec.components(frame, costate)
 
 
-def _violations(condition: NodeCondition, z: Pair, rows: Array) -> Iterator[tuple[str, Array]]:
+@compiled
+def _scales(
+    problem: OptimalControlProblem, equations: FinalEquations, q: Ambient, p: Ambient, *ends: Ambient
+) -> tuple[Array, Array]:
+    """Largest entries of ``dPhi`` at both ends and, in the middle, at random points; the equations of ``P_f`` at ``(q, 0)``."""
+    drawn = [problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), RANDOM)]
+    sizes = [vec.size(problem.manifold.projection(x, vec.gradient(problem.final_cost, x))) for x in (*ends, *drawn)]
+    return jnp.stack([*sizes[: len(ends)], jnp.median(jnp.stack(sizes[len(ends) :]))]), equations((q, vec.scale(0.0, p)))
+
+
+def _violations(condition: NodeCondition, z: Pair, rows: Array, unit: ArrayLike) -> Iterator[tuple[str, Array]]:
     reached, wanted = jax.tree.leaves(z[0]), jax.tree.leaves(condition.point)
     leaf = row = 0
     for part in condition.parts:
         here = slice(leaf, leaf + part.leaves)
         missed = [vec.size(a - b) / (1 + vec.size(b)) for a, b in zip(reached[here], wanted[here], strict=True)]
-        costate = vec.size(rows[row : row + part.dimension]) / (1 + vec.size(z[1]))
+        costate = vec.size(rows[row : row + part.dimension]) / (1 + vec.size(z[1]) / unit)
         yield part_name(part), vec.largest(jnp.stack(missed)) if part.fixed and missed else costate
         leaf, row = leaf + part.leaves, row + part.dimension
 
@@ -97,7 +127,7 @@ def part_name(part: Part) -> str:
 
 
 class Node(NamedTuple):
-    """A point of ``T*Q`` that meets the conditions of one end, and the values of the equations of ``P_f`` there."""
+    """A point of ``T*Q`` that meets the conditions of one end, and the equations of ``P_f`` there, over their terms."""
 
     z: Pair
     values: Float[Array, " codimension"]
@@ -114,7 +144,7 @@ def points_at_ends(c: Classification, conditions: EndConditions, move: Retractio
     found = []
     for condition, terminal in ((conditions.start, 0.0), (conditions.end, 1.0)):
         data = condition.point, condition.mask(), jnp.asarray(terminal)
-        nodes = jax.device_get(_nearest(c.problem, c.equations, move, starts, *data))
+        nodes = jax.device_get(_nearest(c.problem, c.equations, move, starts, conditions.unit, *data))
         found.append(_chosen(c, condition, nodes))
     return found[0], found[1]
 
@@ -125,13 +155,15 @@ def _nearest(
     equations: FinalEquations,
     move: Retraction,
     covectors: Ambient,
+    unit: Array,
     given: Ambient,
     mask: Float[Array, " n"],
     terminal: Float[Array, ""],
 ) -> Node:
     """From each covector: free states, and costates along the others, for which the equations of ``P_f`` are least violated.
 
-    Costates along the free coordinates are ``-terminal dPhi``.
+    Costates along the free coordinates are ``-terminal dPhi``. Equations are measured by their terms, whatever the unit of the
+    cost: derivatives by the state times 1 + its entries, and by the costate times its entries, or ``unit`` if that is larger.
     """
     manifold = problem.manifold
     frame = manifold.basis(jax.tree.map(jnp.asarray, given))
@@ -142,9 +174,19 @@ def _nearest(
         slope = terminal * vec.components(tangent, vec.gradient(problem.final_cost, q))
         return q, vec.combine(tangent, mask * c - (1 - mask) * slope)
 
+    def terms(z: Pair) -> Array:
+        basis = manifold.basis(z[0])
+        none = jax.tree.map(jnp.zeros_like, basis)
+        by_state, by_costate = (jnp.abs(_along(equations, z, moves)[1]) for moves in ((basis, none), (none, basis)))
+        lengths, sizes = 1 + jnp.abs(vec.components(basis, z[0])), jnp.maximum(jnp.abs(vec.components(basis, z[1])), unit)
+        total = by_state @ lengths + by_costate @ sizes
+        return jnp.where(total > 0, total, 1.0)
+
     def one(covector: Ambient) -> Node:
-        c, values = least_squares(lambda c: equations(point(c)), mask * vec.components(frame, covector))
-        return Node(point(c), values)
+        start = mask * vec.components(frame, covector)
+        size = terms(point(start))
+        c, values = least_squares(lambda c: equations(point(c)) / size, start)
+        return Node(point(c), values / jnp.maximum(1.0, terms(point(c)) / size))
 
     return jax.vmap(one)(covectors)
 

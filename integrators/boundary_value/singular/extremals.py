@@ -49,28 +49,67 @@ class Request(NamedTuple):
 
 
 def solve_on_final_manifold(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
-    """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``.
+    """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``, piece after piece.
 
     Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm, constant on every
     step. Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the data of one end contradict them,
     or for abnormal extremals, whose costates are known up to a factor only.
     """
-    began = time.perf_counter()
     if c.empty:
-        raise InvalidInputError(f"the problem is singular and has no interior singular extremal: P_f is empty\n{c}")
+        raise InvalidInputError(
+            f"the problem is singular, and no point of P_f, on which its interior singular extremals lie, was found\n{c}"
+        )
     c.require_reliable()
     if request.problem.abnormal:
         raise InvalidInputError(
             "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start (q0, p0)"
         )
+    request = request._replace(conditions=request.conditions.in_units_of(c))
+    if integrator is not None or not c.stratified:
+        return _on_piece(request, c, integrator)
+    failed, refused = list[Solution](), list[str]()
+    for i in range(len(c.strata)):
+        try:
+            solution = _on_piece(request, c.choose(i), None)
+        except InvalidInputError as error:
+            refused.append(f"piece {i} of P_f: {error}")
+            continue
+        if solution.success:
+            return solution
+        failed.append(solution)
+    if failed:
+        return failed[0]
+    raise InvalidInputError("\n".join(refused))
+
+
+def _on_piece(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
+    """An extremal on the first piece of ``P_f``."""
+    began = time.perf_counter()
     shooting, reason = _shooting(request, c, integrator)
     first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
+    _require_choice(request, c)
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
     prepared = time.perf_counter()
     found = meet_conditions(shooting, request.conditions, guess, float(request.tolerance), request.max_iterations)
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
+
+
+def _require_choice(request: Request, c: Classification) -> None:
+    """Raise where ends are prescribed, and every curve between them is an extremal.
+
+    ``P_f`` on which all controls are free is left by no control. All curves from a point of it are extremals then, and
+    the cost is stationary at each of those that end in one point: it is the same for all that can be deformed into each other.
+    """
+    parts = *request.conditions.start.parts, *request.conditions.end.parts
+    which = "the control is" if c.gauge_controls == 1 else f"all {c.gauge_controls} controls are"
+    if c.gauge_controls == request.problem.controls.dimension and all(part.fixed for part in parts):
+        raise InvalidInputError(
+            f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of them cost "
+            "the same, as where the running cost is a total derivative along the dynamics, and none is the solution; expected a "
+            "cost that tells them apart, such as one with u @ u / 2 added"
+        )
 
 
 def _shooting(request: Request, c: Classification, integrator: SingularIntegrator | None) -> tuple[Shooting, str]:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import jax
 import numpy as np
 from jaxtyping import ArrayLike
 
@@ -71,6 +72,11 @@ class Stratum:
     def codimension(self) -> int:
         """Number of independent equations in ``T*Q``."""
         return self.signature.codimension
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the piece: rank of the form and dimension of its kernel."""
+        return self.rank + len(jax.tree.leaves(self.kernel)[0])
 
     @property
     def rank(self) -> int:

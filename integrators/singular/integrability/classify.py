@@ -69,7 +69,8 @@ def classify(
     ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise, from
     the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones (drawn with
     ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where Pontryagin's principle
-    excludes them: in abnormal problems, and in those with a terminal cost and no running cost. ``near``, a state ``(q, p)``:
+    excludes them: in abnormal problems, and in those with a free end, no running cost and a terminal cost whose differential
+    vanishes nowhere, because an entry of it is one number everywhere, as that of ``q[2]``. ``near``, a state ``(q, p)``:
     start from it and from points around it, to see a piece of ``P_f`` too thin for random starts to come to.
 
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
@@ -92,9 +93,9 @@ def classify(
 
 def _classify(problem: OptimalControlProblem, starts: int, seed: int, exclude: bool | None, near: Pair | None) -> Classification:
     first = random_starts(problem, ORDERS[0], starts, seed, near)
-    homogeneous = problem.abnormal or bool(np.all(first.at.cost_rate == 0))
+    homogeneous = problem.abnormal or float(np.ptp(first.at.cost_rate)) == 0  # a constant is part of no condition
     if exclude is None:
-        exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
+        exclude = problem.abnormal or (homogeneous and problem.is_steep_at())
     levels, morse, found = _run(first, unit_costate=exclude and homogeneous)
     kept = [item for item in found if not (exclude and item.trivial)]
     return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest())

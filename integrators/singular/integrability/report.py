@@ -73,7 +73,8 @@ def _empty(c: Classification) -> Iterator[Line]:
     else:
         level = c.levels[-1]
         met = level.residual <= APPROACHED
-        yield "P_f", words.approached_words(level.residual) if met or not level.opposed else words.unmet_words(level.index)
+        text = words.approached_words(level.residual) if met or not level.opposed else words.unmet_words(level.index)
+        yield "P_f", text + (words.WITH_IT if c.zero_costate_excluded else "")
 
 
 def _final(c: Classification) -> Iterator[Line]:

@@ -118,8 +118,10 @@ class _Search(NamedTuple):
         by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
         with np.errstate(all="ignore"):  # not finite where functions are not
             values = (at.array / rows)[:, : self.level + 1].reshape(len(rows), -1)
-            sizes = np.sum(values**2, axis=1, keepdims=True)
+            size, tilt = self.normalisation(at)
+            sizes = np.sum(values**2, axis=1, keepdims=True) + np.sum(size**2, axis=1, keepdims=True)
             slopes = np.einsum("br,bri->bi", values / sizes, np.concatenate([by_state, by_jet], axis=2))
+            slopes[:, : tilt.shape[2]] += np.einsum("br,bri->bi", size / sizes, tilt * units.state[:, None])
             return np.where(np.isfinite(sizes[:, 0]), np.linalg.norm(slopes, axis=1), np.inf)
 
     def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:

@@ -86,6 +86,11 @@ class SymbolicStratum:
         return tuple(s for s in (*self.phase.q, *self.phase.p) if s not in self.solution)
 
     @property
+    def dimension(self) -> int:
+        """Dimension of the piece."""
+        return len(self.coordinates)
+
+    @property
     def codimension(self) -> int:
         """Number of equations."""
         return len(self.equations)

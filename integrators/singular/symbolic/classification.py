@@ -133,10 +133,10 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
     u = _symbols("u", problem.controls)
     hamiltonian = normal_form(trace(problem.hamiltonian, q, p, u).item())
     phase = Phase(hamiltonian, *(tuple(symbols.ravel()) for symbols in (q, p, u)))
-    homogeneous = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p)) == 0
+    cost = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p))
     exclude = exclude_zero_costate
     if exclude is None:
-        exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
+        exclude = problem.abnormal or (not cost.free_symbols and problem.is_steep_at())
     pieces, ended = strata(phase)
     if not pieces and ended.unsolved:
         raise InvalidInputError(

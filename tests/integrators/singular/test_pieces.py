@@ -61,6 +61,7 @@ def test_curved_pieces_are_told_apart_by_directions_that_they_have_in_common():
     for seed in range(3):
         c = classify(problem, seed=seed)
         assert [s.codimension for s in c.strata] == [2, 2]
+        assert [s.dimension for s in c.strata] == [2 * c.problem.manifold.dimension - 2] * 2
         across = [int(np.argmin(np.abs(s.q[:2]))) for s in c.strata]
         assert set(across) == {0, 1}
         for piece, i in zip(c.strata, across, strict=True):

@@ -182,7 +182,7 @@ def test_a_start_off_the_final_manifold_is_refused_with_the_equation_it_contradi
 
 def test_an_empty_final_manifold_is_said_to_be_empty():
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q[0], 1)
-    with pytest.raises(InvalidInputError, match="P_f is empty"):
+    with pytest.raises(InvalidInputError, match="no point of P_f, on which"):
         solve(problem, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4)
 
 
