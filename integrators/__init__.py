@@ -8,7 +8,18 @@ if __package__ != "retrax.integrators":
 
 from typing import TYPE_CHECKING
 
-from .boundary_value import Checks, Guess, SingularArc, Solution, Solutions, Solver, Statistics, default_guess, load_solution, solve
+from .boundary_value import (
+    Checks,
+    Guess,
+    SingularArc,
+    Solution,
+    Solutions,
+    Solver,
+    Statistics,
+    default_guess,
+    load_solution,
+    solve,
+)
 from .dirac import DiracIntegrator, DiracSystem
 from .initial_value import (
     KAHAN_LI_6,

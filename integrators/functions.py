@@ -18,7 +18,6 @@ from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import is_traced
 from .results import warn_of_coarse_values
 
-
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
 
 

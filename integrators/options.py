@@ -89,7 +89,10 @@ def _require_all(signature: inspect.Signature, what: str, arguments: tuple, opti
 
 
 def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:
-    """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``, or of these and ``more``; whether it is that."""
+    """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``, or of these and ``more``.
+
+    Returns whether it takes ``more``.
+    """
     if not callable(function):
         raise InvalidInputError(f"{name} must be a function of {expected}, got {function!r}")
     parameters, count = _names(function), expected.count(",") + 1

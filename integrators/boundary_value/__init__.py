@@ -5,4 +5,15 @@ from .solution import Checks, SingularArc, Solution, Solutions, Statistics, load
 from .solve import solve
 from .solver import Solver
 
-__all__ = ["Checks", "Guess", "SingularArc", "Solution", "Solutions", "Solver", "Statistics", "default_guess", "load_solution", "solve"]
+__all__ = [
+    "Checks",
+    "Guess",
+    "SingularArc",
+    "Solution",
+    "Solutions",
+    "Solver",
+    "Statistics",
+    "default_guess",
+    "load_solution",
+    "solve",
+]

@@ -51,7 +51,11 @@ class Collocation:
         n, m = self.manifold.dimension, self.controls.dimension
         self.dimension = n + self.stages * m
         self.tableau = Tableau(np.array(method.centred), np.array(method.weights))
-        self.state, self.control, self.parameter = Layout.of(self.manifold), Layout.of(self.controls), parameter_layout(parameters)
+        self.state, self.control, self.parameter = (
+            Layout.of(self.manifold),
+            Layout.of(self.controls),
+            parameter_layout(parameters),
+        )
         e, u, k = self.state.size, self.control.size, self.parameter.size
         self._ends = evaluator.values(self._ends_of, e, n)
         self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k)

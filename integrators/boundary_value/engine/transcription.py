@@ -68,7 +68,11 @@ class OneStage:
         self.problem, self.method, self.stages = problem, method, 1
         self.manifold, self.controls = problem.manifold, problem.controls
         self.dimension = self.manifold.dimension + self.controls.dimension
-        self.state, self.control, self.parameter = Layout.of(self.manifold), Layout.of(self.controls), parameter_layout(parameters)
+        self.state, self.control, self.parameter = (
+            Layout.of(self.manifold),
+            Layout.of(self.controls),
+            parameter_layout(parameters),
+        )
         sizes = self.state.size, self.control.size
         given = 1, self.parameter.size
         nodes = (self.state.size,) * 4
@@ -132,7 +136,6 @@ class OneStage:
         stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
         centre, control = stage.move(y, stage.frame(y), d)
         return self.state.flat(centre), self.control.flat(control)
-
 
     def _pulled(self, x: Array, u: Array, p0: Array, p1: Array, h: Array, parameters: Array) -> tuple[Array]:
         """The covector of the lift of the discretization map at a stage."""
