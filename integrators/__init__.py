@@ -25,6 +25,7 @@ from .initial_value import (
     Trajectory,
     form_defect,
     integrate,
+    integrate_many,
     load_trajectory,
 )
 from .problem import OptimalControlProblem
@@ -79,6 +80,7 @@ __all__ = [
     "default_guess",
     "form_defect",
     "integrate",
+    "integrate_many",
     "load_solution",
     "load_trajectory",
     "singular_integrator",

@@ -5,6 +5,7 @@ from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .preservation import form_defect
 from .step import StepResult, lifted_step
+from .many import integrate_many
 from .trajectory import Trajectory, integrate, load_trajectory
 
 __all__ = [
@@ -23,6 +24,7 @@ __all__ = [
     "Trajectory",
     "form_defect",
     "integrate",
+    "integrate_many",
     "lifted_step",
     "load_trajectory",
 ]

@@ -19,7 +19,7 @@ from ..compilation import compiled
 from ..functions import real_number
 from ..options import require_arguments
 from ..problem import FAILURES, OptimalControlProblem, resting_control
-from ..stages import ControlStage, HamiltonianStage
+from ..stages import ControlStage, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
 
@@ -52,6 +52,14 @@ class Integrator(eqx.Module):
     @abstractmethod
     def control(self, unknowns: Any) -> Any:
         """The control in the unknowns of a step; None where there is none."""
+
+    def stage(self, system: Any, h: ArrayLike) -> Stage | None:
+        """The stage whose equations are those of a step of size ``h``, and all of it; None where steps are of another form."""
+        return None
+
+    def substeps(self) -> tuple["Integrator", np.ndarray]:
+        """The integrator that does all of a step, or each part of it, and the parts of the step: shaped like ``control``'s axes."""
+        return self, np.ones(())
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without an end."""
