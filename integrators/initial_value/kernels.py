@@ -19,7 +19,7 @@ _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 EPS = float(np.finfo(float).eps)
 QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
-PATIENCE = 5  # chord steps that a Jacobian of an earlier step may take before it is renewed for the next one
+PATIENCE = 10  # chord steps that a Jacobian of an earlier step may take before it is renewed for the next one
 PREPARE, RESIDUAL, PUSH, END = range(4)
 (
     C, H, STATE, FIRST, SIZES, MISSED, DIRECTION, PUSHED, NEW, CONTROL, FINITE,
@@ -75,7 +75,7 @@ def _factorise(a, pivots):
 
 @_compiled
 def _solve(a, pivots, b):
-    """The solution of a system with these factors, in the place of its right side; its largest entry, NaN if one is."""
+    """The solution of a system with these factors, in the place of its right side."""
     n = a.shape[0]
     for k in range(n):
         other = pivots[k]
@@ -84,14 +84,10 @@ def _solve(a, pivots, b):
     for i in range(n):
         for j in range(i):
             b[i] -= a[i, j] * b[j]
-    size = 0.0
     for i in range(n - 1, -1, -1):
         for j in range(i + 1, n):
             b[i] -= a[i, j] * b[j]
         b[i] /= a[i, i]
-        if not abs(b[i]) <= size and size == size:
-            size = abs(b[i])
-    return size
 
 
 @_compiled
@@ -117,7 +113,12 @@ def _chords(programs, places, v, w, lu, pivots, first, k, exact):
                 continue
             for i in range(m):
                 d[i] = v[places[MISSED] + i, j]
-            step = _solve(lu[first + j, k], pivots[first + j, k], d)
+            _solve(lu[first + j, k], pivots[first + j, k], d)
+            step = 0.0
+            for i in range(m):
+                d[i] /= v[places[SIZES] + i, j]
+                if not abs(d[i]) <= step and step == step:
+                    step = abs(d[i])
             ratio = step / (np.inf if n == 0 else v[places[STEP], j])
             # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
             remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
@@ -148,7 +149,7 @@ def _renew(programs, places, v, w, factors, first, k):
         for i in range(m):
             for j in range(LANES):
                 here = i == (begin + j if single else begin)
-                x[places[DIRECTION] + i, j] = x[places[SIZES] + i, j] if here else 0.0
+                x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
         machine(codes, registers, values, ranges, PUSH, x, y)
         for j in range(min(LANES, m - begin) if single else LANES):
             lane, column = (first, begin + j) if single else (first + j, begin)
