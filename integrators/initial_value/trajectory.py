@@ -253,7 +253,11 @@ def _recorded(
     unfailed = Result.interrupted if interrupt else Result.successful
     # jnp.asarray would compile something for each shape.
     (q, p, controls), (at_nodes, at_stages), stopped = jax.device_put((nodes, times, np.asarray(failed, int)))
-    result = Result.where(failed < 0, unfailed, Result.step_not_solved)
+
+    def result_of(solved: Any) -> Result:
+        return Result.where(solved, unfailed, Result.step_not_solved)
+
+    result = jax.vmap(result_of)(failed < 0) if step_size.ndim else result_of(bool(failed < 0))
     trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, stopped, Remark(evaluator))
     if interrupt:
         # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C does.
