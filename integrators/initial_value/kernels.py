@@ -5,7 +5,6 @@ write; ``places`` has the first row of each of its parts. There is one lane for 
 """
 
 import warnings
-from collections import namedtuple
 
 import numba
 import numpy as np
@@ -23,15 +22,14 @@ PATIENCE = 10  # chord steps that a Jacobian of an earlier step may take before 
 PREPARE, RESIDUAL, PUSH, END = range(4)
 (
     C, H, STATE, FIRST, SIZES, MISSED, DIRECTION, PUSHED, NEW, CONTROL, FINITE,
-    SCALED, STEP, RATIO, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
+    SCALED, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
 ) = range(len(PLACES))  # fmt: skip
 
-# Instructions of all programs, and where each of them begins and ends; the machine is a function called by its address, because
-# each loop around it would be compiled with all of it otherwise.
-Programs = namedtuple("Programs", "machine codes registers values ranges")
-# LU factors of Jacobians with their row exchanges, by lanes and substeps; which are old, by blocks of lanes and substeps; memory
-# and registers of LANES lanes in which the columns of one lane's Jacobian are computed.
-Factors = namedtuple("Factors", "lu pivots old wide registers")
+# Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
+# ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
+# and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
+# ``factors`` is (lu, pivots, old, wide, registers): LU factors of Jacobians with their row exchanges, and which are old, by blocks
+# of lanes and substeps, lanes last; memory and registers of LANES lanes in which the columns of one lane's Jacobian are computed.
 
 
 def _array(kind, axes):
@@ -43,51 +41,55 @@ _PROGRAMS = _LIST, _array(types.uint64, 2), _array(types.float64, 1), _array(typ
 
 
 @numba.cfunc(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX), cache=True, error_model="numpy")
-def evaluate(codes, registers, values, ranges, which, v, w):
+def evaluate(codes, operands, values, ranges, which, v, w):
     """Run one of the programs on a memory with these registers."""
     a, b = ranges[which, 0], ranges[which, 1]
     if v.shape[1] == 1:
-        run_one(codes[a:b], registers[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size))
+        run_one(codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size))
     else:
-        run(codes[a:b], registers[a:b], values[a:b], (v, v), w, a - a, v.shape[1])
+        run(codes[a:b], operands[a:b], values[a:b], (v, v), w, a - a, v.shape[1])
 
 
 @_compiled
 def _factorise(a, pivots):
-    """LU factors of a matrix with partial pivoting, in its place."""
-    n = a.shape[0]
+    """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``."""
+    n, lanes = pivots.shape
     for k in range(n):
-        best = k
+        for j in range(lanes):
+            best = k
+            for i in range(k + 1, n):
+                if abs(a[i, k, j]) > abs(a[best, k, j]):
+                    best = i
+            pivots[k, j] = best
+            if best != k:
+                for i in range(n):
+                    a[k, i, j], a[best, i, j] = a[best, i, j], a[k, i, j]
         for i in range(k + 1, n):
-            if abs(a[i, k]) > abs(a[best, k]):
-                best = i
-        pivots[k] = best
-        if best != k:
-            for j in range(n):
-                a[k, j], a[best, j] = a[best, j], a[k, j]
-        for i in range(k + 1, n):
-            factor = a[i, k] / a[k, k]
-            a[i, k] = factor
-            if factor != 0:
-                for j in range(k + 1, n):
-                    a[i, j] -= factor * a[k, j]
+            for j in range(lanes):
+                a[i, k, j] /= a[k, k, j]
+            for column in range(k + 1, n):
+                for j in range(lanes):
+                    a[i, column, j] -= a[i, k, j] * a[k, column, j]
 
 
 @_compiled
-def _solve(a, pivots, b):
-    """The solution of a system with these factors, in the place of its right side."""
-    n = a.shape[0]
+def _solve(a, pivots, v, first):
+    """Solutions of the systems with these factors, in the place of their right sides, the rows of ``v`` from ``first`` on."""
+    n, lanes = pivots.shape
     for k in range(n):
-        other = pivots[k]
-        if other != k:
-            b[k], b[other] = b[other], b[k]
+        for j in range(lanes):
+            other = first + pivots[k, j]
+            v[first + k, j], v[other, j] = v[other, j], v[first + k, j]
     for i in range(n):
-        for j in range(i):
-            b[i] -= a[i, j] * b[j]
+        for column in range(i):
+            for j in range(lanes):
+                v[first + i, j] -= a[i, column, j] * v[first + column, j]
     for i in range(n - 1, -1, -1):
-        for j in range(i + 1, n):
-            b[i] -= a[i, j] * b[j]
-        b[i] /= a[i, i]
+        for column in range(i + 1, n):
+            for j in range(lanes):
+                v[first + i, j] -= a[i, column, j] * v[first + column, j]
+        for j in range(lanes):
+            v[first + i, j] /= a[i, i, j]
 
 
 @_compiled
@@ -99,48 +101,63 @@ def _place(places, v):
 
 
 @_compiled
-def _chords(programs, places, v, w, lu, pivots, first, k, exact):
+def _measure(places, v):
+    """Bring the step of every lane to the units of the unknowns; its largest entry, NaN if one is, becomes ``LENGTH``."""
+    for j in range(v.shape[1]):
+        v[places[LENGTH], j] = 0.0
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            v[places[MISSED] + i, j] /= v[places[SIZES] + i, j]
+            size, largest = abs(v[places[MISSED] + i, j]), v[places[LENGTH], j]
+            v[places[LENGTH], j] = largest if size <= largest or largest != largest else size
+
+
+@_compiled
+def _judge(places, v, n, exact):
+    """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are any."""
+    more = False
+    for j in range(v.shape[1]):
+        v[places[TAKEN], j] = 0.0
+        if v[places[GOING], j] == 0:
+            continue
+        step = v[places[LENGTH], j]
+        ratio = step / (np.inf if n == 0 else v[places[STEP], j])
+        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
+        remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
+        done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
+        going = not done and (n == 0 or ratio < SLOW)
+        v[places[TAKEN], j] = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
+        v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
+        v[places[CONVERGED], j], v[places[GOING], j] = done, going
+        more = more or going
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            change = v[places[MISSED] + i, j] if v[places[TAKEN], j] != 0 else 0.0
+            v[places[SCALED] + i, j] -= change
+    return more
+
+
+@_compiled
+def _chords(programs, places, v, w, lu, pivots, exact):
     """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too slowly."""
-    m = places[COUNT]
-    d = np.empty(m)
-    machine, codes, registers, values, ranges = programs
+    machine, codes, operands, values, ranges = programs
     for n in range(MAX_CHORDS):
         _place(places, v)
-        machine(codes, registers, values, ranges, RESIDUAL, v, w)
-        more = False
-        for j in range(v.shape[1]):
-            if v[places[GOING], j] == 0:
-                continue
-            for i in range(m):
-                d[i] = v[places[MISSED] + i, j]
-            _solve(lu[first + j, k], pivots[first + j, k], d)
-            step = 0.0
-            for i in range(m):
-                d[i] /= v[places[SIZES] + i, j]
-                if not abs(d[i]) <= step and step == step:
-                    step = abs(d[i])
-            ratio = step / (np.inf if n == 0 else v[places[STEP], j])
-            # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-            remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
-            done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
-            if ratio <= STALLED:  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
-                for i in range(m):
-                    v[places[SCALED] + i, j] -= d[i]
-            going = not done and (n == 0 or ratio < SLOW)
-            v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
-            v[places[CONVERGED], j], v[places[GOING], j] = done, going
-            more = more or going
-        if not more:
+        machine(codes, operands, values, ranges, RESIDUAL, v, w)
+        _solve(lu, pivots, v, places[MISSED])
+        _measure(places, v)
+        if not _judge(places, v, n, exact):
             return
 
 
 @_compiled
-def _renew(programs, places, v, w, factors, first, k):
+def _renew(programs, places, v, w, factors, block, k):
     """Jacobians at all lanes, factorised: columns are images of directions, all at once for a single lane."""
     m, single = places[COUNT], v.shape[1] == 1
-    machine, codes, registers, values, ranges = programs
+    machine, codes, operands, values, ranges = programs
     _place(places, v)
-    x, y = (factors.wide, factors.registers) if single else (v, w)
+    lu, pivots, _, wide, wide_registers = factors
+    x, y = (wide, wide_registers) if single else (v, w)
     if single:
         for i in range(v.shape[0]):
             for j in range(LANES):
@@ -150,13 +167,12 @@ def _renew(programs, places, v, w, factors, first, k):
             for j in range(LANES):
                 here = i == (begin + j if single else begin)
                 x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
-        machine(codes, registers, values, ranges, PUSH, x, y)
+        machine(codes, operands, values, ranges, PUSH, x, y)
         for j in range(min(LANES, m - begin) if single else LANES):
-            lane, column = (first, begin + j) if single else (first + j, begin)
+            lane, column = (0, begin + j) if single else (j, begin)
             for i in range(m):
-                factors.lu[lane, k, i, column] = x[places[PUSHED] + i, j]
-    for j in range(v.shape[1]):
-        _factorise(factors.lu[first + j, k], factors.pivots[first + j, k])
+                lu[block, k, i, column, lane] = x[places[PUSHED] + i, j]
+    _factorise(lu[block, k], pivots[block, k])
 
 
 @_compiled
@@ -180,35 +196,36 @@ def _begin(places, v, tries):
 
 
 @_compiled
-def _solve_step(programs, places, v, w, factors, first, block, k):
+def _solve_step(programs, places, v, w, factors, block, k):
     """Solve the equations of a step in all good lanes: with the Jacobians of an earlier step, then with their own."""
-    old = factors.old[block, k]
+    lu, pivots, all_old, _, _ = factors
+    old = all_old[block, k]
     for tries in range(MAX_JACOBIANS + 1):
         if not _begin(places, v, tries + (tries > 0 and old)):
             break
         if tries == 0 and old:
             continue
         if tries > 0:
-            _renew(programs, places, v, w, factors, first, k)
-        _chords(programs, places, v, w, factors.lu, factors.pivots, first, k, tries > 0)
-        factors.old[block, k] = False
+            _renew(programs, places, v, w, factors, block, k)
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], tries > 0)
+        all_old[block, k] = False
         for j in range(v.shape[1]):
             if v[places[GOOD], j] != 0 and tries == 0 and v[places[CHORDS], j] > PATIENCE:
-                factors.old[block, k] = True
+                all_old[block, k] = True
     _place(places, v)
 
 
 @_compiled
 def _step(programs, places, v, w, factors, parts, h, first, block):
     """One step of all good lanes, its substeps one after the other; the lanes that fail are good no more."""
-    machine, codes, registers, values, ranges = programs
+    machine, codes, operands, values, ranges = programs
     lanes = v.shape[1]
     for k in range(parts.size):
         for j in range(lanes):
             v[places[H], j] = h[min(first + j, h.size - 1)] * parts[k]
-        machine(codes, registers, values, ranges, PREPARE, v, w)
-        _solve_step(programs, places, v, w, factors, first, block, k)
-        machine(codes, registers, values, ranges, END, v, w)
+        machine(codes, operands, values, ranges, PREPARE, v, w)
+        _solve_step(programs, places, v, w, factors, block, k)
+        machine(codes, operands, values, ranges, END, v, w)
         for j in range(lanes):
             v[places[GOOD], j] = v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)
             for i in range(places[STATES]):
@@ -244,7 +261,7 @@ def _advance(programs, places, v, w, factors, parts, h, carry, failed, record, n
                 record[(phase + index) // every, i, first + j] = carry[rows - record.shape[1] + i, first + j]
 
 
-def _integrate(machine, codes, registers, values, ranges, places, memory, carry, failed, record, factors, parts, h, numbers, blocks):
+def _integrate(machine, codes, operands, values, ranges, places, memory, carry, failed, record, factors, parts, h, numbers, blocks):
     """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in its place.
 
     ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a trajectory
@@ -253,17 +270,17 @@ def _integrate(machine, codes, registers, values, ranges, places, memory, carry,
     done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the first and the one after the last.
     """
     rows, size, lanes = memory
-    programs = Programs(machine, codes, registers, values, ranges)
+    programs = machine, codes, operands, values, ranges
     wide = LANES if lanes == 1 else 1
     lu, pivots, old = factors
-    workspace = Factors(lu, pivots, old, np.zeros((rows, wide)), np.zeros((size, wide)))
+    workspace = lu, pivots, old, np.zeros((rows, wide)), np.zeros((size, wide))
     v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
     for block in range(blocks[0], blocks[1]):
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
 
 
 _BOOLEANS, _NUMBERS = _array(types.boolean, 2), _array(types.float64, 1)
-_FACTORS = types.Tuple((_array(types.float64, 4), _array(types.int64, 3), _BOOLEANS))
+_FACTORS = types.Tuple((_array(types.float64, 5), _array(types.int64, 4), _BOOLEANS))
 _INTEGRATE = types.void(
     types.FunctionType(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX)),
     *(*_PROGRAMS, _LIST, types.UniTuple(types.int64, 3), _MATRIX, _LIST, _array(types.float64, 3)),

@@ -94,8 +94,8 @@ class _Workspace:
         lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places
         memory = programs.rows, programs.registers, lanes
         self._integrate, self._blocks = partial(kernels.integrate, kernels.evaluate, *lists, memory), blocks
-        pivots = np.zeros((blocks * lanes, substeps, m), np.int64)
-        self._factors = np.zeros((blocks * lanes, substeps, m, m)), pivots, np.ones((blocks, substeps), np.bool_)
+        pivots = np.zeros((blocks, substeps, m, lanes), np.int64)
+        self._factors = np.zeros((blocks, substeps, m, m, lanes)), pivots, np.ones((blocks, substeps), np.bool_)
 
     def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
         """Integrate over a piece, blocks of lanes side by side on all processors."""

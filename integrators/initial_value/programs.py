@@ -46,7 +46,7 @@ def unpacked(array: np.ndarray, like: Any) -> Any:
 # Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep there; sizes.
 PLACES = (
     *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
-    *("scaled", "step", "ratio", "chords", "going", "converged", "good", "fresh"),
+    *("scaled", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
     *("count", "states", "controls"),
 )
 
@@ -112,7 +112,7 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     at |= {name: memory.take(rows(part)) for name, part in chart._asdict().items()}
     at |= {name: memory.take(c.size) for name in ("direction", "residual", "pushed", "scaled")}
     at |= {"new": memory.take(rows((y, q, p))), "control": memory.take(rows(control)), "fresh": memory.take(substeps * rows(control))}
-    at |= {name: memory.take(1) for name in ("finite", "step", "ratio", "chords", "going", "converged", "good")}
+    at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
     charts = [*chart._fields]
     reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", *charts]]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
