@@ -28,8 +28,9 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
 # ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
 # and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
-# ``factors`` is (lu, pivots, old, wide, registers): LU factors of Jacobians with their row exchanges, and which are old, by blocks
-# of lanes and substeps, lanes last; memory and registers of LANES lanes in which the columns of one lane's Jacobian are computed.
+# ``factors`` is (lu, pivots, old, small, wide, registers): LU factors of Jacobians with their row exchanges, and which are old, by
+# blocks of lanes and substeps, lanes last; the Jacobian of small steps, or an empty matrix; memory and registers of LANES lanes in
+# which the columns of one lane's Jacobian are computed.
 
 
 def _array(kind, axes):
@@ -156,7 +157,7 @@ def _renew(programs, places, v, w, factors, block, k):
     m, single = places[COUNT], v.shape[1] == 1
     machine, codes, operands, values, ranges = programs
     _place(places, v)
-    lu, pivots, _, wide, wide_registers = factors
+    lu, pivots, _, _, wide, wide_registers = factors
     x, y = (wide, wide_registers) if single else (v, w)
     if single:
         for i in range(v.shape[0]):
@@ -176,18 +177,19 @@ def _renew(programs, places, v, w, factors, block, k):
 
 
 @_compiled
-def _begin(places, v, tries):
-    """Choose the lanes that go on, at first all good ones, then those not converged yet; whether there are any.
+def _begin(places, v, fresh, restart):
+    """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
 
-    They begin at the prediction, and do so again where an earlier step's Jacobian, the first of the ``tries``, led away.
+    They begin at the prediction: all of them if ``restart`` is 2, those that were led away if it is 1.
     """
     m, some = places[COUNT], False
     for j in range(v.shape[1]):
-        going = v[places[GOOD], j] != 0 and (tries == 0 or v[places[CONVERGED], j] == 0)
-        if tries == 0 or (tries == 1 and going and not v[places[STEP], j] < 1):
+        going = v[places[GOOD], j] != 0 and (fresh or v[places[CONVERGED], j] == 0)
+        if going and (restart == 2 or (restart == 1 and not v[places[STEP], j] < 1)):
             for i in range(m):
                 v[places[SCALED] + i, j] = v[places[FIRST] + i, j] / v[places[SIZES] + i, j]
-            v[places[CONVERGED], j] = 0.0
+        if fresh:
+            v[places[CONVERGED], j], v[places[CHORDS], j] = 0.0, 0.0
         for i in range(m):
             going = going and np.isfinite(v[places[SCALED] + i, j])
         v[places[GOING], j] = going
@@ -197,22 +199,42 @@ def _begin(places, v, tries):
 
 @_compiled
 def _solve_step(programs, places, v, w, factors, block, k):
-    """Solve the equations of a step in all good lanes: with the Jacobians of an earlier step, then with their own."""
-    lu, pivots, all_old, _, _ = factors
-    old = all_old[block, k]
-    for tries in range(MAX_JACOBIANS + 1):
-        if not _begin(places, v, tries + (tries > 0 and old)):
+    """Solve the equations of a step in all good lanes: with the Jacobians of a step before, with that of small steps, with new ones.
+
+    The first are tried only for speed; the others, in this order, are the iteration of ``manifolds.numerics.newton``.
+    """
+    lu, pivots, all_old, small, _, _ = factors
+    fresh, renewed, no = True, 0, False
+    if not all_old[block, k]:
+        fresh = _begin(places, v, fresh, 2) and False
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
+    restart = 2
+    if small.size > 0 and _begin(places, v, fresh, restart):
+        _copy_to_lanes(small, lu[block, k])
+        _factorise(lu[block, k], pivots[block, k])
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
+        all_old[block, k], fresh, restart = True, False, 1
+    for _ in range(MAX_JACOBIANS):
+        if not _begin(places, v, fresh, restart):
             break
-        if tries == 0 and old:
-            continue
-        if tries > 0:
-            _renew(programs, places, v, w, factors, block, k)
-        _chords(programs, places, v, w, lu[block, k], pivots[block, k], tries > 0)
-        all_old[block, k] = False
-        for j in range(v.shape[1]):
-            if v[places[GOOD], j] != 0 and tries == 0 and v[places[CHORDS], j] > PATIENCE:
-                all_old[block, k] = True
+        _renew(programs, places, v, w, factors, block, k)
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], not no)
+        fresh, restart, renewed = False, 0, renewed + 1
     _place(places, v)
+    slow = all_old[block, k]
+    all_old[block, k] = renewed > 1  # what is solved with difficulty says little of the next step
+    for j in range(v.shape[1]):
+        slow = slow or (v[places[GOOD], j] != 0 and v[places[CHORDS], j] > PATIENCE)
+    if slow and renewed == 0:
+        _renew(programs, places, v, w, factors, block, k)
+
+
+@_compiled
+def _copy_to_lanes(matrix, a):
+    for i in range(matrix.shape[0]):
+        for column in range(matrix.shape[0]):
+            for j in range(a.shape[2]):
+                a[i, column, j] = matrix[i, column]
 
 
 @_compiled
@@ -266,21 +288,21 @@ def _integrate(machine, codes, operands, values, ranges, places, memory, carry, 
 
     ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a trajectory
     stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps; ``factors``: arrays
-    ``(lu, pivots, old)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done before, steps to do, those
+    ``(lu, pivots, old, small)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done before, steps to do, those
     done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the first and the one after the last.
     """
     rows, size, lanes = memory
     programs = machine, codes, operands, values, ranges
     wide = LANES if lanes == 1 else 1
-    lu, pivots, old = factors
-    workspace = lu, pivots, old, np.zeros((rows, wide)), np.zeros((size, wide))
+    lu, pivots, old, small = factors
+    workspace = lu, pivots, old, small, np.zeros((rows, wide)), np.zeros((size, wide))
     v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
     for block in range(blocks[0], blocks[1]):
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
 
 
 _BOOLEANS, _NUMBERS = _array(types.boolean, 2), _array(types.float64, 1)
-_FACTORS = types.Tuple((_array(types.float64, 5), _array(types.int64, 4), _BOOLEANS))
+_FACTORS = types.Tuple((_array(types.float64, 5), _array(types.int64, 4), _BOOLEANS, _MATRIX))
 _INTEGRATE = types.void(
     types.FunctionType(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX)),
     *(*_PROGRAMS, _LIST, types.UniTuple(types.int64, 3), _MATRIX, _LIST, _array(types.float64, 3)),

@@ -31,7 +31,7 @@ class TapeSteps(Steps):
     def __init__(self, system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray) -> None:
         single, parts = integrator.substeps()
         self.evaluator = "tape"
-        self._step_sizes, self._parts = step_sizes, parts
+        self._step_sizes, self._parts = np.array(step_sizes, float), parts
         count = len(step_sizes)
         unknowns, q, p = _begin(system, single, starts)
         self._like = jax.tree.map(lambda a: a[0], (unknowns, q, p))
@@ -40,7 +40,9 @@ class TapeSteps(Steps):
         controls = packed(single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
         self._carry = np.ascontiguousarray(np.concatenate([packed((unknowns, q, p)), *[controls] * parts.size]))
         self._failed = np.full(count, -1)
-        self._workspace = _Workspace(self._programs, count, parts.size)
+        stage = single.stage(system, 1.0)
+        inverse = None if stage is None else stage.small_step_inverse()
+        self._workspace = _Workspace(self._programs, count, parts.size, inverse)
 
     def kept(self) -> np.ndarray:
         return self._carry[rows(self._like[0]) :].copy()
@@ -86,7 +88,7 @@ def _all_begun(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambie
 class _Workspace:
     """Programs and memory of the compiled loops."""
 
-    def __init__(self, programs: StepPrograms, count: int, substeps: int) -> None:
+    def __init__(self, programs: StepPrograms, count: int, substeps: int, inverse: np.ndarray | None) -> None:
         from . import kernels
 
         lanes = 1 if count <= FEW else kernels.LANES
@@ -95,7 +97,9 @@ class _Workspace:
         memory = programs.rows, programs.registers, lanes
         self._integrate, self._blocks = partial(kernels.integrate, kernels.evaluate, *lists, memory), blocks
         pivots = np.zeros((blocks, substeps, m, lanes), np.int64)
-        self._factors = np.zeros((blocks, substeps, m, m, lanes)), pivots, np.ones((blocks, substeps), np.bool_)
+        lu, old = np.zeros((blocks, substeps, m, m, lanes)), np.ones((blocks, substeps), np.bool_)
+        small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(np.linalg.inv(inverse))
+        self._factors = lu, pivots, old, small
 
     def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
         """Integrate over a piece, blocks of lanes side by side on all processors."""
