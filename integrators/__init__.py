@@ -40,7 +40,7 @@ from .singular import (
     classify,
     singular_integrator,
 )
-from .stages import ControlStage, HamiltonianStage, Stage
+from .stages import ControlStage, GaussStage, HamiltonianStage, Stage
 
 if TYPE_CHECKING:
     from .singular.symbolic import SymbolicClassification as SymbolicClassification

@@ -15,7 +15,7 @@ from ..manifolds.manifold import default_tolerance, same_manifold, working_preci
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
-from ..retractions import DiscretizationMap, default_retraction
+from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled
 from .functions import in_precision, real_number
 from .options import HORIZON, known_options, require_arguments
@@ -102,8 +102,8 @@ class OptimalControlProblem(eqx.Module):
         power, rate = self.parts(q, p, u)
         return power - rate
 
-    def check_discretization(self, discretization: DiscretizationMap) -> None:
-        """Raise if a discretization map acts on another manifold than this problem."""
+    def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
+        """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
             raise InvalidInputError(
                 f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one manifold"

@@ -11,6 +11,7 @@ from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
 from .differential import DifferentiatedRetraction, adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
+from .gauss import Gauss
 from .groups import (
     SOQR,
     UQR,
@@ -72,6 +73,7 @@ __all__ = [
     "FixedRankOrthographic",
     "FixedRankProjection",
     "FrobeniusExponential",
+    "Gauss",
     "GrassmannCayley",
     "GrassmannExponential",
     "GrassmannPolar",

@@ -16,6 +16,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
 from .discretization import DiscretizationMap
+from .gauss import Gauss
 from .retraction import Retraction
 
 Pair = tuple[Ambient, Ambient]
@@ -56,7 +57,10 @@ class CotangentLift(DiscretizationMap):
 
     def __init__(self, discretization: DiscretizationMap) -> None:
         if not isinstance(discretization, DiscretizationMap):
-            raise InvalidInputError(f"CotangentLift takes a discretization map, got {discretization!r}; try Midpoint(retraction)")
+            whole = "; a Gauss method is given to an integrator as it is" if isinstance(discretization, Gauss) else ""
+            raise InvalidInputError(
+                f"CotangentLift takes a discretization map, got {discretization!r}{whole}; try Midpoint(retraction)"
+            )
         self.discretization = discretization
 
     @property

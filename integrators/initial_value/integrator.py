@@ -14,12 +14,12 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.root import find_root
-from ...retractions import CotangentLift
+from ...retractions import CotangentLift, DiscretizationMap, Gauss
 from ..compilation import compiled
 from ..functions import real_number
 from ..options import require_arguments
 from ..problem import FAILURES, OptimalControlProblem, resting_control
-from ..stages import ControlStage, HamiltonianStage, Stage
+from ..stages import ControlStage, GaussStage, GaussUnknowns, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
 
@@ -98,35 +98,58 @@ def check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
         raise InvalidInputError(f"the Hamiltonian fails at {at}: {reason}; {hint}") from error
 
 
-def _require_lift(lift: object) -> None:
-    if not isinstance(lift, CotangentLift):
-        raise InvalidInputError(f"an integrator takes a cotangent lift, got {lift!r}; try CotangentLift(Midpoint(retraction))")
+class VariationalIntegrator(Integrator):
+    """Steps that are stationary points of a stage's generating function, by a lifted discretization map or a Gauss method."""
+
+    method: CotangentLift | Gauss
+
+    def __check_init__(self) -> None:
+        if not isinstance(self.method, CotangentLift | Gauss):
+            raise InvalidInputError(
+                f"{type(self).__name__} takes a cotangent lift or a Gauss method, got {self.method!r}; "
+                "try CotangentLift(Midpoint(retraction)) or Gauss(3, retraction)"
+            )
+
+    @property
+    def discretization(self) -> DiscretizationMap | Gauss:
+        """What discretizes Q: the Gauss method itself, or the map that is lifted."""
+        return self.method if isinstance(self.method, Gauss) else self.method.discretization
+
+    @property
+    def manifold(self) -> Manifold:
+        return self.discretization.manifold
+
+    @property
+    def control_times(self) -> np.ndarray:
+        return self.method.nodes if isinstance(self.method, Gauss) else np.asarray(self.method.theta)
+
+    @abstractmethod
+    def stage(self, system: Any, h: ArrayLike) -> Stage:
+        """The stage whose stationary points are the steps of ``system``."""
+
+    def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
 
 @final
-class SymplecticIntegrator(LiftedIntegrator):
-    """Hamilton's equations: ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in ``T*Q``.
+class SymplecticIntegrator(VariationalIntegrator):
+    """Hamilton's equations by a lifted discretization map, ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in ``T*Q``.
 
     The system is a Hamiltonian ``H(q, p)``, a JAX function of ambient arrays. The step is a symplectic map of ``T*Q``;
-    symmetric, and of order 2, if the discretization map is symmetric.
+    symmetric, and of order 2, if the discretization map is symmetric. By a Gauss method ``Gauss(s, retraction)``, whose
+    collocation takes the place of the lift, it is symmetric and of order ``2 s``.
     """
 
-    lift: CotangentLift
+    def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage | GaussStage:
+        if isinstance(self.method, Gauss):
+            return GaussStage.of_hamiltonian(system, self.method, h)
+        return HamiltonianStage(hamiltonian=system, discretization=self.method.discretization, step=h)
 
-    def __check_init__(self) -> None:
-        _require_lift(self.lift)
+    def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> Any:
+        stage = self.stage(system, 0.0)
+        return stage.begin(q, p, resting_control(stage.controls)) if isinstance(stage, GaussStage) else (q, p, p)
 
-    def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage:
-        """The stage whose stationary points are the steps of ``system``."""
-        return HamiltonianStage(hamiltonian=system, discretization=self.lift.discretization, step=h)
-
-    def step(self, system: Hamiltonian, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
-
-    def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient, Ambient]:
-        return q, p, p
-
-    def control(self, unknowns: tuple[Ambient, Ambient, Ambient]) -> None:
+    def control(self, unknowns: Any) -> None:
         return None
 
     def check(self, system: Hamiltonian, q: Ambient, p: Ambient) -> None:
@@ -136,35 +159,31 @@ class SymplecticIntegrator(LiftedIntegrator):
 
 
 @final
-class PresymplecticIntegrator(LiftedIntegrator):
+class PresymplecticIntegrator(VariationalIntegrator):
     """Extremals of a regular optimal control problem from ``(q0, p0)``.
 
-    ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of the problem, over its base point: the
-    equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the stage.
+    By a lifted discretization map, ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of the
+    problem, over its base point: the equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the stage. By a
+    Gauss method they hold at its points, each with a control of its own: ``controls`` of a trajectory then have an axis of
+    length ``s`` behind that of the steps, also for ``s = 1``.
     """
 
-    lift: CotangentLift
+    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | GaussStage:
+        if isinstance(self.method, Gauss):
+            return GaussStage.of_problem(system, self.method, h)
+        return ControlStage(problem=system, discretization=self.method.discretization, step=h)
 
-    def __check_init__(self) -> None:
-        _require_lift(self.lift)
+    def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
+        u, stage = extremal_control(system, q, p), self.stage(system, 0.0)
+        return stage.begin(q, p, u) if isinstance(stage, GaussStage) else (q, u)
 
-    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage:
-        """The stage whose stationary points are the steps of ``system``."""
-        return ControlStage(problem=system, discretization=self.lift.discretization, step=h)
-
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
-
-    def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
-        return q, extremal_control(system, q, p)
-
-    def control(self, unknowns: tuple[Ambient, Ambient]) -> Ambient:
-        return unknowns[1]
+    def control(self, unknowns: Any) -> Ambient:
+        return unknowns.controls if isinstance(unknowns, GaussUnknowns) else unknowns[1]
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not isinstance(system, OptimalControlProblem):
             raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
-        system.check_discretization(self.lift.discretization)
+        system.check_discretization(self.discretization)
         u = extremal_control(system, q, p)
         system.check(q, u)
         singular = _control_curvature(system, q, p, u)

@@ -53,7 +53,7 @@ class StepEquations:
         """The equations around the unknowns that the stage predicts."""
         frozen = jax.lax.stop_gradient
         guess = frozen(stage.predict(q0, p0, previous))
-        frame = stage.manifold.basis(stage.tangent(guess)[0])
+        frame = stage.manifold.basis(stage.base(guess))
         costate = frozen(vec.components(frame, p0))
         first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
         sizes = jnp.concatenate([stage.sizes(guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])

@@ -40,7 +40,8 @@ class Trajectory(eqx.Module):
     """A discrete trajectory on ``T*Q``: nodes along the leading axis of every leaf.
 
     ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a composition
-    has one for each of its substeps.
+    has one for each of its substeps, a Gauss method one for each of its ``s`` points, along an axis behind that of the steps:
+    shape ``(steps, s, m)``.
     ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
     Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
     ``evaluator`` says in words what computed the steps, and why where that was not the tape.

@@ -5,6 +5,7 @@ from typing import Any, final
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
+from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, default_retraction
@@ -27,6 +28,10 @@ class ControlStage(Stage):
     step: ArrayLike
 
     @property
+    def manifold(self) -> Manifold:
+        return self.discretization.manifold
+
+    @property
     def dimension(self) -> int:
         return self.manifold.dimension + self.problem.controls.dimension
 
@@ -44,8 +49,15 @@ class ControlStage(Stage):
         parts = vec.coordinate_sizes(self.manifold.basis(x), x), vec.coordinate_sizes(controls.basis(u), u)
         return jnp.maximum(jnp.concatenate(parts), 1.0)
 
+    def base(self, y: Unknowns) -> Ambient:
+        return y[0]
+
     def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        """The tangent vector ``(x, h X(x, u))`` that the discretization map is applied to."""
         return y[0], vec.scale(self.step, self.problem.velocity(*y))
+
+    def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        return self.discretization(*self.tangent(y))
 
     def cost(self, y: Unknowns) -> Array:
         return jnp.asarray(self.step) * self.problem.cost_rate(*y)

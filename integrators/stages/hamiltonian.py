@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
@@ -34,6 +35,10 @@ class HamiltonianStage(Stage):
         return real_number("the Hamiltonian", self.hamiltonian(q, p))
 
     @property
+    def manifold(self) -> Manifold:
+        return self.discretization.manifold
+
+    @property
     def dimension(self) -> int:
         return 3 * self.manifold.dimension
 
@@ -53,8 +58,11 @@ class HamiltonianStage(Stage):
         position = jnp.maximum(vec.coordinate_sizes(frame, x), 1.0)
         return jnp.concatenate([position, position, jnp.full_like(position, positive(vec.size(pi)))])
 
-    def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
-        return y[0], y[1]
+    def base(self, y: Unknowns) -> Ambient:
+        return y[0]
+
+    def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        return self.discretization(y[0], y[1])
 
     def cost(self, y: Unknowns) -> Array:
         x, v, pi = y

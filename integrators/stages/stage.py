@@ -12,7 +12,6 @@ from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.newton import tolerance
-from ...retractions import DiscretizationMap
 
 Unknowns = Any
 
@@ -22,20 +21,15 @@ SMALLEST_SIZE = 0.25  # power of the machine epsilon
 class Stage(eqx.Module):
     """One step of a discrete variational problem.
 
-    Its generating function is ``S(y; p0, p1) = <p1, R2(x, v)> - <p0, R1(x, v)> - cost(y)`` with ``(x, v) = tangent(y)``. One step
-    from ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1(x, v) = q0``; a whole trajectory is the KKT system of
+    Its generating function is ``S(y; p0, p1) = <p1, R2> - <p0, R1> - cost(y)`` with ``(R1, R2) = ends(y)``. One step from
+    ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1 = q0``; a whole trajectory is the KKT system of
     ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
     """
 
     @attribute
     @abstractmethod
-    def discretization(self) -> DiscretizationMap:
-        """The discretization map that makes a step of a tangent vector."""
-
-    @property
     def manifold(self) -> Manifold:
         """The configuration manifold Q on which the ends of the step live."""
-        return self.discretization.manifold
 
     @attribute
     @abstractmethod
@@ -55,8 +49,12 @@ class Stage(eqx.Module):
         """Typical sizes of the coordinates of ``move``, shape ``(dimension,)``, all positive."""
 
     @abstractmethod
-    def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
-        """The tangent vector ``(x, v)`` that the discretization map is applied to: base point and velocity times step."""
+    def base(self, y: Unknowns) -> Ambient:
+        """The base point ``x`` of the step, between its ends: costates of the step are unknown in coordinates there."""
+
+    @abstractmethod
+    def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
+        """Both ends ``(R1, R2)`` of the step."""
 
     @abstractmethod
     def cost(self, y: Unknowns) -> Array:
@@ -72,10 +70,6 @@ class Stage(eqx.Module):
 
         Equations ``(R1 - q0, dS/dy)`` in the unknowns ``(y, p1)``, both in coordinates of one frame.
         """
-
-    def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
-        """Both ends ``(R1(x, v), R2(x, v))`` of the step."""
-        return self.discretization(*self.tangent(y))
 
 
 def positive(size: Array) -> Array:

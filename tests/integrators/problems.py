@@ -1,5 +1,6 @@
 """Systems that several tests integrate or solve, and the numerics that their facts are stated with."""
 
+from collections.abc import Callable
 from typing import Any
 
 import jax
@@ -7,11 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 from retrax.integrators import OptimalControlProblem
-from retrax.manifolds import SO, CotangentBundle, Euclidean, Manifold, Sphere, form_matrix, hat
+from retrax.manifolds import SO, CotangentBundle, EmbeddedMetric, Euclidean, Manifold, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from scipy.spatial.transform import Rotation
 
 from tests.support.cases import Ellipsoid
+from tests.support.numerics import flat
 
 SPHERE, SO3, ELLIPSOID = Sphere(2), SO(3), Ellipsoid()
 RIGID = SO3 * Euclidean(3)
@@ -52,6 +54,18 @@ def towed_body_energy(q: tuple, p: tuple) -> Array:
 
 
 ENERGIES = {"S2": pendulum_energy, "SO3": top_energy, "ellipsoid": pendulum_energy, "SO3*R3": towed_body_energy}
+
+
+def coupled_energy(manifold: Manifold) -> Callable:
+    """Motion by the metric of the ambient space under a force without symmetry, coupled with the momentum."""
+    kinetic = EmbeddedMetric(manifold).kinetic_energy
+
+    def energy(q: Any, p: Any) -> jax.Array:
+        x, y = flat(q), flat(manifold.projection(q, p))
+        weights = jnp.cos(jnp.arange(x.size)) / jnp.sqrt(x.size)
+        return kinetic(q, p) + jnp.sin(weights @ x) + 0.3 * jnp.sin(weights @ y) * jnp.cos(x[0])
+
+    return energy
 
 
 def hamiltonian_field(bundle: CotangentBundle, energy: Any, z: tuple) -> tuple:

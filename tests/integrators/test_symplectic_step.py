@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from functools import cache
 from itertools import product
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,17 +12,18 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
-from retrax.manifolds import CotangentBundle, EmbeddedMetric, Euclidean, Manifold, form_matrix
+from retrax.manifolds import CotangentBundle, Euclidean, form_matrix
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
 from tests.support.cases import RETRACTIONS, THETAS, FreeTheta
-from tests.support.numerics import SEEDS, compiled, flat, norm
+from tests.support.numerics import SEEDS, compiled, norm
 
 from .problems import (
     ENERGIES,
     MANIFOLDS,
     SPHERE,
+    coupled_energy,
     hamiltonian_field,
     pendulum_energy,
 )
@@ -42,18 +42,6 @@ OTHERS = (
     "polar-Gr42",
     "cayley-SU2",
 )
-
-
-def coupled_energy(manifold: Manifold) -> Callable:
-    """Motion by the metric of the ambient space under a force without symmetry, coupled with the momentum."""
-    kinetic = EmbeddedMetric(manifold).kinetic_energy
-
-    def energy(q: Any, p: Any) -> jax.Array:
-        x, y = flat(q), flat(manifold.projection(q, p))
-        weights = jnp.cos(jnp.arange(x.size)) / jnp.sqrt(x.size)
-        return kinetic(q, p) + jnp.sin(weights @ x) + 0.3 * jnp.sin(weights @ y) * jnp.cos(x[0])
-
-    return energy
 
 
 SUBJECTS = {

@@ -49,6 +49,11 @@ def singular_integrator(
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
     if strategy is not None and strategy not in STRATEGIES:
         raise InvalidInputError(f"unknown strategy {strategy!r}; expected one of {', '.join(STRATEGIES)}, or None")
+    if not isinstance(discretization, DiscretizationMap):
+        raise InvalidInputError(
+            "singular problems are integrated through the lift of a discretization map, "
+            f"got {discretization!r}; try Midpoint(default_retraction(manifold))"
+        )
     require_concrete("singular_integrator", classification, discretization, gauge)
     classification.problem.check_discretization(discretization)
     classification.require_reliable()

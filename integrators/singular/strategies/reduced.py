@@ -54,7 +54,7 @@ class ReducedIntegrator(SingularIntegrator):
                 f"ReducedIntegrator takes a chain of reductions, got {self.chain!r}; try reduce_until_regular(problem)"
             )
         self.chain.problem.check_discretization(self.lift.discretization)
-        self.chain.reduced.check_discretization(self.regular.lift.discretization)
+        self.chain.reduced.check_discretization(self.regular.discretization)
 
     @property
     def regular(self) -> PresymplecticIntegrator:

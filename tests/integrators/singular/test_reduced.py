@@ -301,12 +301,12 @@ def test_derivatives_by_the_data_of_the_problem_and_batches():
 def test_the_discretization_is_restricted_factor_by_factor():
     rigid = chain_of("free actuator")
     cayley = ReducedIntegrator(CotangentLift(Euler(Cayley(rigid.problem.manifold))), rigid)
-    assert eqx.tree_equal(cayley.regular.lift.discretization, Euler(Cayley(rigid.reduced.manifold)))
+    assert eqx.tree_equal(cayley.regular.discretization, Euler(Cayley(rigid.reduced.manifold)))
     adjoint = Adjoint(Euler(Cayley(rigid.problem.manifold)))
     with pytest.raises(InvalidInputError, match="give ReducedIntegrator a discretization"):
         ReducedIntegrator(CotangentLift(adjoint), rigid)
     given = Adjoint(Euler(Cayley(rigid.reduced.manifold)))
-    assert ReducedIntegrator(CotangentLift(adjoint), rigid, given).regular.lift.discretization is given
+    assert ReducedIntegrator(CotangentLift(adjoint), rigid, given).regular.discretization is given
 
 
 PLANE, QUADRATIC = Euclidean(2), lambda q, u: q @ q / 2

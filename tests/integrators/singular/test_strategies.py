@@ -11,7 +11,7 @@ from retrax.integrators.singular import singular_integrator
 from retrax.integrators.singular.integrability.jets import hamiltonian_field
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Theta, default_retraction
+from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Gauss, Midpoint, Theta, default_retraction
 
 from tests.integrators.singular.cases import classified, known, scaled
 from tests.support.numerics import slope
@@ -245,6 +245,8 @@ def test_what_does_not_apply_is_refused_with_what_does():
         chosen("academic", "rattle")
     with pytest.raises(InvalidInputError, match="unknown strategy 'magic'"):
         chosen("academic", "magic")
+    with pytest.raises(InvalidInputError, match=r"(?s)the lift of a discretization map, got Gauss.*; try Midpoint"):
+        chosen("academic", None, Gauss(2, default_retraction(Euclidean(2))))
     with pytest.raises(InvalidInputError, match="no gauge controls"):
         chosen("aly-chan", gauge=lambda t, q, p: jnp.zeros(1))
     problem, method = classified("academic").problem, chosen("academic")
