@@ -1,67 +1,122 @@
-"""Compiled functions of what a user passes: arrays are data, everything else is fixed when the function is compiled."""
+"""Compiled functions of what a user passes: each call reads the functions anew, and equal programs are compiled once."""
 
 import time
-from collections.abc import Callable
-from functools import cache
-from typing import Any
+from collections.abc import Callable, Hashable
+from functools import cache, wraps
+from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from ..manifolds.manifold import working_precision
-from .functions import by_data
+from ..manifolds.numerics.reading import one_reading, traced
+from .functions import is_transformed
+from .programs import PLAIN, content_key, program_key
 
-_compiled: dict[Any, Any] = {}  # executables by function and structure of the arguments, oldest first
+P, R = ParamSpec("P"), TypeVar("R")
+
 MOST_COMPILED = 256
+_compiled: dict[Hashable, Any] = {}  # executables by program and settings, oldest first
+
+
+class _Program(NamedTuple):
+    """A traced function: its program with constants, a digest, and how its outputs become its value."""
+
+    closed: ClosedJaxpr
+    key: bytes
+    structure: Any
+    fixed: Any
+
+
+def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
+    """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
+
+    Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants only
+    have one executable. Where JAX is transforming the caller, or ``jit`` is disabled, the function is called as it is.
+    """
+    if is_transformed(arguments) or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
+        return function(*arguments), 0.0, 0.0
+    leaves, structure = jax.tree.flatten(arguments)
+    data = [leaf for leaf in leaves if _is_data(leaf)]
+    began = time.perf_counter()
+    program = _read(function, structure, leaves, data)
+    executable = _executable(program, data)
+    called = time.perf_counter()
+    outputs = executable(program.closed.consts, data)
+    jax.block_until_ready(outputs[:1])  # all outputs of one executable become ready together
+    value = eqx.combine(jax.tree.unflatten(program.structure, outputs), program.fixed)
+    return value, called - began, time.perf_counter() - called
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """A function whose values are those of ``call_compiled``."""
+
+    @wraps(function)
+    def call(*arguments: P.args, **options: P.kwargs) -> R:
+        return call_compiled(function, *arguments, **options)[0]
+
+    return call
 
 
 def _is_data(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
 
-def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
-    """Value of ``function(*arguments)``; seconds to trace and compile it, 0 if that was done before, and to run it.
+def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+    """The program of a function of ``data``, traced if that was not done in this reading."""
+    # What is held in the reading keeps its identity.
+    fixed = tuple("data" if _is_data(leaf) else repr(leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
+    key = id(function), fixed, tuple(jax.typeof(leaf) for leaf in data), structure
+    with one_reading() as reading:
+        try:
+            known = reading.known.get(key)
+        except TypeError:  # a static field that cannot be hashed
+            return _traced(function, structure, leaves, data)
+        if known is None:
+            known = reading.known[key] = _traced(function, structure, leaves, data), function, leaves
+        return known[0]
 
-    Arrays in the arguments are data, all other leaves are part of the function and hashable; functions compare by their data.
-    """
-    leaves, structure = jax.tree.flatten(by_data(arguments))
-    data = [leaf for leaf in leaves if _is_data(leaf)]
-    fixed = tuple(_is_data if _is_data(leaf) else leaf for leaf in leaves)
-    key = (function, fixed, structure, tuple((a.shape, a.dtype) for a in data), working_precision())
-    began = time.perf_counter()
-    seconds = 0.0
+
+def _traced(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+    """The program of a function of ``data``."""
+    found = []
+
+    def flat(data: list) -> list:
+        remaining = iter(data)
+        merged = [next(remaining) if _is_data(leaf) else leaf for leaf in leaves]
+        value = function(*jax.tree.unflatten(structure, merged))
+        arrays, fixed = eqx.partition(value, eqx.is_array)
+        outputs, shape = jax.tree.flatten(arrays)
+        found.append((shape, fixed))
+        return outputs
+
+    closed = traced(flat, data)
+    return _Program(closed, program_key(closed), *found[-1])
+
+
+def _executable(program: _Program, data: list) -> Any:
+    """The compiled program, as a function of its constants and ``data``."""
+    settings = jax.default_backend(), jax.config.jax_default_device, tuple(compiler_options().items())
+    key = program.key, settings
     if key not in _compiled:
-        compiled = jax.jit(lambda data: function(*_merged(structure, fixed, data))).lower(data).compile(compiler_options())
+
+        def run(constants: list, data: list) -> list:
+            return jaxpr_as_fun(ClosedJaxpr(program.closed.jaxpr, constants))(*data)
+
+        lowered = jax.jit(run).lower(program.closed.consts, data)
         if len(_compiled) >= MOST_COMPILED:
             del _compiled[next(iter(_compiled))]
-        _compiled[key] = compiled
-        seconds = time.perf_counter() - began
-    began = time.perf_counter()
-    value = _compiled[key](data)
-    jax.block_until_ready(jax.tree.leaves(value)[:1])  # all outputs of one executable become ready together
-    return value, seconds, time.perf_counter() - began
+        _compiled[key] = lowered.compile(compiler_options())
+    return _compiled[key]
 
 
-def compiled(function: Callable, *, quickly: bool = False) -> Callable:
-    """``equinox.filter_jit(function)``, with the functions among its arguments compared by their data.
+def digest(function: Callable, *shapes: Any) -> bytes | None:
+    """A digest that functions share that compute the same of arrays of these shapes, with the values that they read now.
 
-    ``quickly``: with the options of ``compiler_options``, for kernels that take longer to compile than to run.
+    None where that cannot be told, as with a callback to Python.
     """
-    options: dict[str, Any] = {"compiler_options": compiler_options()} if quickly else {}
-    jitted = eqx.filter_jit(function, **options)
-
-    def call(*arguments: Any) -> Any:
-        return jitted(*by_data(arguments))
-
-    call.__doc__ = function.__doc__
-    return call
-
-
-def _merged(structure: Any, fixed: tuple, data: list) -> Any:
-    """The arguments: ``fixed`` with ``data`` in the places that are marked."""
-    remaining = iter(data)
-    return jax.tree.unflatten(structure, [next(remaining) if leaf is _is_data else leaf for leaf in fixed])
+    return content_key(traced(function, *shapes))
 
 
 @cache

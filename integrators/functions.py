@@ -1,55 +1,19 @@
-"""Functions that users write: the number that they return; compared by what they compute, their code and its data.
+"""Functions that users write: the number that they return, and whether they are called while JAX is transforming the caller."""
 
-Compiled code is found again by the functions it was made from. JAX compares these by identity and takes what they read, a
-parameter in a closure or a global, for constant: a changed parameter would be ignored, a lambda written anew compiled again.
-"""
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
 
-from collections.abc import Callable
-from types import CodeType, FunctionType, MethodType, ModuleType
-from typing import Any, final
-
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.core import Tracer
+from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Array
 
 from ..manifolds import InvalidInputError
 from ..manifolds.manifold import working_precision
-from ..manifolds.numerics.ambient import is_jitting, is_traced
+from ..manifolds.numerics.ambient import is_traced
 from .results import warn_of_coarse_values
-
-LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
-PLAIN = bool | int | float | complex | str | bytes | None
-DEEPEST, LONGEST = 30, 10_000  # how deep, and how many objects, are read: what is beyond compares by identity
-
-
-@final
-class ByData:
-    """A function that equals another one with the same code and equal data at the time when both were wrapped.
-
-    ``reads_traced``: whether some of its data is a value that JAX is tracing.
-    """
-
-    def __init__(self, function: Callable) -> None:
-        reader = _Reader()
-        self.function = function
-        self._key = reader.key(function)
-        self._hash = hash(self._key)
-        self.reads_traced = reader.traced
-
-    def __call__(self, *arguments: Any) -> Any:
-        return self.function(*arguments)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, ByData) and self._key == other._key
-
-    def __hash__(self) -> int:
-        return self._hash
-
-    def __repr__(self) -> str:
-        return repr(self.function)
 
 
 def real_number(name: str, value: Any) -> Array:
@@ -91,107 +55,19 @@ def _stacked(value: Any) -> Any:
         return None
 
 
-def by_data(tree: Any) -> Any:
-    """A pytree with each plain function or method in it compared by its data."""
-    return jax.tree.map(lambda leaf: ByData(leaf) if isinstance(leaf, FunctionType | MethodType) else leaf, tree)
-
-
-def reads_traced(tree: Any) -> bool:
-    """Whether a function in a pytree reads a value that JAX is tracing."""
-    leaves = [leaf for leaf in jax.tree.leaves(tree) if callable(leaf)]
-    return any((leaf if isinstance(leaf, ByData) else ByData(leaf)).reads_traced for leaf in leaves)
-
-
 def is_transformed(*arguments: Any) -> bool:
     """Whether JAX is transforming the caller or values in the arguments, on which nothing can be checked."""
-    return is_jitting() or is_traced(arguments) or reads_traced(arguments)
+    return get_opaque_trace_state() != _untransformed() or is_traced(arguments)
+
+
+@cache
+def _untransformed() -> Any:
+    """The state of JAX outside of ``jit``, ``vmap`` and ``grad``: that of a new thread."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(get_opaque_trace_state).result()
 
 
 def require_concrete(name: str, *arguments: Any) -> None:
     """Raise if JAX is transforming the caller, the public function ``name``, which computes with values."""
     if is_transformed(arguments):
         raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and compiles its own kernels")
-
-
-def same_by_data(a: Any, b: Any) -> bool:
-    """Whether two pytrees are equal, with the functions in them compared by their data."""
-    return bool(eqx.tree_equal(by_data(a), by_data(b)))
-
-
-class _Identical:
-    """An object that equals itself alone; holding it keeps its address from being used again."""
-
-    def __init__(self, value: object) -> None:
-        self.value = value
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Identical) and self.value is other.value
-
-    def __hash__(self) -> int:
-        return id(self.value)
-
-
-class _Reader:
-    """Keys of values; those of plain data, containers and functions are equal where their contents are."""
-
-    def __init__(self) -> None:
-        self.traced = False
-        self.depth = 0
-        self.seen: dict[int, tuple[int, object]] = {}  # what was met, by address: functions may refer to themselves
-
-    def key(self, value: Any) -> Any:
-        if isinstance(value, PLAIN):
-            return type(value), repr(value)
-        if isinstance(value, Tracer):
-            self.traced = True
-            return _Identical(object())  # it belongs to one trace: nothing compiled with it can serve again
-        if isinstance(value, np.ndarray | np.generic | jax.Array):
-            if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
-                value = jax.random.key_data(value)
-            array = np.asarray(value)
-            return array.shape, array.dtype.str, array.tobytes()
-        if isinstance(value, type | ModuleType):
-            return _Identical(value)
-        if id(value) in self.seen:
-            return "again", self.seen[id(value)][0]
-        if self.depth > DEEPEST or len(self.seen) > LONGEST:
-            return _Identical(value)
-        self.seen[id(value)] = len(self.seen), value
-        self.depth += 1
-        key = self._contents(value)
-        self.depth -= 1
-        return key
-
-    def _contents(self, value: Any) -> Any:
-        if isinstance(value, tuple | list):
-            return type(value), tuple(self.key(item) for item in value)
-        if isinstance(value, dict):
-            return dict, tuple((self.key(name), self.key(item)) for name, item in value.items())
-        if isinstance(value, MethodType):
-            return self.key(value.__func__), self.key(value.__self__)
-        if isinstance(value, FunctionType) and (value.__module__ or "").partition(".")[0] not in LIBRARIES:
-            return self._function(value)
-        if isinstance(value, eqx.Module):
-            return type(value), self.key(vars(value))
-        return _Identical(value), self.key(getattr(value, "__dict__", None))
-
-    def _function(self, function: FunctionType) -> Any:
-        code = function.__code__
-        cells = [cell.cell_contents for cell in function.__closure__ or () if _is_filled(cell)]
-        names = [name for name in dict.fromkeys(_names(code)) if name in function.__globals__]
-        read = [function.__defaults__, function.__kwdefaults__, cells, [function.__globals__[name] for name in names]]
-        return code, self.key(read)
-
-
-def _is_filled(cell: Any) -> bool:
-    try:
-        _ = cell.cell_contents
-    except ValueError:  # a name of an enclosing function that has no value yet
-        return False
-    return True
-
-
-def _names(code: CodeType) -> list[str]:
-    """Names that a function may read from its module, those of functions inside it included."""
-    inner = [name for constant in code.co_consts if isinstance(constant, CodeType) for name in _names(constant)]
-    return [*code.co_names, *inner]

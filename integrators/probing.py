@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..retractions import default_retraction
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -64,15 +65,17 @@ def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Am
 
 
 def cost_rates(
-    problem: "OptimalControlProblem", points: Ambient, u: Ambient, directions: Array
-) -> tuple[Float[Array, "points controls"], Array]:
-    """The running cost at several points and controls around ``u``, and its largest derivatives by the point and the control."""
+    problem: "OptimalControlProblem", q: Ambient, moves: Array, u: Ambient, directions: Array
+) -> tuple[Float[Array, "moves controls"], Array]:
+    """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by both."""
+    retraction = default_retraction(problem.manifold)
+    frame = retraction.frame(q)
 
     def at(q: Ambient, c: Array) -> tuple[Array, Array]:
         rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u, z[1])))((q, c))
         return rate, vec.size(slopes)
 
-    return jax.vmap(lambda q: jax.vmap(lambda c: at(q, c))(directions))(points)
+    return jax.vmap(lambda move: jax.vmap(lambda c: at(retraction.chart(q, frame, move), c))(directions))(moves)
 
 
 def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:

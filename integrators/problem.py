@@ -16,7 +16,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..retractions import DiscretizationMap, Gauss, default_retraction
-from .compilation import call_compiled
+from .compilation import call_compiled, digest
 from .functions import in_precision, real_number
 from .options import HORIZON, known_options, require_arguments
 from .probing import CURVATURES, LADDER, ROUNDING, SPREAD, Probed, along_lines, bend, cost_rates, flats, kink_words, probe
@@ -102,6 +102,14 @@ class OptimalControlProblem(eqx.Module):
         power, rate = self.parts(q, p, u)
         return power - rate
 
+    def digest(self) -> bytes | None:
+        """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
+
+        def functions(q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array]:
+            return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)
+
+        return digest(functions, self.manifold.ambient, self.controls.ambient)
+
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
@@ -132,12 +140,11 @@ class OptimalControlProblem(eqx.Module):
         self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
 
     def require_cost(self, q: Ambient) -> None:
-        """Raise if the running cost is one number, near ``q`` and at random points with random controls."""
+        """Raise if the running cost is one number, at ``q`` and at random points around it, with random controls."""
         directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
-        keys = jax.random.split(jax.random.key(0), CURVATURES)
-        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
-        points = jax.tree.map(lambda *leaves: np.stack(leaves), *points)
-        costs, slopes = call_compiled(cost_rates, self, points, resting_control(self.controls), directions)[0]
+        moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, self.manifold.dimension)).astype(directions.dtype)
+        moves[0] = 0.0
+        costs, slopes = call_compiled(cost_rates, self, q, moves, resting_control(self.controls), directions)[0]
         rounding = ROUNDING * np.finfo(directions.dtype).eps * np.max(np.abs(costs))
         if self.abnormal or not (np.ptp(costs) <= rounding and np.all(np.abs(slopes) <= rounding)):
             return
@@ -223,4 +230,13 @@ def resting_control(controls: Manifold) -> Ambient:
         np.zeros(controls.shape, working_precision())
         if isinstance(controls, Euclidean)
         else controls.random_point(jax.random.key(0))
+    )
+
+
+def is_same_problem(a: object, b: object) -> bool:
+    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read now."""
+    if a is b or not (isinstance(a, OptimalControlProblem) and isinstance(b, OptimalControlProblem)):
+        return a is b
+    return (
+        same_manifold(a.manifold, b.manifold) and same_manifold(a.controls, b.controls) and a.digest() == b.digest() is not None
     )

@@ -1,10 +1,12 @@
 """First guesses of a trajectory."""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike
+import numpy as np
+from jaxtyping import Array
 
 from ...manifolds import DomainError
 from ...manifolds.manifold import default_tolerance
@@ -12,6 +14,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, Retraction, default_retraction
 from ..compilation import call_compiled
+from ..evaluation import at_each
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 
@@ -43,37 +46,34 @@ def default_guess(
     in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    given, theta = discretization.retraction, discretization.theta
-    tries = [(_curve, given), (_curve, default_retraction(problem.manifold)), (_walk, given)]
-    for curve, retraction in tries:
-        (guess, arrived), *_ = call_compiled(curve, problem, retraction, theta, start, end, steps)
-        if arrived:
-            return guess
+    given = discretization.retraction
+    fractions = (np.arange(steps) + float(discretization.theta)) / steps
+    for retraction in (given, default_retraction(problem.manifold)):
+        states, lengths = at_each(partial(_on_curve, retraction), fractions, start, end)
+        if np.all(np.isfinite(lengths)) and all(_is_even(leaf.reshape(steps, -1)) for leaf in jax.tree.leaves(states)):
+            return _at_rest(problem, states, steps)
+    states, arrived = call_compiled(_walk, given, start, end, steps)[0]
+    if arrived:
+        return _at_rest(problem, states, steps)
     raise DomainError(
         "no default guess: the walk from start to end does not arrive; pass a guess that goes through points between"
     )
 
 
-def _curve(
-    problem: OptimalControlProblem, retraction: Retraction, theta: ArrayLike, start: Ambient, end: Ambient, steps: int
-) -> tuple[Guess, Array]:
-    """Points of ``s -> R(start, s v)``, ``R(start, v) = end``, at the stages; and whether they arrive, in even steps."""
+def _on_curve(retraction: Retraction, s: Array, start: Ambient, end: Ambient) -> tuple[Ambient, Array]:
+    """The point ``R(start, s v)``, ``R(start, v) = end``, and the length of ``v``."""
     v = retraction.preimage(start, end)
-    states = jax.vmap(lambda s: retraction(start, vec.scale(s, v)))((jnp.arange(steps) + theta) / steps)
-    even = [_is_even(leaf.reshape(steps, -1)) for leaf in jax.tree.leaves(states)]
-    return _at_rest(problem, states, steps), jnp.isfinite(vec.size(v)) & jnp.all(jnp.stack(even))
+    return retraction(start, vec.scale(s, v)), vec.size(v)
 
 
-def _is_even(points: Array) -> Array:
+def _is_even(points: np.ndarray) -> bool:
     """Whether the largest step between points, shape ``(steps, entries)``, is no more than ``UNEVEN`` mean ones."""
-    lengths = jnp.linalg.norm(points[1:] - points[:-1], axis=1)
-    rounding = default_tolerance() * jnp.max(jnp.abs(points), initial=0.0)
-    return jnp.max(lengths, initial=0.0) <= UNEVEN * jnp.sum(lengths) / max(len(lengths), 1) + rounding
+    lengths = np.linalg.norm(points[1:] - points[:-1], axis=1)
+    rounding = default_tolerance() * np.max(np.abs(points), initial=0.0)
+    return bool(np.max(lengths, initial=0.0) <= UNEVEN * np.sum(lengths) / max(len(lengths), 1) + rounding)
 
 
-def _walk(
-    problem: OptimalControlProblem, retraction: Retraction, theta: ArrayLike, start: Ambient, end: Ambient, steps: int
-) -> tuple[Guess, Array]:
+def _walk(retraction: Retraction, start: Ambient, end: Ambient, steps: int) -> tuple[Ambient, Array]:
     """A walk along the chord's tangential part, at step k of N the fraction ``1/(N - k)`` of its length; and whether it arrives.
 
     It begins a little beside the start, because the chord to an opposite point has no tangential part.
@@ -95,7 +95,7 @@ def _walk(
 
     last, states = jax.lax.scan(step, retraction(start, aside), jnp.arange(steps))
     arrived = vec.size(vec.subtract(last, end)) < vec.size(chord) / 2
-    return _at_rest(problem, states, steps), arrived
+    return states, arrived
 
 
 def _at_rest(problem: OptimalControlProblem, states: Ambient, steps: int) -> Guess:

@@ -73,5 +73,4 @@ def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
         seconds = statistics.compile_seconds + statistics.run_seconds
         yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
         return
-    compiled = f"{statistics.compile_seconds:.2f} s" if statistics.compile_seconds else "none, compiled before"
-    yield "time", f"{1e3 * statistics.run_seconds:.1f} ms to run; compilation: {compiled}"
+    yield "time", f"{1e3 * statistics.run_seconds:.1f} ms to run; to trace and compile {statistics.compile_seconds:.2f} s"

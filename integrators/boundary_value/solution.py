@@ -18,7 +18,7 @@ TOO_COARSE = 0.1
 
 @dataclass(frozen=True)
 class Statistics:
-    """How the computation went: Newton iterations, seconds to trace and compile (0 if done before), seconds to run."""
+    """How the computation went: Newton iterations, seconds to trace and compile, seconds to run."""
 
     iterations: int
     compile_seconds: float

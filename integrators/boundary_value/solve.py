@@ -12,9 +12,10 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number
+from ...manifolds.numerics.reading import reads_once
 from ...retractions import DiscretizationMap
 from ..compilation import call_compiled
-from ..functions import by_data, require_concrete, same_by_data
+from ..functions import require_concrete
 from ..options import HORIZON, known_options
 from ..problem import OptimalControlProblem, resting_control
 from ..results import Result, warn_about_precision
@@ -33,6 +34,7 @@ MOST_STEPS = 10_000_000  # with arrays much longer XLA ends the process
 
 
 @known_options
+@reads_once
 def solve(
     problem: OptimalControlProblem,
     discretization: DiscretizationMap,
@@ -62,7 +64,6 @@ def solve(
     ``DomainError`` for input that cannot be solved as given (of a singular problem: boundary data off ``P_f``), and, if
     ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
     """
-    problem = by_data(problem)
     require_concrete("solve", start, end, horizon, problem, guess)
     _check_arguments(problem, discretization, horizon, steps, max_iterations)
     warn_about_precision()
@@ -104,10 +105,11 @@ def _check_method(
     integrator: SingularIntegrator | None,
 ) -> None:
     """Raise if the classification or the integrator belongs to something else than the problem."""
-    if classification is not None and not (
-        isinstance(classification, Classification) and same_by_data(classification.problem, problem)
-    ):
-        raise InvalidInputError(f"classification must be that of the problem, got {classification!r}; try classify(problem)")
+    if classification is not None and not (isinstance(classification, Classification) and classification.is_of(problem)):
+        raise InvalidInputError(
+            f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
+            "classify(problem)"
+        )
     if integrator is None:
         return
     if classification is None or classification.regular:

@@ -11,8 +11,9 @@ from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
+from ...manifolds.numerics.reading import reads_once
 from ..compilation import compiled
-from ..functions import by_data, is_transformed, require_concrete
+from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
 from .choice import tape_steps
@@ -106,6 +107,7 @@ def load_trajectory(path: str | Path) -> Trajectory:
     return Trajectory(**jax.device_put(values), result=result, failed_step=failed)
 
 
+@reads_once
 def integrate(
     system: Any,
     integrator: Integrator,
@@ -136,7 +138,6 @@ def integrate(
     if not is_traced(step_size):
         require_finite_step("step_size", step_size)
     q0, p0 = _checked_start(integrator.manifold, start)
-    system = by_data(system)
     count, every = int(steps) // int(save_every), int(save_every)
     arguments = system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every
     transformed = is_transformed(arguments)

@@ -1,106 +1,19 @@
-"""Functions that users write are compared by their code and the data that it reads."""
+"""Functions of a user under JAX's transformations, and programs that are compiled once."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
-from retrax.integrators.functions import ByData, by_data, is_transformed, reads_traced
-from retrax.manifolds import Euclidean
+from retrax.integrators import SymplecticIntegrator, compilation, integrate
+from retrax.integrators.compilation import call_compiled, digest
+from retrax.integrators.functions import is_transformed, require_concrete
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds.numerics.reading import one_reading, reads_once
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Exponential(LINE))
-STRENGTH = [1.0]
-
-
-def scaled(k):
-    return lambda x: k * x
-
-
-def recursive(x):
-    return recursive(x - 1) if x > 0 else x
-
-
-class Craft:
-    """An object whose method reads its attributes."""
-
-    def __init__(self, gain):
-        self.gain = gain
-
-    def rate(self, q, u):
-        return self.gain * u
-
-
-def reads_a_global(x):
-    return STRENGTH[0] * x
-
-
-@pytest.mark.parametrize("make", [float, np.array, jnp.asarray, str, lambda k: {"gain": [k, None]}, scaled, Craft])
-def test_what_a_closure_holds_decides(make):
-    assert ByData(scaled(make(1.0))) != ByData(scaled(make(2.0)))
-
-
-@pytest.mark.parametrize("make", [float, np.array, jnp.asarray, str, lambda k: {"gain": [k, None]}, scaled])
-def test_a_function_written_anew_is_the_same(make):
-    one, other = ByData(scaled(make(1.0))), ByData(scaled(make(1.0)))
-    assert one == other
-    assert hash(one) == hash(other)
-
-
-def test_a_function_of_no_module_is_read():
-    space = {}
-    exec("def double(x):\n    return factor * x", space)
-    space["factor"] = 2.0
-    before = ByData(space["double"])
-    assert ByData(space["double"]) == before
-    space["factor"] = 3.0
-    assert ByData(space["double"]) != before
-
-
-def test_a_random_key_is_data_and_a_long_chain_is_read_to_an_end():
-    assert ByData(scaled(jax.random.key(1))) == ByData(scaled(jax.random.key(1)))
-    assert ByData(scaled(jax.random.key(1))) != ByData(scaled(jax.random.key(2)))
-    chain = []
-    for _ in range(5000):
-        chain = [chain]
-    assert ByData(scaled(chain)) == ByData(scaled(chain))
-
-
-def test_other_code_is_another_function():
-    assert ByData(lambda x: x + 1) != ByData(lambda x: x + 2)
-    assert ByData(recursive) == ByData(recursive)
-    assert ByData(recursive) != ByData(reads_a_global)
-
-
-def test_attributes_and_globals_are_read_when_a_function_is_wrapped(monkeypatch):
-    craft = Craft(1.0)
-    before = ByData(craft.rate), ByData(reads_a_global)
-    assert (ByData(craft.rate), ByData(reads_a_global)) == before
-    craft.gain = 2.0
-    monkeypatch.setitem(globals(), "STRENGTH", [2.0])
-    assert ByData(craft.rate) != before[0]
-    assert ByData(reads_a_global) != before[1]
-
-
-def test_traced_values_are_seen():
-    seen = []
-    jax.grad(lambda k: seen.append(reads_traced({"f": scaled(k)})) or k)(1.0)
-    assert seen == [True]
-    assert not reads_traced(by_data({"f": scaled(1.0)}))
-
-
-def test_a_changed_parameter_changes_the_solution():
-    craft = Craft(2.0)
-
-    def cost():
-        problem = OptimalControlProblem(LINE, craft.rate, lambda q, u: u @ u / 2, 1)
-        return solve(problem, MIDPOINT, jnp.zeros(1), jnp.ones(1), 1.0, 4)
-
-    assert cost().cost == pytest.approx(1 / 8)
-    assert cost().statistics.compile_seconds == 0, "the same problem, made anew, is compiled already"
-    craft.gain = 4.0
-    assert cost().cost == pytest.approx(1 / 32)
+THREE = jnp.arange(3.0)
 
 
 def test_a_changed_parameter_changes_the_trajectory_and_is_differentiated():
@@ -116,19 +29,144 @@ def test_a_changed_parameter_changes_the_trajectory_and_is_differentiated():
         assert slope == pytest.approx(float(derivative(1.0)), rel=1e-2)
 
 
-class Weighted:
-    """A callable object of a user's class, which is no pytree."""
-
-    def __init__(self, weight):
-        self.weight = weight
-
-    def __call__(self, q, p):
-        return self.weight * (p @ p) / 2
-
-
-def test_an_object_that_reads_a_traced_value_is_seen():
-    """``integrate`` then runs as one loop that can be differentiated."""
+@pytest.mark.parametrize(
+    "transform",
+    [
+        jax.jit,
+        jax.grad,
+        lambda f: lambda k: jax.vmap(f)(jnp.array([k])),
+        lambda f: lambda k: jax.jvp(f, (k,), (1.0,)),
+        lambda f: lambda k: jax.linearize(f, k),
+    ],
+    ids=["jit", "grad", "vmap", "jvp", "linearize"],
+)
+def test_a_transformation_of_the_caller_is_seen(transform):
     seen = []
-    jax.grad(lambda weight: seen.append(is_transformed(Weighted(weight))) or weight)(1.0)
-    assert seen == [True]
-    assert not is_transformed(Weighted(1.0))
+
+    def inside(k):
+        seen.append(is_transformed())
+        with pytest.raises(InvalidInputError, match="runs outside jit"):
+            require_concrete("solve", 1.0)
+        return k * k
+
+    transform(inside)(1.0)
+    assert seen[0]
+    assert not is_transformed(1.0)
+
+
+def test_a_compiled_function_is_differentiated_in_what_it_closes_over():
+    def total(k):
+        return call_compiled(lambda x: jnp.sum(k * x * x), THREE)[0]
+
+    assert jax.grad(total)(2.0) == jax.jit(jax.grad(total))(2.0) == 5.0
+    np.testing.assert_array_equal(jax.vmap(total)(jnp.arange(2.0)), [0.0, 5.0])
+
+
+@pytest.fixture
+def compilations(monkeypatch):
+    """How many programs were compiled."""
+    monkeypatch.setattr(compilation, "_compiled", {})
+    return lambda: len(compilation._compiled)
+
+
+def scaled(k):
+    return lambda x: k * x
+
+
+def test_an_equal_program_is_not_compiled_again(compilations):
+    for k in (1.0, 2.0):
+        value, *_ = call_compiled(scaled(jnp.array(3 * [k])), THREE)
+        np.testing.assert_array_equal(value, k * THREE)
+    value, *_ = call_compiled(lambda f, x: f(x), scaled(np.full(3, 3.0)), THREE)
+    np.testing.assert_array_equal(value, 3 * THREE)
+    assert compilations() == 1
+
+
+# Each pair differs in one thing: an operation, its order, a number in the text, a parameter, a kind, what is in a loop or branch.
+DIFFERENT = {
+    "operation": (lambda x: x + 1, lambda x: x - 1),
+    "number": (lambda x: x * 2, lambda x: x * 3),
+    "sign of zero": (lambda x: x * 0.0, lambda x: x * -0.0),
+    "order": (lambda x: x - x[::-1], lambda x: x[::-1] - x),
+    "output": (lambda x: (x, x + 1), lambda x: (x + 1, x)),
+    "parameter": (lambda x: jnp.sum(x.reshape(1, 3), axis=0), lambda x: jnp.sum(x.reshape(1, 3), axis=1)),
+    "power": (lambda x: x**3, lambda x: x**4),
+    "kind": (lambda x: x.astype(jnp.float32), lambda x: x.astype(jnp.int32)),
+    "loop": (
+        lambda x: jax.lax.fori_loop(0, 3, lambda _, y: y + x, x),
+        lambda x: jax.lax.fori_loop(0, 3, lambda _, y: y - x, x),
+    ),
+    "length of a loop": (
+        lambda x: jax.lax.fori_loop(0, 3, lambda _, y: y + x, x),
+        lambda x: jax.lax.fori_loop(0, 4, lambda _, y: y + x, x),
+    ),
+    "branch": (
+        lambda x: jax.lax.cond(x[0] > 0, jnp.sin, jnp.cos, x),
+        lambda x: jax.lax.cond(x[0] > 0, jnp.cos, jnp.sin, x),
+    ),
+    "constant of an inner function": (jax.jit(scaled(jnp.ones(3))), jax.jit(scaled(jnp.full(3, 2.0)))),
+    "index": (lambda x: x.at[jnp.array([0])].get(mode="clip"), lambda x: x.at[jnp.array([0])].get(mode="fill")),
+}
+
+
+@pytest.mark.parametrize("name", DIFFERENT)
+def test_different_programs_are_told_apart(name):
+    one, other = DIFFERENT[name]
+    assert digest(one, THREE) == digest(one, THREE)
+    assert digest(one, THREE) != digest(other, THREE)
+
+
+def test_what_is_not_known_is_compiled_anew(compilations):
+    for k in (1.0, 2.0):
+        value, *_ = call_compiled(lambda x, k=k: jax.pure_callback(lambda x: k * np.asarray(x), THREE, x), THREE)
+        np.testing.assert_array_equal(value, k * THREE)
+    assert compilations() == 2
+    assert digest(lambda x: jax.pure_callback(np.asarray, THREE, x), THREE) is None
+
+
+def test_programs_of_arrays_of_another_kind_are_compiled(compilations):
+    for x in (THREE, jnp.arange(4.0), jnp.arange(3)):
+        np.testing.assert_array_equal(call_compiled(lambda x: 2 * x, x)[0], 2 * x)
+    assert compilations() == 3
+
+
+def test_as_many_programs_are_kept_as_is_said(compilations, monkeypatch):
+    monkeypatch.setattr(compilation, "MOST_COMPILED", 2)
+    for k in (1.0, 2.0, 3.0, 1.0):
+        assert call_compiled(lambda x, k=k: k * x, 2.0 * jnp.ones(()))[0] == 2 * k
+    assert compilations() == 2
+
+
+def test_values_that_are_no_arrays_are_returned():
+    value, *_ = call_compiled(lambda x: {"x": x, "name": "x", "none": None, "count": 3}, THREE)
+    assert (value["name"], value["none"], value["count"]) == ("x", None, 3)
+    np.testing.assert_array_equal(value["x"], THREE)
+
+
+def test_numbers_that_are_equal_are_told_apart_where_they_compute_otherwise():
+    with one_reading():
+        for k in (0.0, -0.0, 0, False):
+            value, *_ = call_compiled(lambda k, x: jnp.copysign(x, k), k, THREE)
+            np.testing.assert_array_equal(np.signbit(value), np.signbit(np.full(3, float(k))))
+
+
+def test_within_one_reading_a_function_is_traced_once_and_after_it_again():
+    traces = []
+
+    def counted(x):
+        traces.append(x)
+        return x + 1
+
+    @reads_once
+    def often():
+        return [call_compiled(counted, x)[0] for x in (THREE, 2 * THREE, jnp.arange(4.0))]
+
+    for done in (2, 4):
+        np.testing.assert_array_equal(often()[1], 2 * THREE + 1)
+        assert len(traces) == done
+
+
+def test_a_loop_runs_where_jit_is_disabled():
+    with jax.disable_jit():
+        value, *_ = call_compiled(lambda x: jax.lax.while_loop(lambda y: jnp.sum(y) < 30, lambda y: 2 * y, x), THREE)
+    np.testing.assert_array_equal(value, 16 * THREE)

@@ -168,7 +168,7 @@ def _outcome() -> Callable[..., _Outcome]:
         claims = stationarity(problem, (first, (states, diagnostics.stage_costates), last), controls)
         return _Outcome(z, states, controls, cost, residual, diagnostics, claims)
 
-    return compiled(outcome, quickly=True)
+    return compiled(outcome)
 
 
 def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:

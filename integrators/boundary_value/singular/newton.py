@@ -105,7 +105,7 @@ def _verdict(state: _State, tolerance: float, slope: float, change: float, exhau
 def _kernels() -> tuple[Callable[..., Any], ...]:
     """What places points on ``P_f``, what runs the segments from them, and what knows the boundary conditions."""
     methods = Shooting.place, Shooting.linearise, EndConditions.at
-    return tuple(compiled(lambda *arguments, f=f: f(*arguments), quickly=True) for f in methods)
+    return tuple(compiled(lambda *arguments, f=f: f(*arguments)) for f in methods)
 
 
 def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, frames: Frame, d: np.ndarray) -> _State:

@@ -1,6 +1,6 @@
 """The immutable record of a classified optimal control problem."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -16,6 +16,7 @@ from ....manifolds import (
     Submanifold,
 )
 from ....manifolds.numerics.ambient import Ambient
+from ...problem import OptimalControlProblem, is_same_problem
 from ..result import IntegrabilityResult
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
@@ -90,6 +91,7 @@ class Classification(IntegrabilityResult[Stratum]):
     levels: tuple[Level, ...]
     excluded: int
     zero_costate_excluded: bool
+    digest: bytes | None = field(repr=False)
 
     @property
     def regular(self) -> bool:
@@ -110,6 +112,11 @@ class Classification(IntegrabilityResult[Stratum]):
     def sparse(self) -> bool:
         """Whether half of the points or more are missing: not found, or left out for irregular equations or unclear ranks."""
         return self.reliable and not self.empty and any(2 * level.missing >= level.tried for level in self.levels)
+
+    def is_of(self, problem: OptimalControlProblem) -> bool:
+        """Whether this is the classification of a problem, whose functions compute what they did when it was made."""
+        unchanged = self.digest is None or self.digest == problem.digest()
+        return unchanged and is_same_problem(self.problem, problem)
 
     def require_reliable(self) -> None:
         """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular or ranks not clear, so that nothing is known."""

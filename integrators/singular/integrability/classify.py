@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
+from ....manifolds.numerics.reading import reads_once
 from ...functions import require_concrete
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
@@ -53,6 +54,7 @@ def classify(
 ) -> "SymbolicClassification": ...
 
 
+@reads_once
 def classify(
     problem: OptimalControlProblem,
     *,
@@ -95,7 +97,7 @@ def _classify(problem: OptimalControlProblem, starts: int, seed: int, exclude: b
         exclude = problem.abnormal or (homogeneous and problem.terminal_cost is not None)
     levels, morse, found = _run(first, unit_costate=exclude and homogeneous)
     kept = [item for item in found if not (exclude and item.trivial)]
-    return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude))
+    return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest())
 
 
 def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":

@@ -90,7 +90,7 @@ def _kernel() -> Callable[..., Linearised]:
 
         return jax.lax.map(one, (z, centers, jets, d))
 
-    return compiled(batch, quickly=True)
+    return compiled(batch)
 
 
 @dataclass(frozen=True)

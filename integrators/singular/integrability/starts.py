@@ -90,7 +90,7 @@ def _draw() -> Callable[..., Drawn]:
         z = jax.lax.map(lambda at: _with_costate(problem, at[0], at[1], at[2], near, action, lengths), (q, p, steps))
         return Drawn(z, centers, first, changes, finite)
 
-    return compiled(batch, quickly=True)
+    return compiled(batch)
 
 
 def _state(problem: OptimalControlProblem, key: Array, apart: Array, near: Pair | None, lengths: Array) -> tuple[Pair, Array]:

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import InvalidInputError
+from ....manifolds.numerics.reading import reads_once
 from ....retractions import CotangentLift, DiscretizationMap
 from ...functions import require_concrete
 from ..integrability import Classification
@@ -27,6 +28,7 @@ STRATEGIES: dict[str, type[SingularIntegrator]] = {
 }
 
 
+@reads_once
 def singular_integrator(
     classification: Classification,
     discretization: DiscretizationMap,

@@ -11,9 +11,8 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldE
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
-from ...functions import same_by_data
 from ...initial_value.step import StepEquations, StepResult, restored
-from ...problem import OptimalControlProblem
+from ...problem import OptimalControlProblem, is_same_problem
 from ...stages import HamiltonianStage
 from ..integrability import Classification, FinalEquations
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
@@ -64,7 +63,7 @@ class FinalDynamics(eqx.Module):
 
     def check(self, system: object, lift: CotangentLift, z: Pair) -> None:
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
-        if not same_by_data(system, self.problem):
+        if not is_same_problem(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
         self.problem.check_discretization(lift.discretization)
         verdict = self.manifold.contains(z)

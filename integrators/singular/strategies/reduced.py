@@ -13,10 +13,9 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift, DiscretizationMap, ProductRetraction, Retraction, Theta, default_retraction
 from ...compilation import compiled
-from ...functions import same_by_data
 from ...initial_value.integrator import PresymplecticIntegrator, find_control
 from ...initial_value.step import StepResult
-from ...problem import OptimalControlProblem
+from ...problem import OptimalControlProblem, is_same_problem
 from ..integrability import Classification
 from .chain import ExtremalPoint, ReductionChain, reduce_until_regular
 from .leaves import Point
@@ -86,7 +85,7 @@ class ReducedIntegrator(SingularIntegrator):
         return np.asarray(1.0)
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
-        if not same_by_data(system, self.chain.problem):
+        if not is_same_problem(system, self.chain.problem):
             raise InvalidInputError("the reductions of this integrator are those of another problem; make them from this one")
         z, at = _there_and_back(self.chain, q, p)
         gap = float(vec.size(vec.subtract((at.q, at.p), (q, system.manifold.projection(q, p)))))

@@ -13,6 +13,7 @@ import sympy
 
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
+from ....manifolds.numerics.reading import traced
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
@@ -77,7 +78,7 @@ def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     """
     shapes = [jax.ShapeDtypeStruct(a.shape, jnp.result_type(float)) for a in arguments]
     try:
-        closed = jax.make_jaxpr(function)(*shapes)
+        closed = traced(function, *shapes)
     except InvalidInputError:
         raise
     except (TypeError, ValueError, IndexError) as error:

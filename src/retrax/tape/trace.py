@@ -1,5 +1,6 @@
 """From JAX functions to graphs of scalars: the jaxpr is read equation by equation, values only."""
 
+import itertools
 import math
 from collections.abc import Callable
 from functools import partial
@@ -19,6 +20,10 @@ from .liveness import CALLS, called, needed, opened
 from .moves import MOVES, stacked
 
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
+
+# A number of its own for each trace, in the keys of JAX's caches: what it traced before of a part of a function, as one under
+# jit, with the values that were read then, is not found again.
+_anew, _numbers = jax.make_user_context(None), itertools.count(1)
 
 
 class Tracer:
@@ -252,9 +257,13 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
     leaves = [np.asarray(leaf) for leaf in leaves]
 
     def flat(*leaves: Any) -> Any:
-        return function(*jax.tree.unflatten(structure, leaves))
+        found, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        result.append(shape)
+        return found
 
-    jaxpr, shapes = jax.make_jaxpr(flat, return_shape=True)(*leaves)
+    result: list[Any] = []
+    with _anew(next(_numbers)):
+        jaxpr = jax.make_jaxpr(flat)(*leaves)
     inputs: list[ca.SX] = []
     arrays: list[Entries] = []
     for k, leaf in enumerate(leaves):
@@ -263,4 +272,4 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
         halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
-    return graph, Tracer(graph).closed(jaxpr, arrays), jax.tree.structure(shapes)
+    return graph, Tracer(graph).closed(jaxpr, arrays), result[-1]

@@ -1,0 +1,45 @@
+"""Functions that are evaluated once, at some points: on a tape, for which nothing is compiled, where one can be written."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from .compilation import call_compiled
+
+if TYPE_CHECKING:
+    from ..tape import Tape
+
+MOST_ENTRIES = 64  # of the arguments: a program of scalars grows with the size of arrays, what XLA compiles does not
+
+
+def at_each(function: Callable, points: Any, *arguments: Any) -> Any:
+    """Values of ``function(point, *arguments)`` at each of ``points``, NumPy arrays with the points along the leading axis.
+
+    ``function`` is a JAX function of arrays. It is computed on a tape, or compiled where that has no rule for what the function
+    calls, or arrays are large.
+    """
+    tape = _tape(function, jax.tree.map(lambda leaf: leaf[0], points), *arguments)
+    if tape is None:
+        return jax.tree.map(np.asarray, call_compiled(_each, function, points, arguments)[0])
+    count = len(jax.tree.leaves(points)[0])
+    fixed = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], count, axis=-1), arguments)
+    values = tape(jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), points), *fixed)
+    return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), values)
+
+
+def _tape(function: Callable, *examples: Any) -> "Tape | None":
+    """The tape of a function; None where there is none, or it would be long."""
+    from ..tape import NotTraceableError, Tape  # they load CasADi and Numba
+
+    if sum(np.size(leaf) for leaf in jax.tree.leaves(examples)) > MOST_ENTRIES:
+        return None
+    try:
+        return Tape.trace(function, *examples)
+    except NotTraceableError:
+        return None
+
+
+def _each(function: Callable, points: Any, arguments: Any) -> Any:
+    return jax.vmap(lambda point: function(point, *arguments))(points)

@@ -1,0 +1,118 @@
+"""Programs that JAX traced, in a form in which equal ones are equal: what is compiled is found again by what it computes."""
+
+import itertools
+from enum import Enum
+from hashlib import blake2b
+from typing import Any
+
+import jax
+import numpy as np
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+
+# Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every trace.
+UNUSED = {
+    "custom_jvp_call": {"jvp_jaxpr_fun"},
+    "custom_vjp_call": {"fwd_jaxpr_thunk", "bwd"},
+    "custom_vjp_call_jaxpr": {"fwd_jaxpr_thunk", "bwd"},
+}
+PLAIN = bool | int | float | complex | str | bytes | None
+NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"  # no device is asked for
+_serial = itertools.count()
+
+
+def program_key(closed: ClosedJaxpr) -> bytes:
+    """A digest that two programs share only if they compute the same of equal constants and arguments.
+
+    Names of variables and places in the source play no part. What is not known here makes a program differ from all others.
+    """
+    return _Writer().jaxpr(closed.jaxpr)
+
+
+def content_key(closed: ClosedJaxpr) -> bytes | None:
+    """The digest of a program with its constants; None where something in it is not known."""
+    writer = _Writer()
+    key = _digest(writer.value(closed))
+    return None if writer.foreign else key
+
+
+class _Writer:
+    """Writes the parts of one program down; jaxprs that occur again are read once."""
+
+    def __init__(self) -> None:
+        self.known: dict[int, bytes] = {}
+        self.kinds: dict[Any, str] = {}
+        self.foreign = False  # whether something was met that is not known here
+
+    def jaxpr(self, jaxpr: Jaxpr) -> bytes:
+        """The digest of an open jaxpr."""
+        if id(jaxpr) not in self.known:
+            self.known[id(jaxpr)] = self._read(jaxpr)
+        return self.known[id(jaxpr)]
+
+    def _read(self, jaxpr: Jaxpr) -> bytes:
+        given, count = [*jaxpr.constvars, *jaxpr.invars], itertools.count()
+        numbers: dict[Any, int] = dict(zip(given, count, strict=False))
+        lines: list[Any] = [len(jaxpr.constvars), [self._kind(v.aval) for v in given]]
+
+        def read(atom: Any) -> Any:
+            return self._literal(atom) if isinstance(atom, Literal) else numbers[atom]
+
+        for eqn in jaxpr.eqns:
+            name = eqn.primitive.name
+            inputs = [read(v) for v in eqn.invars]
+            numbers.update(zip(eqn.outvars, count, strict=False))
+            unused = UNUSED.get(name, ())
+            params = [(k, self.value(v)) for k, v in eqn.params.items() if k not in unused]
+            lines.append((name, inputs, [self._kind(v.aval) for v in eqn.outvars], params, self._kind(eqn.ctx)))
+        lines.append([read(v) for v in jaxpr.outvars])
+        return _digest(lines)
+
+    def _literal(self, literal: Literal) -> tuple[str, Any]:
+        return self._kind(literal.aval), _content(literal.val)
+
+    def _kind(self, kind: Any) -> str:
+        """Words on what is equal where its words are: the kind of an array, the settings of an equation."""
+        if kind not in self.kinds:
+            shape, dtype = getattr(kind, "shape", None), getattr(kind, "dtype", None)
+            self.kinds[kind] = f"{type(kind).__name__} {shape} {dtype} {getattr(kind, 'weak_type', '')} {kind!r}"
+        return self.kinds[kind]
+
+    def value(self, value: Any) -> Any:
+        """A parameter of an equation."""
+        if isinstance(value, ClosedJaxpr):
+            return "closed", self.jaxpr(value.jaxpr), [_content(c) for c in value.consts]
+        if isinstance(value, Jaxpr):
+            return "open", self.jaxpr(value)
+        if isinstance(value, Enum | type | np.dtype):
+            return type(value).__name__, repr(value)
+        if isinstance(value, PLAIN):
+            return type(value).__name__, repr(value)
+        if isinstance(value, tuple | list):
+            return type(value).__qualname__, [self.value(item) for item in value]
+        if isinstance(value, dict):
+            return "dict", [(self.value(k), self.value(v)) for k, v in value.items()]
+        if isinstance(value, frozenset):
+            return "frozenset", sorted(repr(self.value(item)) for item in value)
+        if isinstance(value, np.ndarray | np.generic | jax.Array):
+            return _content(value)
+        if isinstance(value, jax.core.ShapedArray) or _is_nowhere(value):
+            return self._kind(value)
+        self.foreign = True
+        return "unknown", next(_serial)
+
+
+def _is_nowhere(value: Any) -> bool:
+    """Whether this is JAX's word for a place or a layout that nobody chose."""
+    return type(value).__module__.startswith("jax.") and any(words in repr(value) for words in NOWHERE)
+
+
+def _content(value: Any) -> tuple[str, str, bytes]:
+    """An array by its entries."""
+    if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+        return repr(value.dtype), *_content(jax.random.key_data(value))[1:]
+    array = np.asarray(value)
+    return str(array.shape), array.dtype.str, array.tobytes()
+
+
+def _digest(*parts: Any) -> bytes:
+    return blake2b(repr(parts).encode()).digest()

@@ -1,0 +1,91 @@
+"""A value that a function reads may change between two calls: it is read again, however it is held."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, classify, solve
+from retrax.integrators.compilation import call_compiled
+from retrax.integrators.problem import is_same_problem
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.retractions import Exponential, Midpoint
+from retrax.tape import Tape
+
+from tests.support.changing import WAYS, held
+
+LINE = Euclidean(1)
+FEW = "attribute of a class", "slots", "jitted helper"  # the others are traced in the same way
+SOME = [way if way in FEW else pytest.param(way, marks=pytest.mark.slow) for way in WAYS]
+
+
+def priced(product):
+    """``q' = u`` at the cost ``q^2 + k u^2``: regular, or, for ``k = 0``, of a single extremal at rest."""
+    return OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q + u @ product(u), 1)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_changed_value_changes_the_value_of_a_compiled_function(way):
+    product, change = held(way, 1.0)
+    for k in (1.0, 2.0, -3.0, 2.0):
+        change(k)
+        value, *_ = call_compiled(lambda f, x: f(x) + x, product, jnp.arange(3.0))
+        np.testing.assert_array_equal(value, (k + 1) * np.arange(3.0))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_changed_value_changes_the_tape(way):
+    product, change = held(way, 1.0)
+    for k in (1.0, 2.0, -3.0):
+        change(k)
+        np.testing.assert_array_equal(Tape.trace(product, np.zeros(3))(np.eye(3)), k * np.eye(3))
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_a_problem_is_another_one_where_its_functions_compute_another_value(way):
+    (product, change), (other, change_other) = held(way, 1.0), held(way, 1.0)
+    problem, same = priced(product), priced(other)
+    before = problem.digest()
+    assert is_same_problem(problem, same)
+    change(2.0)
+    change_other(2.0)
+    assert problem.digest() != before
+    assert is_same_problem(problem, same)
+    assert not is_same_problem(problem, priced(lambda u: 3 * u))
+
+
+@pytest.mark.parametrize("way", SOME)
+def test_a_changed_value_changes_the_classification(way):
+    product, change = held(way, 1.0)
+    problem = priced(product)
+    found = []
+    for k in (1.0, 0.0):
+        change(k)
+        found.append(classify(problem, starts=2))
+    assert [c.regular for c in found] == [True, False]
+    assert [c.dimension for c in found] == [2, 0]
+    assert [c.is_of(problem) for c in found] == [False, True]
+
+
+def test_a_classification_of_other_values_is_refused():
+    product, change = held("slots", 0.0)
+    problem = priced(product)
+    found = classify(problem, starts=2)
+    change(1.0)
+    with pytest.raises(InvalidInputError, match="classification must be that of the problem with its functions as they are"):
+        solve(problem, Midpoint(Exponential(LINE)), np.zeros(1), np.ones(1), 1.0, 4, classification=found)
+
+
+def test_what_a_user_compiled_is_left_alone():
+    """Reading functions anew has no effect on the user's own calls of them."""
+    traces = []
+
+    @jax.jit
+    def product(x):
+        traces.append(x)
+        return 2 * x
+
+    product(jnp.ones(3))
+    call_compiled(product, jnp.ones(3))
+    assert len(traces) == 2
+    product(jnp.ones(3))
+    assert len(traces) == 2
