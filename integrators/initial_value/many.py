@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.reading import reads_once
 from ..compilation import call_compiled
 from ..functions import require_concrete
 from .choice import tape_steps
@@ -17,6 +18,7 @@ from .integrator import Integrator
 from .trajectory import Trajectory, check_call, require_finite_step, run_on_tape, scanned
 
 
+@reads_once
 def integrate_many(
     system: Any,
     integrator: Integrator,
