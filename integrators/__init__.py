@@ -59,6 +59,7 @@ __all__ = [
     "ControlStage",
     "DiracIntegrator",
     "DiracSystem",
+    "GaussStage",
     "GeodesicRetraction",
     "Guess",
     "HamiltonianStage",

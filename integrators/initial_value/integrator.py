@@ -58,7 +58,7 @@ class Integrator(eqx.Module):
         return None
 
     def substeps(self) -> tuple["Integrator", np.ndarray]:
-        """The integrator that does all of a step, or each part of it, and the parts of the step: shaped like ``control``'s axes."""
+        """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of ``control``."""
         return self, np.ones(())
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:

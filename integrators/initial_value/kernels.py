@@ -5,6 +5,7 @@ write; ``places`` has the first row of each of its parts. There is one lane for 
 """
 
 import warnings
+from typing import Any
 
 import numba
 import numpy as np
@@ -28,12 +29,12 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
 # ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
 # and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
-# ``factors`` is (lu, pivots, old, small, wide, registers): LU factors of Jacobians with their row exchanges, and which are old, by
-# blocks of lanes and substeps, lanes last; the Jacobian of small steps, or an empty matrix; memory and registers of LANES lanes in
-# which the columns of one lane's Jacobian are computed.
+# ``factors`` is (lu, pivots, old, small, wide, registers): LU factors of Jacobians with their row exchanges, and which are old,
+# by blocks of lanes and substeps, lanes last; the Jacobian of small steps, or an empty matrix; memory and registers of LANES
+# lanes in which the columns of one lane's Jacobian are computed.
 
 
-def _array(kind, axes):
+def _array(kind: Any, axes: int) -> Any:
     return types.Array(kind, axes, "C")
 
 
@@ -42,7 +43,15 @@ _PROGRAMS = _LIST, _array(types.uint64, 2), _array(types.float64, 1), _array(typ
 
 
 @numba.cfunc(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX), cache=True, error_model="numpy")
-def evaluate(codes, operands, values, ranges, which, v, w):
+def evaluate(
+    codes: np.ndarray,
+    operands: np.ndarray,
+    values: np.ndarray,
+    ranges: np.ndarray,
+    which: int,
+    v: np.ndarray,
+    w: np.ndarray,
+) -> None:
     """Run one of the programs on a memory with these registers."""
     a, b = ranges[which, 0], ranges[which, 1]
     if v.shape[1] == 1:
@@ -52,7 +61,7 @@ def evaluate(codes, operands, values, ranges, which, v, w):
 
 
 @_compiled
-def _factorise(a, pivots):
+def _factorise(a: np.ndarray, pivots: np.ndarray) -> None:
     """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``."""
     n, lanes = pivots.shape
     for k in range(n):
@@ -74,7 +83,7 @@ def _factorise(a, pivots):
 
 
 @_compiled
-def _solve(a, pivots, v, first):
+def _solve(a: np.ndarray, pivots: np.ndarray, v: np.ndarray, first: int) -> None:
     """Solutions of the systems with these factors, in the place of their right sides, the rows of ``v`` from ``first`` on."""
     n, lanes = pivots.shape
     for k in range(n):
@@ -94,7 +103,7 @@ def _solve(a, pivots, v, first):
 
 
 @_compiled
-def _place(places, v):
+def _place(places: np.ndarray, v: np.ndarray) -> None:
     """Write the unknowns of all lanes, in their own units, where programs read them."""
     for i in range(places[COUNT]):
         for j in range(v.shape[1]):
@@ -102,7 +111,7 @@ def _place(places, v):
 
 
 @_compiled
-def _measure(places, v):
+def _measure(places: np.ndarray, v: np.ndarray) -> None:
     """Bring the step of every lane to the units of the unknowns; its largest entry, NaN if one is, becomes ``LENGTH``."""
     for j in range(v.shape[1]):
         v[places[LENGTH], j] = 0.0
@@ -114,7 +123,7 @@ def _measure(places, v):
 
 
 @_compiled
-def _judge(places, v, n, exact):
+def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
     """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are any."""
     more = False
     for j in range(v.shape[1]):
@@ -139,7 +148,15 @@ def _judge(places, v, n, exact):
 
 
 @_compiled
-def _chords(programs, places, v, w, lu, pivots, exact):
+def _chords(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    lu: np.ndarray,
+    pivots: np.ndarray,
+    exact: bool,
+) -> None:
     """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too slowly."""
     machine, codes, operands, values, ranges = programs
     for n in range(MAX_CHORDS):
@@ -152,7 +169,15 @@ def _chords(programs, places, v, w, lu, pivots, exact):
 
 
 @_compiled
-def _renew(programs, places, v, w, factors, block, k):
+def _renew(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    block: int,
+    k: int,
+) -> None:
     """Jacobians at all lanes, factorised: columns are images of directions, all at once for a single lane."""
     m, single = places[COUNT], v.shape[1] == 1
     machine, codes, operands, values, ranges = programs
@@ -177,7 +202,7 @@ def _renew(programs, places, v, w, factors, block, k):
 
 
 @_compiled
-def _begin(places, v, fresh, restart):
+def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool:
     """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
 
     They begin at the prediction: all of them if ``restart`` is 2, those that were led away if it is 1.
@@ -198,15 +223,24 @@ def _begin(places, v, fresh, restart):
 
 
 @_compiled
-def _solve_step(programs, places, v, w, factors, block, k):
-    """Solve the equations of a step in all good lanes: with the Jacobians of a step before, with that of small steps, with new ones.
+def _solve_step(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    block: int,
+    k: int,
+) -> None:
+    """Solve the equations of a step in all good lanes: with Jacobians of a step before, that of small steps, new ones.
 
     The first are tried only for speed; the others, in this order, are the iteration of ``manifolds.numerics.newton``.
     """
     lu, pivots, all_old, small, _, _ = factors
     fresh, renewed, no = True, 0, False
     if not all_old[block, k]:
-        fresh = _begin(places, v, fresh, 2) and False
+        _begin(places, v, fresh, 2)
+        fresh = False
         _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
     restart = 2
     if small.size > 0 and _begin(places, v, fresh, restart):
@@ -230,7 +264,7 @@ def _solve_step(programs, places, v, w, factors, block, k):
 
 
 @_compiled
-def _copy_to_lanes(matrix, a):
+def _copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
     for i in range(matrix.shape[0]):
         for column in range(matrix.shape[0]):
             for j in range(a.shape[2]):
@@ -238,7 +272,17 @@ def _copy_to_lanes(matrix, a):
 
 
 @_compiled
-def _step(programs, places, v, w, factors, parts, h, first, block):
+def _step(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    first: int,
+    block: int,
+) -> None:
     """One step of all good lanes, its substeps one after the other; the lanes that fail are good no more."""
     machine, codes, operands, values, ranges = programs
     lanes = v.shape[1]
@@ -257,7 +301,20 @@ def _step(programs, places, v, w, factors, parts, h, first, block):
 
 
 @_compiled
-def _advance(programs, places, v, w, factors, parts, h, carry, failed, record, numbers, block):
+def _advance(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    carry: np.ndarray,
+    failed: np.ndarray,
+    record: np.ndarray,
+    numbers: tuple,
+    block: int,
+) -> None:
     """Steps of a block of lanes, of which those that fail stay where they are."""
     begun, count, phase, every = numbers
     lanes, total, states, rows = v.shape[1], carry.shape[1], places[STATES], carry.shape[0]
@@ -283,13 +340,30 @@ def _advance(programs, places, v, w, factors, parts, h, carry, failed, record, n
                 record[(phase + index) // every, i, first + j] = carry[rows - record.shape[1] + i, first + j]
 
 
-def _integrate(machine, codes, operands, values, ranges, places, memory, carry, failed, record, factors, parts, h, numbers, blocks):
+def _integrate(
+    machine: Any,
+    codes: np.ndarray,
+    operands: np.ndarray,
+    values: np.ndarray,
+    ranges: np.ndarray,
+    places: np.ndarray,
+    memory: tuple,
+    carry: np.ndarray,
+    failed: np.ndarray,
+    record: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    numbers: tuple,
+    blocks: tuple,
+) -> None:
     """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in its place.
 
-    ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a trajectory
-    stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps; ``factors``: arrays
-    ``(lu, pivots, old, small)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done before, steps to do, those
-    done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the first and the one after the last.
+    ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
+    trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps;
+    ``factors``: arrays ``(lu, pivots, old, small)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done
+    before, steps to do, those done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the
+    first and the one after the last.
     """
     rows, size, lanes = memory
     programs = machine, codes, operands, values, ranges

@@ -78,7 +78,9 @@ def _piece(
 class XlaSteps(Steps):
     """The steps of one trajectory, compiled by XLA."""
 
-    def __init__(self, system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, reason: str) -> None:
+    def __init__(
+        self, system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, reason: str
+    ) -> None:
         self.evaluator = f"XLA: {reason}"
         self._system, self._integrator, self._step_size = system, integrator, step_size
         self._carry: Carry = call_compiled(begin, system, integrator, start)[0]

@@ -1,6 +1,5 @@
 """Long integrations outside of JAX's transformations: pieces of one loop, between which Ctrl-C is heard."""
 
-import time
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -24,7 +23,7 @@ class Steps(ABC):
 
     @abstractmethod
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Any, np.ndarray, float]:
-        """Go on by ``count`` steps, or as many as are solved, after ``done`` others; ``phase`` of these are in an unfinished block.
+        """Go on by ``count`` steps, or as many as are solved, after ``done`` others, ``phase`` of which begin a block.
 
         What is kept of the last state of each block of ``every`` steps, rows along the leading axis of every array: at least
         those that the piece reached, ``size`` at most. For every trajectory -1 or the step at which it stopped. And the seconds

@@ -106,20 +106,26 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     c = np.zeros(chart.first.shape)
     of_residual = Tape.trace(residual, c, h, q, p, chart)
     tapes = Tape.trace(prepare, h, y, q, p), of_residual, of_residual.push(0), Tape.trace(end, c, h, chart)
+    control = _zeros(end, c, h, chart)[3]
+    return _laid_out(
+        tapes, {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}, [*chart._fields], rows(control), substeps
+    )
+
+
+def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int) -> StepPrograms:
+    """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
     memory = _Memory()
-    _, _, _, control, _ = _zeros(end, c, h, chart)
-    at = {name: memory.take(rows(part)) for name, part in zip("chyqp", (c, h, y, q, p), strict=True)}
-    at |= {name: memory.take(rows(part)) for name, part in chart._asdict().items()}
-    at |= {name: memory.take(c.size) for name in ("direction", "residual", "pushed", "scaled")}
-    at |= {"new": memory.take(rows((y, q, p))), "control": memory.take(rows(control)), "fresh": memory.take(substeps * rows(control))}
+    at = {name: memory.take(rows(part)) for name, part in parts.items()}
+    count, states = at["c"].size, sum(at[name].size for name in "yqp")
+    at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled")}
+    at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
     at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
-    charts = [*chart._fields]
     reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", *charts]]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
     joined = [[np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes)]
     programs = _merged(tapes, *joined, always={*at["first"].tolist(), *at["sizes"].tolist()})
     at |= {"state": at["y"] if at["y"].size else at["q"]}
-    counts = {"count": c.size, "states": at["new"].size, "controls": at["control"].size}
+    counts = {"count": count, "states": states, "controls": controls}
     places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
     cuts = np.cumsum([0, *(len(program.codes) for program in programs)])
     lists = [np.concatenate([getattr(program, name) for program in programs]) for name in ("codes", "registers", "values")]

@@ -36,7 +36,8 @@ def quartic(q, p):
 
 def squares(q, p):
     """A Hamiltonian of any arrays, real or complex."""
-    return sum(jnp.sum(jnp.abs(b) ** 2) / 2 + jnp.sum(jnp.real(a) ** 4) for a, b in zip(*map(jax.tree.leaves, (q, p)), strict=True))
+    pairs = zip(*map(jax.tree.leaves, (q, p)), strict=True)
+    return sum(jnp.sum(jnp.abs(b) ** 2) / 2 + jnp.sum(jnp.real(a) ** 4) for a, b in pairs)
 
 
 CASES = {
