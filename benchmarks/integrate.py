@@ -1,22 +1,24 @@
 """Free rigid body and spherical pendulum: steps per second, beside SciPy's DOP853 and diffrax at the same final error.
 
-    python benchmarks/integrate.py [--horizon 20] [--step 0.02] [--repeats 7]
+    python benchmarks/integrate.py [--method midpoint] [--horizon 20] [--step 0.02] [--repeats 7]
 
-The lifted midpoint method takes its fixed steps; its final error is the target at which both peers are then tuned to their
-loosest tolerance. Warm medians of one run; the first call with its compilation apart. One JSON line a case.
+The method takes its fixed steps; its final error is the target at which both peers are then tuned to their loosest tolerance.
+Warm medians of one run, each of which traces the Hamiltonian anew, and of the steps alone; processor seconds of the run, of all
+threads; the first call apart. One JSON line a case.
 """
 
 import argparse
 import json
 import statistics
+import time
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from ode_peers import BATCH, PENDULUM, RIGID_BODY, TargetMissedError, diffrax_solve, final_error, scipy_dop853, timed
-from retrax.integrators import SymplecticIntegrator, integrate
+from retrax.integrators import KAHAN_LI_6, KAHAN_LI_8, Composition, SymplecticIntegrator, integrate, integrate_many
 from retrax.manifolds import SO, Sphere
-from retrax.retractions import Cayley, CotangentLift, Midpoint, Projection
+from retrax.retractions import Cayley, CotangentLift, Gauss, Midpoint, Projection
 
 ROTATIONS, SPHERE = SO(3), Sphere(2)
 INERTIA = jnp.array([1.0, 2.0, 3.0])
@@ -50,20 +52,39 @@ CASES = (
 )
 
 
-def retrax_run(case, step, steps, batch, repeats):
-    """Seconds per warm run (median), of the first run, and the final error of the lifted midpoint method."""
+def lifted_midpoint(retraction):
+    """The method of order 2 that the others are composed of."""
+    return SymplecticIntegrator(CotangentLift(Midpoint(retraction)))
+
+
+METHODS = {
+    "midpoint": lifted_midpoint,
+    "composition-6": lambda retraction: Composition(lifted_midpoint(retraction), KAHAN_LI_6),
+    "composition-8": lambda retraction: Composition(lifted_midpoint(retraction), KAHAN_LI_8),
+    "gauss-3": lambda retraction: SymplecticIntegrator(Gauss(3, retraction)),
+    "gauss-4": lambda retraction: SymplecticIntegrator(Gauss(4, retraction)),
+}
+
+
+def retrax_run(case, method, step, steps, batch, repeats):
+    """Seconds per warm run (median), of the steps in it, processor seconds, seconds of the first run, and the final error."""
     problem, hamiltonian, retraction, point, state = case
-    integrator = SymplecticIntegrator(CotangentLift(Midpoint(retraction)))
-
-    def final(x):
-        trajectory = integrate(hamiltonian, integrator, point(x), step, steps, save_every=steps)
-        return state(trajectory.q[-1], trajectory.p[-1])
-
+    integrator = METHODS[method](retraction)
     initial = jnp.asarray(problem.initial_states(batch))
-    run = jax.jit(jax.vmap(final) if batch else final)
-    (cold,) = timed(lambda: jax.block_until_ready(run(initial)), 1)
-    seconds = statistics.median(timed(lambda: jax.block_until_ready(run(initial)), repeats))
-    return seconds, cold, final_error(problem, step * steps, np.asarray(run(initial)))
+    start = jax.vmap(point)(initial) if batch else point(initial)
+    call = integrate_many if batch else integrate
+
+    def run(count=steps):
+        return call(hamiltonian, integrator, start, step, count, save_every=count)
+
+    (cold,) = timed(run, 1)
+    seconds = statistics.median(timed(run, repeats))
+    began = time.process_time()
+    end = run()
+    spent = time.process_time() - began
+    without_steps = statistics.median(timed(lambda: run(1), repeats))
+    final = jax.vmap(lambda q, p: state(q[-1], p[-1]))(end.q, end.p) if batch else state(end.q[-1], end.p[-1])
+    return seconds, max(0.0, seconds - without_steps), spent, cold, final_error(problem, step * steps, np.asarray(final))
 
 
 def peer_row(run):
@@ -76,15 +97,25 @@ def peer_row(run):
     }
 
 
-def compare(case, step, steps, batch, repeats):
+def compare(case, method, step, steps, batch, repeats):
     """One case: this library and the peers at its final error."""
     problem, horizon = case[0], step * steps
-    seconds, cold, error = retrax_run(case, step, steps, batch, repeats)
-    row = {"case": problem.name, "trajectories": batch or 1, "horizon": horizon, "step": step, "steps": steps, "error": error}
+    seconds, of_steps, spent, cold, error = retrax_run(case, method, step, steps, batch, repeats)
+    row = {
+        "case": problem.name,
+        "method": method,
+        "trajectories": batch or 1,
+        "horizon": horizon,
+        "step": step,
+        "steps": steps,
+        "error": error,
+    }
     row["retrax"] = {
         "median_ms": round(1e3 * seconds, 3),
+        "of_steps_ms": round(1e3 * of_steps, 3),
+        "processor_ms": round(1e3 * spent, 3),
         "cold_s": round(cold, 2),
-        "steps_per_second": round((batch or 1) * steps / seconds),
+        "steps_per_second": round((batch or 1) * steps / max(of_steps, 1e-9)),
     }
     peers = {
         f"diffrax {solver}": lambda s=solver: diffrax_solve(problem, horizon, error, batch, s, repeats)
@@ -105,6 +136,7 @@ def compare(case, step, steps, batch, repeats):
 def main():
     """Print one JSON line for each problem and batch size."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--method", choices=METHODS, default="midpoint")
     parser.add_argument("--horizon", type=float, default=20.0)
     parser.add_argument("--step", type=float, default=0.02)
     parser.add_argument("--repeats", type=int, default=7)
@@ -112,7 +144,7 @@ def main():
     steps = round(options.horizon / options.step)
     for case in CASES:
         for batch in (None, BATCH):
-            print(json.dumps(compare(case, options.step, steps, batch, options.repeats)), flush=True)
+            print(json.dumps(compare(case, options.method, options.step, steps, batch, options.repeats)), flush=True)
 
 
 if __name__ == "__main__":

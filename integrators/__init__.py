@@ -36,6 +36,7 @@ from .initial_value import (
     Trajectory,
     form_defect,
     integrate,
+    integrate_many,
     load_trajectory,
 )
 from .problem import OptimalControlProblem
@@ -93,6 +94,7 @@ __all__ = [
     "default_guess",
     "form_defect",
     "integrate",
+    "integrate_many",
     "load_solution",
     "load_trajectory",
     "singular_integrator",

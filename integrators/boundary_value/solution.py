@@ -178,8 +178,8 @@ class Solution:
 class Solutions(Sequence[Solution]):
     """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
 
-    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and ``solutions.success`` arrays
-    of length B, ``solutions.result`` a list; ``checks`` and ``statistics`` are lists too.
+    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and ``solutions.success`` are
+    arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
     """
 
     def __init__(self, members: Sequence[Solution]) -> None:
@@ -221,7 +221,8 @@ class Solutions(Sequence[Solution]):
     def __repr__(self) -> str:
         costs = self.cost[self.success]
         span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
-        return f"Solutions({len(self)}, {self.converged} of them converged, {self.distinct} distinct, {span}{self[0].steps} steps each)"
+        counts = f"{len(self)}, {self.converged} of them converged, {self.distinct} distinct"
+        return f"Solutions({counts}, {span}{self[0].steps} steps each)"
 
 
 def _arrays(value: Any) -> Iterator[np.ndarray]:

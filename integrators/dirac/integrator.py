@@ -95,7 +95,7 @@ class DiracIntegrator(Integrator):
         stage = HamiltonianStage(hamiltonian=system.hamiltonian, discretization=self.lift.discretization, step=h)
         predicted = jax.lax.stop_gradient(previous.impulse)
         m = predicted.size
-        equations = StepEquations(stage, q, system.kick(q, p, predicted), None)
+        equations = StepEquations.near(stage, q, system.kick(q, p, predicted), None)
 
         def residual(c: Array) -> Array:
             x, v, _ = equations.end(c[m:])[2]

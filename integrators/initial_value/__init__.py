@@ -3,6 +3,7 @@
 from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
 from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
+from .many import integrate_many
 from .preservation import form_defect
 from .step import StepResult, lifted_step
 from .trajectory import Trajectory, integrate, load_trajectory
@@ -23,6 +24,7 @@ __all__ = [
     "Trajectory",
     "form_defect",
     "integrate",
+    "integrate_many",
     "lifted_step",
     "load_trajectory",
 ]

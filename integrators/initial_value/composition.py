@@ -69,6 +69,10 @@ class Composition(Integrator):
         begins = (np.cumsum(weights) - weights).reshape(-1, *(1,) * inner.ndim)
         return begins + np.multiply.outer(weights, inner)
 
+    def substeps(self) -> tuple[Integrator, np.ndarray]:
+        inner, parts = self.integrator.substeps()
+        return inner, np.multiply.outer(np.asarray(self.weights), parts)
+
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
         self.integrator.check(system, q, p)
 

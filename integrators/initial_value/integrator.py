@@ -53,6 +53,14 @@ class Integrator(eqx.Module):
     def control(self, unknowns: Any) -> Any:
         """The control in the unknowns of a step; None where there is none."""
 
+    def stage(self, system: Any, h: ArrayLike) -> Stage | None:
+        """The stage whose equations are those of a step of size ``h``, and all of it; None where steps are of another form."""
+        return None
+
+    def substeps(self) -> tuple["Integrator", np.ndarray]:
+        """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of ``control``."""
+        return self, np.ones(())
+
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without an end."""
         return ""

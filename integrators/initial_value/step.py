@@ -1,6 +1,5 @@
 """One step of the cotangent-lifted method from a point of T*Q."""
 
-from copy import copy
 from typing import Any, NamedTuple, Self
 
 import jax
@@ -9,7 +8,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.ambient import Ambient, Frame
 from ...manifolds.numerics.root import find_root
 from ..stages import Stage
 from ..stages.stage import positive
@@ -30,49 +29,72 @@ def restored(manifold: Manifold, new: StepResult) -> StepResult:
     return new._replace(q=q, p=manifold.projection(q, new.p))
 
 
+class Chart(NamedTuple):
+    """What the equations of a step are written in: a prediction of the unknowns and frames there, from ``(q0, p0)``."""
+
+    guess: Any
+    frame: Any  # of the stage's unknowns
+    covectors: Frame  # of ``p1``
+    first: Array  # coordinates of the prediction
+    sizes: Array  # typical sizes of the coordinates
+
+
 class StepEquations:
     """The equations ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` of a step from near ``(q0, p0)``, in a chart around a prediction.
 
     Their unknowns are the coordinates ``c`` of the stage's unknowns ``y`` and of ``p1``, both in one frame.
     """
 
-    def __init__(self, stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> None:
-        frozen = jax.lax.stop_gradient
-        self.stage = stage
-        self._guess = frozen(stage.predict(q0, p0, previous))
-        self._chart = stage.frame(self._guess)
-        self._frame = stage.manifold.basis(stage.base(self._guess))
-        costate = frozen(vec.components(self._frame, p0))
-        self.first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
-        self.sizes = jnp.concatenate([stage.sizes(self._guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
+    def __init__(self, stage: Stage, chart: Chart) -> None:
+        self.stage, self.chart = stage, chart
 
-    def of(self, stage: Stage) -> Self:
-        """The equations of another stage with the same kind of unknowns, in the same chart."""
-        new = copy(self)
-        new.stage = stage
-        return new
+    @classmethod
+    def near(cls, stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> Self:
+        """The equations around the unknowns that the stage predicts."""
+        frozen = jax.lax.stop_gradient
+        guess = frozen(stage.predict(q0, p0, previous))
+        frame = stage.manifold.basis(stage.base(guess))
+        costate = frozen(vec.components(frame, p0))
+        first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
+        sizes = jnp.concatenate([stage.sizes(guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
+        return cls(stage, Chart(guess, stage.frame(guess), frame, first, sizes))
+
+    @property
+    def first(self) -> Array:
+        """Coordinates of the prediction."""
+        return self.chart.first
+
+    @property
+    def sizes(self) -> Array:
+        """Typical sizes of the coordinates."""
+        return self.chart.sizes
 
     def unknowns(self, c: Array) -> Any:
         """The stage's unknowns with coordinates ``c``."""
-        return self.stage.move(self._guess, self._chart, c[: self.stage.dimension])
+        return self.stage.move(self.chart.guess, self.chart.frame, c[: self.stage.dimension])
 
     def residual(self, c: Array, q0: Ambient, p0: Ambient) -> Array:
         """The equations for a step from ``(q0, p0)``, zero at a solution ``c``."""
         size = self.stage.dimension
 
         def generating(d: Array, p1: Ambient) -> tuple[Array, Ambient]:
-            y = self.stage.move(self._guess, self._chart, d)
+            y = self.stage.move(self.chart.guess, self.chart.frame, d)
             r1, r2 = self.stage.ends(y)
             return vec.pairing(p1, r2) - vec.pairing(p0, r1) - self.stage.cost(y), r1
 
-        stationarity, r1 = jax.grad(generating, has_aux=True)(c[:size], vec.combine(self._frame, c[size:]))
-        return jnp.concatenate([vec.components(self._frame, vec.subtract(r1, q0)), stationarity])
+        stationarity, r1 = jax.grad(generating, has_aux=True)(c[:size], vec.combine(self.chart.covectors, c[size:]))
+        return jnp.concatenate([vec.components(self.chart.covectors, vec.subtract(r1, q0)), stationarity])
+
+    def result(self, c: Array) -> StepResult:
+        """The end of the step whose unknowns have the coordinates ``c``, converged where it is finite."""
+        q1, p1, y = self.end(c)
+        return StepResult(q1, p1, y, jnp.isfinite(vec.size((q1, p1))))
 
     def end(self, c: Array) -> tuple[Ambient, Ambient, Any]:
         """``(q1, p1)`` and the stage's unknowns."""
         y = self.unknowns(c)
         q1 = self.stage.ends(y)[1]
-        return q1, self.stage.manifold.projection(q1, vec.combine(self._frame, c[self.stage.dimension :])), y
+        return q1, self.stage.manifold.projection(q1, vec.combine(self.chart.covectors, c[self.stage.dimension :])), y
 
 
 def lifted_step(stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> StepResult:
@@ -81,10 +103,9 @@ def lifted_step(stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> StepRe
     Solves ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` for the unknowns ``y`` and ``p1``; then ``q1 = R2``. Differentiable by the
     implicit function theorem.
     """
-    equations = StepEquations(stage, q0, p0, previous)
+    equations = StepEquations.near(stage, q0, p0, previous)
     c, converged = find_root(
         lambda c: equations.residual(c, q0, p0), equations.first, equations.sizes, stage.small_step_inverse()
     )
-    q1, p1, y = equations.end(c)
-    finite = jnp.isfinite(vec.size((q1, p1)))
-    return StepResult(q1, p1, y, converged & finite)
+    result = equations.result(c)
+    return result._replace(converged=result.converged & converged)

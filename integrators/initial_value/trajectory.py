@@ -16,8 +16,24 @@ from ..compilation import compiled
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
+from .choice import tape_steps
 from .integrator import Integrator
-from .pieces import Carry, Nodes, advance, begin, node, run
+from .lanes import TapeSteps
+from .loop import Carry, Nodes, XlaSteps, advance, begin, node
+from .pieces import run
+
+
+@final
+class Remark(str):
+    """A text in a record that plays no part when records are compared or combined."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Remark)
+
+    def __hash__(self) -> int:
+        return hash(Remark)
 
 
 @final
@@ -29,6 +45,7 @@ class Trajectory(eqx.Module):
     shape ``(steps, s, m)``.
     ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
     Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
+    ``evaluator`` says in words what computed the steps, and why where that was not the tape.
     """
 
     times: Annotated[Float[Array, " nodes"], Along("nodes", ndim=1)]
@@ -38,6 +55,7 @@ class Trajectory(eqx.Module):
     stage_times: Annotated[Float[Array, "steps ..."], Along("stages")]
     result: Result
     failed_step: Int[Array, ""]
+    evaluator: Remark = eqx.field(static=True, default=Remark("not recorded"))
 
     def __repr__(self) -> str:
         """The essential numbers, and the shapes of the rest."""
@@ -74,9 +92,9 @@ def _disagreement(values: dict[str, Any]) -> str:
     return not_finite(values)
 
 
-_FILE = RecordFile(
-    "Trajectory", {**get_type_hints(Trajectory, include_extras=True), "result": str, "failed_step": int}, _disagreement
-)
+_WHOLE = "JAX transforms the call, or jit is disabled"
+_FIELDS = {name: hint for name, hint in get_type_hints(Trajectory, include_extras=True).items() if name != "evaluator"}
+_FILE = RecordFile("Trajectory", {**_FIELDS, "result": str, "failed_step": int}, _disagreement)
 
 
 def load_trajectory(path: str | Path) -> Trajectory:
@@ -98,6 +116,7 @@ def integrate(
     steps: int,
     save_every: int = 1,
     throw: bool = True,
+    evaluator: str | None = None,
 ) -> Trajectory:
     """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in time).
 
@@ -107,26 +126,25 @@ def integrate(
     ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint manifold of a singular
     problem is taken as it is, and a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
 
-    Elsewhere the steps are compiled once, whatever their number and ``save_every``, and run in pieces of a fraction of a second.
+    Elsewhere each call traces the functions anew and runs the steps on the tape, in pieces of a fraction of a second; where an
+    operation has no scalar form, and for integrators without a stage, XLA compiles them. ``Trajectory.evaluator`` says which;
+    ``evaluator``, ``"tape"`` or ``"xla"``, asks for one.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
     ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its one argument is the
     trajectory until then.
     """
-    if not isinstance(integrator, Integrator):
-        raise InvalidInputError(
-            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)"
-        )
-    _check_counts(step_size, steps, save_every)
-    warn_about_precision()
+    check_call(integrator, steps, save_every, evaluator)
+    if not is_traced(step_size):
+        require_finite_step("step_size", step_size)
     q0, p0 = _checked_start(integrator.manifold, start)
     count, every = int(steps) // int(save_every), int(save_every)
     arguments = system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every
     transformed = is_transformed(arguments)
     if not transformed:
         integrator.check(system, q0, p0)
-    scanned = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
-    trajectory = _scanned(*arguments) if scanned else _in_pieces(*arguments)
+    whole = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
+    trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)
         first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
@@ -150,19 +168,31 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
     return q0, p0
 
 
-def _check_counts(step_size: Any, steps: Any, save_every: Any) -> None:
+def check_call(integrator: Any, steps: Any, save_every: Any, evaluator: Any) -> None:
+    """Raise for arguments of the wrong kind, and warn once if numbers are in single precision."""
+    if not isinstance(integrator, Integrator):
+        raise InvalidInputError(
+            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)"
+        )
+    if evaluator not in (None, "tape", "xla"):
+        raise InvalidInputError(f"evaluator must be 'tape', 'xla' or None, got {evaluator!r}")
+    warn_about_precision()
     for name, count in (("steps", steps), ("save_every", save_every)):
         if not is_count(count):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {count!r}")
     if steps % save_every:
         raise InvalidInputError(f"steps must be a multiple of save_every, got {steps} and {save_every}")
-    if not is_traced(step_size) and not (is_finite_number(step_size) and step_size != 0):
-        raise InvalidInputError(f"step_size must be a finite number other than 0, got {step_size!r}")
+
+
+def require_finite_step(name: str, size: Any) -> None:
+    """Raise unless the size of a step is a finite number other than 0."""
+    if not (is_finite_number(size) and size != 0):
+        raise InvalidInputError(f"{name} must be a finite number other than 0, got {size!r}")
 
 
 @compiled
-def _scanned(
-    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
+def scanned(
+    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int, reason: str
 ) -> Trajectory:
     """The trajectory as one loop of fixed length, which can be differentiated, batched and compiled into something larger."""
 
@@ -178,20 +208,59 @@ def _scanned(
     q, p = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), (first.q, first.p), (q, p))
     times, stage_times = _times(integrator, step_size, every, jnp.arange(saves + 1))
     result = Result.where(last.failed_step < 0, Result.successful, Result.step_not_solved)
-    return Trajectory(times, q, p, controls, stage_times, result, last.failed_step)
+    return Trajectory(times, q, p, controls, stage_times, result, last.failed_step, Remark(f"XLA: {reason}"))
 
 
 def _in_pieces(
-    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int
+    system: Any,
+    integrator: Integrator,
+    start: tuple[Ambient, Ambient],
+    step_size: Array,
+    saves: int,
+    every: int,
+    evaluator: str | None,
 ) -> Trajectory:
     """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the times."""
-    nodes, failed, interrupt = run(system, integrator, start, step_size, saves, every)
-    count = len(jax.tree.leaves(nodes.q)[0])
-    times = _times(integrator, np.asarray(step_size), every, np.arange(count))
+    starts, step_sizes = jax.tree.map(lambda a: np.array(a)[None], (start, step_size))
+    found = tape_steps(system, integrator, starts, step_sizes, evaluator)
+    if not isinstance(found, str):
+        return run_on_tape(found, integrator, step_sizes[0], saves, every)
+    steps = XlaSteps(system, integrator, start, step_size, found)
+    nodes, failed, interrupt = run(steps, saves, every)
+    nodes = nodes._replace(controls=jax.tree.map(lambda a: a[1:], nodes.controls))
+    return _recorded(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
+
+
+def run_on_tape(steps: TapeSteps, integrator: Integrator, step_size: np.ndarray, saves: int, every: int) -> Trajectory:
+    """The trajectory, or the trajectories of a leading axis if ``step_size`` has one."""
+    kept, failed, interrupt = run(steps, saves, every)
+    nodes, failed = steps.nodes(kept), np.broadcast_to(failed, kept.shape[-1:])
+    if not step_size.ndim:
+        nodes, failed = jax.tree.map(lambda a: a[0], (nodes, failed))
+    return _recorded(integrator, step_size, every, nodes, failed, interrupt, steps.evaluator)
+
+
+def _recorded(
+    integrator: Integrator,
+    step_size: np.ndarray,
+    every: int,
+    nodes: Nodes,
+    failed: np.ndarray,
+    interrupt: KeyboardInterrupt | None,
+    evaluator: str,
+) -> Trajectory:
+    """The record of what was reached; raises the interrupt with it if there was one."""
+    count = jax.tree.leaves(nodes.q)[0].shape[step_size.ndim]
+    times = _times(integrator, step_size, every, np.arange(count))
+    unfailed = Result.interrupted if interrupt else Result.successful
     # jnp.asarray would compile something for each shape.
-    (q, p, controls), (at_nodes, at_stages) = jax.device_put((nodes, times))
-    result = Result.interrupted if interrupt else Result.successful if failed < 0 else Result.step_not_solved
-    trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, jnp.asarray(failed, int))
+    (q, p, controls), (at_nodes, at_stages), stopped = jax.device_put((nodes, times, np.asarray(failed, int)))
+
+    def result_of(solved: Any) -> Result:
+        return Result.where(solved, unfailed, Result.step_not_solved)
+
+    result = jax.vmap(result_of)(failed < 0) if step_size.ndim else result_of(bool(failed < 0))
+    trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, stopped, Remark(evaluator))
     if interrupt:
         # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C does.
         interrupt.args = (trajectory,)
@@ -201,6 +270,8 @@ def _in_pieces(
 
 def _times(integrator: Integrator, step_size: Any, every: int, nodes: Any) -> tuple[Any, Any]:
     """Times of the nodes with these numbers and of the stages of the step before each, in NumPy or JAX as they are given."""
-    times = step_size * every * nodes.astype(step_size.dtype)
+    times = (step_size * every)[..., None] * nodes.astype(step_size.dtype)
     before_end = 1 - integrator.control_times.astype(step_size.dtype)
-    return times, times[1:].reshape(-1, *(1,) * before_end.ndim) - before_end * step_size
+    axes = (1,) * before_end.ndim
+    lengths = before_end * step_size.reshape(*step_size.shape, 1, *axes)
+    return times, times[..., 1:].reshape(*times.shape[:-1], -1, *axes) - lengths

@@ -4,11 +4,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, classify, solve
+from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, classify, integrate, integrate_many, solve
 from retrax.integrators.compilation import call_compiled
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.retractions import Exponential, Midpoint
+from retrax.retractions import CotangentLift, Exponential, Midpoint
 from retrax.tape import Tape
 
 from tests.support.changing import WAYS, held
@@ -51,6 +51,23 @@ def test_a_problem_is_another_one_where_its_functions_compute_another_value(way)
     assert problem.digest() != before
     assert is_same_problem(problem, same)
     assert not is_same_problem(problem, priced(lambda u: 3 * u))
+
+
+@pytest.mark.parametrize("evaluator", ["tape", pytest.param("xla", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("way", WAYS)
+def test_a_changed_value_changes_the_trajectory(way, evaluator):
+    """``q'' = -k q``: a step of the midpoint rule is known, one by one and of many."""
+    product, change = held(way, 1.0)
+    method = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(LINE))))
+    for k in (1.0, 4.0, 1.0):
+        change(k)
+        start = np.ones(1), np.zeros(1)
+        path = integrate(lambda q, p: (p @ p + q @ product(q)) / 2, method, start, 0.5, 1, evaluator=evaluator)
+        many = integrate_many(
+            lambda q, p: (p @ p + q @ product(q)) / 2, method, (np.ones((2, 1)), np.zeros((2, 1))), 0.5, 1, evaluator=evaluator
+        )
+        for end in (path.q[-1, 0], *many.q[:, -1, 0]):
+            assert end == pytest.approx((1 - k / 16) / (1 + k / 16), rel=1e-14)
 
 
 @pytest.mark.parametrize("way", SOME)

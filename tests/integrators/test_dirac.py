@@ -83,7 +83,7 @@ class StageImpulses(Integrator):
 
     def step(self, system: DiracSystem, h: ArrayLike, q: Array, p: Array, previous: Array) -> StepResult:
         stage = HamiltonianStage(hamiltonian=system.hamiltonian, discretization=self.lift.discretization, step=h)
-        equations, m = StepEquations(stage, q, p, None), previous.size
+        equations, m = StepEquations.near(stage, q, p, None), previous.size
         guess = stage.predict(q, p, (q, p, p))
 
         def residual(c: Array) -> Array:

@@ -24,6 +24,8 @@ from retrax.integrators import (
     integrate,
 )
 from retrax.integrators.initial_value import pieces
+from retrax.integrators.initial_value.lanes import TapeSteps
+from retrax.integrators.initial_value.loop import XlaSteps
 from retrax.manifolds import Euclidean
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
@@ -58,14 +60,17 @@ SYSTEMS = {
 @pytest.fixture
 def taken(monkeypatch):
     """The numbers of steps of the pieces, which keep three nodes at most."""
-    taken, call = [], pieces.call_compiled
+    taken = []
 
-    def counted(function, *arguments):
-        if function is pieces._piece:
-            taken.append(int(arguments[-3]))
-        return call(function, *arguments)
+    def counted(piece):
+        def counting(steps, done, count, *rest):
+            taken.append(count)
+            return piece(steps, done, count, *rest)
 
-    monkeypatch.setattr(pieces, "call_compiled", counted)
+        return counting
+
+    for kind in (TapeSteps, XlaSteps):
+        monkeypatch.setattr(kind, "piece", counted(kind.piece))
     monkeypatch.setattr(pieces, "PIECE_NODES", NODES)
     return taken
 
@@ -158,16 +163,16 @@ def test_another_number_of_steps_compiles_nothing(name, compilations):
 @pytest.mark.parametrize("piece", range(5))
 def test_an_interruption_has_the_trajectory_until_then(piece, taken, monkeypatch):
     """Ctrl-C in each of the pieces."""
-    whole, call = integrate(quartic, MIDPOINT, START, 0.1, STEPS, save_every=2), pieces.call_compiled
+    whole, go_on = integrate(quartic, MIDPOINT, START, 0.1, STEPS, save_every=2), TapeSteps.piece
     taken.clear()
 
-    def interrupted(function, *arguments):
-        value = call(function, *arguments)
+    def interrupted(steps, *arguments):
+        value = go_on(steps, *arguments)
         if len(taken) > piece:
             raise KeyboardInterrupt
         return value
 
-    monkeypatch.setattr(pieces, "call_compiled", interrupted)
+    monkeypatch.setattr(TapeSteps, "piece", interrupted)
     monkeypatch.setattr(pieces, "FIRST_PIECE", 3)
     with pytest.raises(KeyboardInterrupt) as stopped:
         integrate(quartic, MIDPOINT, START, 0.1, STEPS, save_every=2, throw=piece % 2 == 0)

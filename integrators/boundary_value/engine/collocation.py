@@ -14,11 +14,11 @@ from ...problem import OptimalControlProblem
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
 from .evaluator import Arrays, Evaluator
 from .layout import Layout, parameter_layout
-from .transcription import Blocks, Data, at_points
+from .transcription import Blocks, Data, Moves, at_points
 
 
 class GaussUnknowns(NamedTuple):
-    """Centres (B, N, E); at their points velocities in frames at the centres (B, N, s, n), controls, and costates (B, N, s, E)."""
+    """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls, costates."""
 
     centres: np.ndarray
     velocities: np.ndarray
@@ -109,8 +109,9 @@ class Collocation:
         blocks = parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, np.sum(values[..., n], axis=2)
         return Blocks(*blocks, Inner(*shares, *left))
 
-    def move(self, unknowns: GaussUnknowns, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, part: np.ndarray, data: Data) -> GaussUnknowns:  # fmt: skip
-        """The unknowns moved by fractions, shape (B,), of the steps of the condensed system."""
+    def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
+        """The unknowns moved by fractions of the steps of the condensed system."""
+        steps, multipliers, part = step
         inner, whole = blocks.inner, self.whole(blocks, steps, multipliers, data)
         some = part[:, None, None]
         centres, turns = at_points(self._centre, 2, unknowns.centres, some * steps[..., : self.manifold.dimension])
@@ -121,7 +122,7 @@ class Collocation:
         return GaussUnknowns(centres, velocities, controls, costates)
 
     def whole(self, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
-        """Steps of the velocities and of the multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
+        """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
         inner = blocks.inner
         table = np.ascontiguousarray(data.steps).ravel(), self.tableau.matrix, self.tableau.weights
         kept = tuple(a.reshape(-1, *a.shape[2:]) for a in inner.kept)

@@ -6,7 +6,7 @@ import numpy as np
 
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .scaling import SHARE, Units, natural_units
-from .transcription import Blocks, Data, Nodes, Terminal
+from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 SMALLEST_PIVOT = 0.6  # power of the machine epsilon
@@ -119,8 +119,8 @@ class Conditions:
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of steps."""
         part = fraction[:, None, None]
-        given = iterate.unknowns, assembled.blocks, step.unknowns, step.multipliers, fraction
-        unknowns = self.transcription.move(*given, self.data)
+        moves = Moves(step.unknowns, step.multipliers, fraction)
+        unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         costates = np.einsum("bkne,bkn->bke", assembled.frames, assembled.coordinates + part * step.multipliers)
         costates[:, -1] -= assembled.terminal.derivative
         return Iterate(unknowns, costates)

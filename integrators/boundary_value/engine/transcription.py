@@ -43,6 +43,14 @@ class Blocks(NamedTuple):
     inner: Any = None  # what was condensed, if anything was
 
 
+class Moves(NamedTuple):
+    """Steps of the unknowns (B, N, z) and of the nodes' multipliers (B, N + 1, n), and what fraction (B,) of them is made."""
+
+    steps: np.ndarray
+    multipliers: np.ndarray
+    fraction: np.ndarray
+
+
 class Terminal(NamedTuple):
     """The terminal cost at the last node: value (B,), ambient derivative (B, E), slope (B, n) and curvature (B, n, n)."""
 
@@ -105,9 +113,10 @@ class OneStage:
         del costates, data
         return Unknowns(states[:, :, 0], controls)
 
-    def move(self, unknowns: Unknowns, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, part: np.ndarray, data: Data) -> Unknowns:  # fmt: skip
-        """The unknowns moved by fractions, shape (B,), of steps in their charts, shape (B, N, z)."""
-        del blocks, multipliers
+    def move(self, unknowns: Unknowns, blocks: Blocks, step: Moves, data: Data) -> Unknowns:
+        """The unknowns moved by fractions of steps in their charts."""
+        del blocks
+        steps, _, part = step
         some = part[:, None, None] * steps
         x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])

@@ -93,14 +93,14 @@ class FinalDynamics(eqx.Module):
             )
 
         last: Memory = jax.lax.stop_gradient(previous)
-        begun = StepEquations(stage(last.control), q, p, None)
+        begun = StepEquations.near(stage(last.control), q, p, None)
         size = begun.first.size
 
         def equations(c: Array) -> tuple[StepEquations, Array, Array]:
             x, _, pi = begun.unknowns(c[:size])
             jet = self._jet(middle, (x, pi), c[size:])
             u = self._steer(jet)
-            return begun.of(stage(u)), self._determined((x, pi), jet, c[size:]), u
+            return StepEquations(stage(u), begun.chart), self._determined((x, pi), jet, c[size:]), u
 
         def residual(c: Array) -> Array:
             moving, determined, _ = equations(c)

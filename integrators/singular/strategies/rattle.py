@@ -106,7 +106,7 @@ class RattleIntegrator(SingularIntegrator):
         begin = flow((q, p), predicted)
         motion = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)
         # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to O(h^2).
-        equations = StepEquations(stage, begin[0], vec.add(begin[1], vec.scale(h, motion[1])), previous.stage)
+        equations = StepEquations.near(stage, begin[0], vec.add(begin[1], vec.scale(h, motion[1])), previous.stage)
 
         def residual(c: Array) -> Array:
             departed = flow(begin, c[:m])

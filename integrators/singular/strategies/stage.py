@@ -48,9 +48,11 @@ class StageIntegrator(DynamicsIntegrator):
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
         return q, self.dynamics.begin().control
 
+    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage:
+        return ControlStage(problem=system, discretization=self.lift.discretization, step=h)
+
     def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        stage = ControlStage(problem=system, discretization=self.lift.discretization, step=h)
-        return restored(self.manifold, lifted_step(stage, q, p, previous))
+        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
     def control(self, unknowns: Any) -> Ambient:
         return unknowns[1]

@@ -58,6 +58,18 @@ class Graph:
             slopes.append((mark, ca.mtimes(mark.slope, _total(mark.arguments, by, slopes))))
         return _total(values, by, slopes)
 
+    def push(self, values: ca.SX, by: ca.SX, direction: ca.SX) -> ca.SX:
+        """Derivative of scalars by symbols among the inputs along one direction, as a column, in forward mode."""
+        slopes: list[tuple[Mark, ca.SX]] = []
+
+        def along(values: ca.SX) -> ca.SX:
+            moved = [ca.jtimes(values, mark.symbols, slope) for mark, slope in slopes]
+            return sum(moved, start=ca.jtimes(values, by, direction))
+
+        for mark in self._moving(values):
+            slopes.append((mark, ca.densify(ca.mtimes(mark.slope, along(mark.arguments)))))
+        return along(values)
+
     def gradient(self, value: ca.SX, by: ca.SX) -> ca.SX:
         """Derivative of one scalar by symbols among the inputs, as a column, in reverse mode."""
         marks = self._moving(value)

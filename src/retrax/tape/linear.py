@@ -47,7 +47,7 @@ def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Entries, axes: tuple[
     kept = [axis for axis in range(len(x.shape)) if axis not in axes]
     shape = tuple(x.shape[axis] for axis in kept)
     count = math.prod(x.shape[axis] for axis in axes)
-    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, -1))
+    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, math.prod(shape)))
     rows = [column(moved(flat, lambda a, k=k: a[k])) for k in range(count)]
     return scalars(reduce(function, rows) if rows else ca.SX.ones(math.prod(shape)) * start, shape)
 

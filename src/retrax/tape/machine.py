@@ -198,3 +198,60 @@ def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tupl
     """
     for s in range(first, last, LANES):
         _block(codes, registers, values, ends, w, s, min(LANES, last - s))
+
+
+@_compiled
+def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
+    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``: registers."""
+    for k in range(codes.size):
+        c = codes[k]
+        o, x, y, z = registers[k, 0], registers[k, 1], registers[k, 2], registers[k, 3]
+        if c == MUL:
+            w[o] = w[x] * w[y]
+        elif c == MUL_ADD:
+            w[o] = w[x] * w[y] + w[z]
+        elif c == MUL_SUB:
+            w[o] = w[x] * w[y] - w[z]
+        elif c == SUB_MUL:
+            w[o] = w[z] - w[x] * w[y]
+        elif c == ADD:
+            w[o] = w[x] + w[y]
+        elif c == SUB:
+            w[o] = w[x] - w[y]
+        elif c == MUL_CONST:
+            w[o] = w[x] * values[k]
+        elif c == INPUT:
+            w[o] = v[x]
+        elif c == OUTPUT:
+            v[o] = w[x]
+        elif c == CONST:
+            w[o] = values[k]
+        else:
+            w[o] = _other(c, values[k], w[x], w[y], w[z])
+
+
+@_compiled
+def _other(c: int, v: float, x: float, y: float, z: float) -> float:
+    if c == DIV:
+        return x / y
+    if c == SQ:
+        return x * x
+    if c == NEG:
+        return -x
+    if c == TWICE:
+        return x + x
+    if c == INV:
+        return 1.0 / x
+    if c == SQRT:
+        return np.sqrt(x)
+    if c == SELECT:
+        return y if x != 0 else z
+    if c == IF_ELSE_ZERO:
+        return y if x != 0 else 0.0
+    if c == ADD_CONST:
+        return x + v
+    if c == CONST_SUB:
+        return v - x
+    if c == CONST_DIV:
+        return v / x
+    return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)

@@ -98,6 +98,19 @@ class Tape:
         matrix = self.graph.jacobian(self.outputs, self._by(argnums))
         return self._of((matrix, matrix.shape))
 
+    def push(self, argnum: int) -> "Tape":
+        """Derivatives of all values by one argument along a direction, flat; the direction is one more argument, the last."""
+        by, leaves = self._by(argnum), [leaf for leaf in self._leaves if leaf.argument == argnum]
+        if len(leaves) != 1 or leaves[0].complex:
+            raise ValueError(f"a direction is that of one real array, argument {argnum} has {len(leaves)} arrays or is complex")
+        direction = ca.SX.sym("direction", by.shape[0])
+        column = self.graph.push(self.outputs, by, direction)
+        graph = Graph([*self.graph.inputs, direction], self.graph.marks)
+        arguments = jax.tree.unflatten(self._arguments, [0] * self._arguments.num_leaves)
+        kinds = [*self._leaves, Leaf(leaves[0].shape, False, len(arguments))]
+        structure = jax.tree.structure((*arguments, 0))
+        return Tape(graph, [scalars(column, column.shape[:1])], (kinds, structure), jax.tree.structure(0))
+
     def gradient(self, argnums: Argnums = None) -> "Tape":
         """The derivatives of the one value of a function by arguments, as a tape with one flat array."""
         column = self.graph.gradient(self._only(), self._by(argnums))

@@ -1,0 +1,387 @@
+"""Steps of initial-value problems, compiled once on a computer: a step's equations are programs, data to these loops.
+
+All numbers of a lane, one trajectory, are a column of one memory ``v``, shape ``(rows, lanes)``, that programs and loops read and
+write; ``places`` has the first row of each of its parts. There is one lane for a single trajectory, ``LANES`` for many.
+"""
+
+import warnings
+from typing import Any
+
+import numba
+import numpy as np
+from numba import types
+
+from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, SLOW, STALLED
+from ...tape.machine import LANES, run, run_one
+from .programs import PLACES
+
+_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+
+EPS = float(np.finfo(float).eps)
+QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
+PATIENCE = 10  # chord steps that a Jacobian of an earlier step may take before it is renewed for the next one
+PREPARE, RESIDUAL, PUSH, END = range(4)
+(
+    C, H, STATE, FIRST, SIZES, MISSED, DIRECTION, PUSHED, NEW, CONTROL, FINITE,
+    SCALED, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
+) = range(len(PLACES))  # fmt: skip
+
+# Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
+# ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
+# and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
+# ``factors`` is (lu, pivots, old, small, wide, registers): LU factors of Jacobians with their row exchanges, and which are old,
+# by blocks of lanes and substeps, lanes last; the Jacobian of small steps, or an empty matrix; memory and registers of LANES
+# lanes in which the columns of one lane's Jacobian are computed.
+
+
+def _array(kind: Any, axes: int) -> Any:
+    return types.Array(kind, axes, "C")
+
+
+_MATRIX, _LIST = _array(types.float64, 2), _array(types.int64, 1)
+_PROGRAMS = _LIST, _array(types.uint64, 2), _array(types.float64, 1), _array(types.int64, 2)
+
+
+@numba.cfunc(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX), cache=True, error_model="numpy")
+def evaluate(
+    codes: np.ndarray,
+    operands: np.ndarray,
+    values: np.ndarray,
+    ranges: np.ndarray,
+    which: int,
+    v: np.ndarray,
+    w: np.ndarray,
+) -> None:
+    """Run one of the programs on a memory with these registers."""
+    a, b = ranges[which, 0], ranges[which, 1]
+    if v.shape[1] == 1:
+        run_one(codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size))
+    else:
+        run(codes[a:b], operands[a:b], values[a:b], (v, v), w, a - a, v.shape[1])
+
+
+@_compiled
+def _factorise(a: np.ndarray, pivots: np.ndarray) -> None:
+    """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``."""
+    n, lanes = pivots.shape
+    for k in range(n):
+        for j in range(lanes):
+            best = k
+            for i in range(k + 1, n):
+                if abs(a[i, k, j]) > abs(a[best, k, j]):
+                    best = i
+            pivots[k, j] = best
+            if best != k:
+                for i in range(n):
+                    a[k, i, j], a[best, i, j] = a[best, i, j], a[k, i, j]
+        for i in range(k + 1, n):
+            for j in range(lanes):
+                a[i, k, j] /= a[k, k, j]
+            for column in range(k + 1, n):
+                for j in range(lanes):
+                    a[i, column, j] -= a[i, k, j] * a[k, column, j]
+
+
+@_compiled
+def _solve(a: np.ndarray, pivots: np.ndarray, v: np.ndarray, first: int) -> None:
+    """Solutions of the systems with these factors, in the place of their right sides, the rows of ``v`` from ``first`` on."""
+    n, lanes = pivots.shape
+    for k in range(n):
+        for j in range(lanes):
+            other = first + pivots[k, j]
+            v[first + k, j], v[other, j] = v[other, j], v[first + k, j]
+    for i in range(n):
+        for column in range(i):
+            for j in range(lanes):
+                v[first + i, j] -= a[i, column, j] * v[first + column, j]
+    for i in range(n - 1, -1, -1):
+        for column in range(i + 1, n):
+            for j in range(lanes):
+                v[first + i, j] -= a[i, column, j] * v[first + column, j]
+        for j in range(lanes):
+            v[first + i, j] /= a[i, i, j]
+
+
+@_compiled
+def _place(places: np.ndarray, v: np.ndarray) -> None:
+    """Write the unknowns of all lanes, in their own units, where programs read them."""
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            v[places[C] + i, j] = v[places[SCALED] + i, j] * v[places[SIZES] + i, j]
+
+
+@_compiled
+def _measure(places: np.ndarray, v: np.ndarray) -> None:
+    """Bring the step of every lane to the units of the unknowns; its largest entry, NaN if one is, becomes ``LENGTH``."""
+    for j in range(v.shape[1]):
+        v[places[LENGTH], j] = 0.0
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            v[places[MISSED] + i, j] /= v[places[SIZES] + i, j]
+            size, largest = abs(v[places[MISSED] + i, j]), v[places[LENGTH], j]
+            v[places[LENGTH], j] = largest if size <= largest or largest != largest else size
+
+
+@_compiled
+def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
+    """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are any."""
+    more = False
+    for j in range(v.shape[1]):
+        v[places[TAKEN], j] = 0.0
+        if v[places[GOING], j] == 0:
+            continue
+        step = v[places[LENGTH], j]
+        ratio = step / (np.inf if n == 0 else v[places[STEP], j])
+        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
+        remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
+        done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
+        going = not done and (n == 0 or ratio < SLOW)
+        v[places[TAKEN], j] = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
+        v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
+        v[places[CONVERGED], j], v[places[GOING], j] = done, going
+        more = more or going
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            change = v[places[MISSED] + i, j] if v[places[TAKEN], j] != 0 else 0.0
+            v[places[SCALED] + i, j] -= change
+    return more
+
+
+@_compiled
+def _chords(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    lu: np.ndarray,
+    pivots: np.ndarray,
+    exact: bool,
+) -> None:
+    """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too slowly."""
+    machine, codes, operands, values, ranges = programs
+    for n in range(MAX_CHORDS):
+        _place(places, v)
+        machine(codes, operands, values, ranges, RESIDUAL, v, w)
+        _solve(lu, pivots, v, places[MISSED])
+        _measure(places, v)
+        if not _judge(places, v, n, exact):
+            return
+
+
+@_compiled
+def _renew(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    block: int,
+    k: int,
+) -> None:
+    """Jacobians at all lanes, factorised: columns are images of directions, all at once for a single lane."""
+    m, single = places[COUNT], v.shape[1] == 1
+    machine, codes, operands, values, ranges = programs
+    _place(places, v)
+    lu, pivots, _, _, wide, wide_registers = factors
+    x, y = (wide, wide_registers) if single else (v, w)
+    if single:
+        for i in range(v.shape[0]):
+            for j in range(LANES):
+                x[i, j] = v[i, 0]
+    for begin in range(0, m, LANES if single else 1):
+        for i in range(m):
+            for j in range(LANES):
+                here = i == (begin + j if single else begin)
+                x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
+        machine(codes, operands, values, ranges, PUSH, x, y)
+        for j in range(min(LANES, m - begin) if single else LANES):
+            lane, column = (0, begin + j) if single else (j, begin)
+            for i in range(m):
+                lu[block, k, i, column, lane] = x[places[PUSHED] + i, j]
+    _factorise(lu[block, k], pivots[block, k])
+
+
+@_compiled
+def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool:
+    """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
+
+    They begin at the prediction: all of them if ``restart`` is 2, those that were led away if it is 1.
+    """
+    m, some = places[COUNT], False
+    for j in range(v.shape[1]):
+        going = v[places[GOOD], j] != 0 and (fresh or v[places[CONVERGED], j] == 0)
+        if going and (restart == 2 or (restart == 1 and not v[places[STEP], j] < 1)):
+            for i in range(m):
+                v[places[SCALED] + i, j] = v[places[FIRST] + i, j] / v[places[SIZES] + i, j]
+        if fresh:
+            v[places[CONVERGED], j], v[places[CHORDS], j] = 0.0, 0.0
+        for i in range(m):
+            going = going and np.isfinite(v[places[SCALED] + i, j])
+        v[places[GOING], j] = going
+        some = some or going
+    return some
+
+
+@_compiled
+def _solve_step(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    block: int,
+    k: int,
+) -> None:
+    """Solve the equations of a step in all good lanes: with Jacobians of a step before, that of small steps, new ones.
+
+    The first are tried only for speed; the others, in this order, are the iteration of ``manifolds.numerics.newton``.
+    """
+    lu, pivots, all_old, small, _, _ = factors
+    fresh, renewed, no = True, 0, False
+    if not all_old[block, k]:
+        _begin(places, v, fresh, 2)
+        fresh = False
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
+    restart = 2
+    if small.size > 0 and _begin(places, v, fresh, restart):
+        _copy_to_lanes(small, lu[block, k])
+        _factorise(lu[block, k], pivots[block, k])
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
+        all_old[block, k], fresh, restart = True, False, 1
+    for _ in range(MAX_JACOBIANS):
+        if not _begin(places, v, fresh, restart):
+            break
+        _renew(programs, places, v, w, factors, block, k)
+        _chords(programs, places, v, w, lu[block, k], pivots[block, k], not no)
+        fresh, restart, renewed = False, 0, renewed + 1
+    _place(places, v)
+    slow = all_old[block, k]
+    all_old[block, k] = renewed > 1  # what is solved with difficulty says little of the next step
+    for j in range(v.shape[1]):
+        slow = slow or (v[places[GOOD], j] != 0 and v[places[CHORDS], j] > PATIENCE)
+    if slow and renewed == 0:
+        _renew(programs, places, v, w, factors, block, k)
+
+
+@_compiled
+def _copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
+    for i in range(matrix.shape[0]):
+        for column in range(matrix.shape[0]):
+            for j in range(a.shape[2]):
+                a[i, column, j] = matrix[i, column]
+
+
+@_compiled
+def _step(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    first: int,
+    block: int,
+) -> None:
+    """One step of all good lanes, its substeps one after the other; the lanes that fail are good no more."""
+    machine, codes, operands, values, ranges = programs
+    lanes = v.shape[1]
+    for k in range(parts.size):
+        for j in range(lanes):
+            v[places[H], j] = h[min(first + j, h.size - 1)] * parts[k]
+        machine(codes, operands, values, ranges, PREPARE, v, w)
+        _solve_step(programs, places, v, w, factors, block, k)
+        machine(codes, operands, values, ranges, END, v, w)
+        for j in range(lanes):
+            v[places[GOOD], j] = v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)
+            for i in range(places[STATES]):
+                v[places[STATE] + i, j] = v[places[NEW] + i, j]
+            for i in range(places[CONTROLS]):
+                v[places[FRESH] + k * places[CONTROLS] + i, j] = v[places[CONTROL] + i, j]
+
+
+@_compiled
+def _advance(
+    programs: tuple,
+    places: np.ndarray,
+    v: np.ndarray,
+    w: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    carry: np.ndarray,
+    failed: np.ndarray,
+    record: np.ndarray,
+    numbers: tuple,
+    block: int,
+) -> None:
+    """Steps of a block of lanes, of which those that fail stay where they are."""
+    begun, count, phase, every = numbers
+    lanes, total, states, rows = v.shape[1], carry.shape[1], places[STATES], carry.shape[0]
+    first = block * lanes
+    for index in range(count):
+        moving = False
+        for j in range(lanes):
+            lane = min(first + j, total - 1)  # what fills the lanes without a trajectory
+            v[places[GOOD], j] = failed[lane] < 0 and first + j < total
+            moving = moving or v[places[GOOD], j] != 0
+            for i in range(states):
+                v[places[STATE] + i, j] = carry[i, lane]
+        if moving:
+            _step(programs, places, v, w, factors, parts, h, first, block)
+        for j in range(min(lanes, total - first)):
+            if v[places[GOOD], j] != 0:
+                for i in range(rows):
+                    place = places[STATE] + i if i < states else places[FRESH] + i - states
+                    carry[i, first + j] = v[place, j]
+            elif failed[first + j] < 0:
+                failed[first + j] = begun + index
+            for i in range(record.shape[1]):
+                record[(phase + index) // every, i, first + j] = carry[rows - record.shape[1] + i, first + j]
+
+
+def _integrate(
+    machine: Any,
+    codes: np.ndarray,
+    operands: np.ndarray,
+    values: np.ndarray,
+    ranges: np.ndarray,
+    places: np.ndarray,
+    memory: tuple,
+    carry: np.ndarray,
+    failed: np.ndarray,
+    record: np.ndarray,
+    factors: tuple,
+    parts: np.ndarray,
+    h: np.ndarray,
+    numbers: tuple,
+    blocks: tuple,
+) -> None:
+    """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in its place.
+
+    ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
+    trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps;
+    ``factors``: arrays ``(lu, pivots, old, small)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done
+    before, steps to do, those done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the
+    first and the one after the last.
+    """
+    rows, size, lanes = memory
+    programs = machine, codes, operands, values, ranges
+    wide = LANES if lanes == 1 else 1
+    lu, pivots, old, small = factors
+    workspace = lu, pivots, old, small, np.zeros((rows, wide)), np.zeros((size, wide))
+    v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
+    for block in range(blocks[0], blocks[1]):
+        _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
+
+
+_BOOLEANS, _NUMBERS = _array(types.boolean, 2), _array(types.float64, 1)
+_FACTORS = types.Tuple((_array(types.float64, 5), _array(types.int64, 4), _BOOLEANS, _MATRIX))
+_INTEGRATE = types.void(
+    types.FunctionType(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX)),
+    *(*_PROGRAMS, _LIST, types.UniTuple(types.int64, 3), _MATRIX, _LIST, _array(types.float64, 3)),
+    *(_FACTORS, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
+)
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", numba.NumbaExperimentalFeatureWarning)  # of functions that are arguments
+    integrate = numba.njit(_INTEGRATE, cache=True, error_model="numpy", nogil=True)(_integrate)

@@ -1,0 +1,123 @@
+"""The steps of trajectories as programs on the machine of tapes: nothing is compiled for a system."""
+
+import itertools
+import os
+import time
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from ...manifolds.numerics.ambient import Ambient
+from ...tape import NotTraceableError, Tape
+from ..compilation import call_compiled
+from .integrator import Integrator
+from .loop import Nodes
+from .pieces import Steps
+from .programs import StepPrograms, packed, rows, step_programs, unpacked
+
+FEW = 6  # trajectories that are faster one after the other than on lanes side by side
+
+
+@final
+class TapeSteps(Steps):
+    """The steps of ``B`` trajectories: starts with a leading axis, step sizes of shape ``(B,)``.
+
+    Raises ``NotTraceableError`` where a step cannot be written as scalar instructions.
+    """
+
+    def __init__(self, system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray) -> None:
+        single, parts = integrator.substeps()
+        self.evaluator = "tape"
+        self._step_sizes, self._parts = np.array(step_sizes, float), parts
+        count = len(step_sizes)
+        unknowns, q, p = _begin(system, single, starts)
+        self._like = jax.tree.map(lambda a: a[0], (unknowns, q, p))
+        self._control = single.control(self._like[0])
+        self._programs = step_programs(single, system, *self._like, parts.size)
+        controls = packed(single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
+        self._carry = np.ascontiguousarray(np.concatenate([packed((unknowns, q, p)), *[controls] * parts.size]))
+        self._failed = np.full(count, -1)
+        stage = single.stage(system, 1.0)
+        inverse = None if stage is None else stage.small_step_inverse()
+        self._workspace = _Workspace(self._programs, count, parts.size, inverse)
+
+    def kept(self) -> np.ndarray:
+        return self._carry[rows(self._like[0]) :].copy()
+
+    def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[np.ndarray, np.ndarray, float]:
+        record = np.zeros((1 + (phase + count - 1) // every, *self.kept().shape))
+        began = time.perf_counter()
+        numbers = done, count, phase, every
+        self._workspace.run(self._carry, self._failed, record, self._parts.ravel(), self._step_sizes, numbers)
+        return record, self._failed.copy(), time.perf_counter() - began
+
+    def nodes(self, kept: np.ndarray) -> Nodes:
+        """States of all nodes, the start first, and controls of the steps, with leading axes ``(trajectories, nodes)``."""
+        _, q, p = self._like
+        ends = np.cumsum([0, rows(q), rows(p)])
+        points, covectors = (unpacked(kept[:, a:b], like) for a, b, like in zip(ends, ends[1:], (q, p), strict=False))
+        later = kept[1:, ends[-1] :]
+        controls = later.reshape(len(later) * self._parts.size, rows(self._control), kept.shape[-1])
+        shape = kept.shape[-1], len(later), *self._parts.shape
+        each = jax.tree.map(lambda a: a.reshape(*shape, *a.shape[2:]), unpacked(controls, self._control))
+        return Nodes(points, covectors, each)
+
+
+def _begin(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+    """The unknowns before the first step, points and covectors, with a leading axis."""
+    try:
+        tape = Tape.trace(partial(_begun, system, integrator), jax.tree.map(lambda a: a[0], starts))
+    except NotTraceableError:  # a control, say, that is found by iteration
+        return jax.device_get(call_compiled(_all_begun, system, integrator, starts)[0])
+    last = tape(jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), starts))
+    return jax.tree.map(lambda a: np.moveaxis(a, -1, 0), last)
+
+
+def _begun(system: Any, integrator: Integrator, start: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+    q, p = start[0], integrator.manifold.projection(*start)
+    return integrator.begin(system, q, p), q, p
+
+
+def _all_begun(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+    return jax.vmap(partial(_begun, system, integrator))(starts)
+
+
+class _Workspace:
+    """Programs and memory of the compiled loops."""
+
+    def __init__(self, programs: StepPrograms, count: int, substeps: int, inverse: np.ndarray | None) -> None:
+        from . import kernels
+
+        lanes = 1 if count <= FEW else kernels.LANES
+        blocks, m = -(-count // lanes), programs.unknowns
+        lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places
+        memory = programs.rows, programs.registers, lanes
+        self._integrate, self._blocks = partial(kernels.integrate, kernels.evaluate, *lists, memory), blocks
+        pivots = np.zeros((blocks, substeps, m, lanes), np.int64)
+        lu, old = np.zeros((blocks, substeps, m, m, lanes)), np.ones((blocks, substeps), np.bool_)
+        small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(np.linalg.inv(inverse))
+        self._factors = lu, pivots, old, small
+
+    def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
+        """Integrate over a piece, blocks of lanes side by side on all processors."""
+
+        def share(blocks: tuple[int, int]) -> None:
+            self._integrate(carry, failed, record, self._factors, *numbers, blocks)
+
+        count = min(os.cpu_count() or 1, self._blocks)
+        cuts = [self._blocks * k // count for k in range(count + 1)]
+        shares = list(itertools.pairwise(cuts))
+        if count == 1:
+            share(shares[0])
+            return
+        futures = [_threads().submit(share, part) for part in shares]
+        for future in futures:
+            future.result()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(thread_name_prefix="retrax-steps")

@@ -1,0 +1,172 @@
+"""The equations of a step as programs of scalar instructions, and where in one memory they read and write."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import jax
+import numpy as np
+
+from ...manifolds.numerics.ambient import Ambient
+from ...tape import Tape
+from ...tape.program import CODES, Program, assembled
+from .integrator import Integrator
+from .step import StepEquations, restored
+
+
+def rows(tree: Any) -> int:
+    """Real numbers in a pytree of arrays."""
+    return sum(leaf.size * (2 if np.iscomplexobj(leaf) else 1) for leaf in jax.tree.leaves(tree))
+
+
+def packed(tree: Any) -> np.ndarray:
+    """Arrays with the trajectories along their first axis as one: a row for each real number, a column for each trajectory."""
+    found = []
+    for leaf in map(np.asarray, jax.tree.leaves(tree)):
+        for half in (leaf.real, leaf.imag) if np.iscomplexobj(leaf) else (leaf,):
+            found.append(half.reshape(len(leaf), -1).T)
+    return np.concatenate(found) if found else np.zeros((0, 0))
+
+
+def unpacked(array: np.ndarray, like: Any) -> Any:
+    """The arrays in the rows of ``array``, shape ``(nodes, rows, trajectories)``: leading axes ``(trajectories, nodes)``."""
+    leaves, structure = jax.tree.flatten(like)
+    found, begin = [], 0
+    for leaf in leaves:
+        parts = []
+        for _ in range(2 if np.iscomplexobj(leaf) else 1):
+            part = np.moveaxis(array[:, begin : begin + leaf.size], -1, 0)
+            parts.append(np.ascontiguousarray(part).reshape(*part.shape[:2], *leaf.shape))
+            begin += leaf.size
+        found.append(parts[0] if len(parts) == 1 else parts[0] + 1j * parts[1])
+    return jax.tree.unflatten(structure, found)
+
+
+# Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep there; sizes.
+PLACES = (
+    *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
+    *("scaled", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
+    *("count", "states", "controls"),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class StepPrograms:
+    """The programs of a step in one list, ``prepare``, ``residual``, ``push`` and ``end``, with the ``ranges`` of each.
+
+    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of controls;
+    ``rows`` and ``registers``: how many the memory has.
+    """
+
+    codes: np.ndarray
+    operands: np.ndarray
+    values: np.ndarray
+    ranges: np.ndarray
+    places: np.ndarray
+    rows: int
+    registers: int
+
+    @property
+    def unknowns(self) -> int:
+        """Number of unknowns of a step."""
+        return int(self.places[PLACES.index("count")])
+
+
+class _Memory:
+    """Rows given out one after the other."""
+
+    def __init__(self) -> None:
+        self.rows = 0
+
+    def take(self, count: int) -> np.ndarray:
+        self.rows += count
+        return np.arange(self.rows - count, self.rows)
+
+
+def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Ambient, substeps: int) -> StepPrograms:
+    """The programs of the steps of an integrator with a stage; ``y``, ``q``, ``p``: examples of unknowns and a state.
+
+    Raises ``NotTraceableError`` where the equations cannot be written as scalar instructions.
+    """
+
+    def prepare(h: Any, y: Any, q: Ambient, p: Ambient) -> Any:
+        return StepEquations.near(integrator.stage(system, h), q, p, y).chart
+
+    def residual(c: Any, h: Any, q: Ambient, p: Ambient, chart: Any) -> Any:
+        return StepEquations(integrator.stage(system, h), chart).residual(c, q, p)
+
+    def end(c: Any, h: Any, chart: Any) -> Any:
+        result = StepEquations(integrator.stage(system, h), chart).result(c)
+        new = restored(integrator.manifold, result)
+        return new.unknowns, new.q, new.p, integrator.control(new.unknowns), result.converged
+
+    h = np.zeros(())
+    chart = _zeros(prepare, h, y, q, p)
+    c = np.zeros(chart.first.shape)
+    of_residual = Tape.trace(residual, c, h, q, p, chart)
+    tapes = Tape.trace(prepare, h, y, q, p), of_residual, of_residual.push(0), Tape.trace(end, c, h, chart)
+    control = _zeros(end, c, h, chart)[3]
+    return _laid_out(
+        tapes, {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}, [*chart._fields], rows(control), substeps
+    )
+
+
+def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int) -> StepPrograms:
+    """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
+    memory = _Memory()
+    at = {name: memory.take(rows(part)) for name, part in parts.items()}
+    count, states = at["c"].size, sum(at[name].size for name in "yqp")
+    at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled")}
+    at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
+    at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
+    reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", *charts]]
+    writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
+    joined = [[np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes)]
+    programs = _merged(tapes, *joined, always={*at["first"].tolist(), *at["sizes"].tolist()})
+    at |= {"state": at["y"] if at["y"].size else at["q"]}
+    counts = {"count": count, "states": states, "controls": controls}
+    places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
+    cuts = np.cumsum([0, *(len(program.codes) for program in programs)])
+    lists = [np.concatenate([getattr(program, name) for program in programs]) for name in ("codes", "registers", "values")]
+    registers = max(program.size for program in programs)
+    return StepPrograms(*lists, np.stack([cuts[:-1], cuts[1:]], axis=1), np.array(places), memory.rows, registers)
+
+
+def _zeros(function: Callable, *arguments: Any) -> Any:
+    """Arrays of zeros like the values of a function."""
+    return jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), jax.eval_shape(function, *arguments))
+
+
+def _merged(tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]) -> list[Program]:
+    """The programs of tapes that follow each other, between these rows.
+
+    What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or kernels, read.
+    """
+    values = [tape.graph.unmarked([tape.outputs])[0] for tape in tapes]
+    prepared = ca.cse(values[0]).elements()
+    first_row: dict[int, int] = {}
+    again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}
+    constant = {row: e for row, e in zip(writes[0].tolist(), prepared, strict=True) if e.is_constant()}
+    programs, needed = [], set(always)
+    for tape, value, read, write in zip(tapes[1:], values[1:], reads[1:], writes[1:], strict=True):
+        symbols = tape.inputs.elements()
+        by_row = dict(zip(read.tolist(), symbols, strict=True))
+        simpler = [constant.get(row, by_row[again.get(row, row)]) for row in read.tolist()]
+        (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
+        used = {hash(s) for s in ca.symvar(value)}
+        needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
+        programs.append(_placed(assembled(tape.inputs, value), read, write))
+    kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
+    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)))
+    return [_placed(first, reads[0], writes[0][kept]), *programs]
+
+
+def _placed(program: Program, read: np.ndarray, write: np.ndarray) -> Program:
+    """A program whose inputs and outputs are in these rows of a memory."""
+    values, registers = program.values.copy(), program.registers.copy()
+    for code, table, operand in (("INPUT", read, 1), ("OUTPUT", write, 0)):
+        here = program.codes == CODES[code]
+        values[here] = table[values[here].astype(int)]
+        registers[here, operand] = values[here].astype(np.uint64)  # for ``run_one``
+    return replace(program, values=values, registers=registers)

@@ -1,0 +1,155 @@
+"""Steps on the tape: the numbers of XLA, the failures of XLA, one trajectory and many."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import (
+    KAHAN_LI_6,
+    Composition,
+    PresymplecticIntegrator,
+    Result,
+    SymplecticIntegrator,
+    integrate,
+    integrate_many,
+)
+from retrax.integrators.initial_value import lanes
+from retrax.manifolds import SE, Euclidean, InvalidInputError, NotOnManifoldError, U
+from retrax.retractions import Cayley, CotangentLift, Gauss, Projection, Theta, default_retraction
+
+from tests.support.numerics import norm
+
+from .problems import ELLIPSOID, ENERGIES, KINEMATIC, RIGID, SO3, SPHERE, pendulum_energy
+
+KEY = jax.random.key(3)
+PLANE, POSES, UNITARY = Euclidean(2), SE(3), U(2)
+
+
+def lifted(retraction, theta=0.5) -> CotangentLift:
+    return CotangentLift(Theta(retraction, theta))
+
+
+def quartic(q, p):
+    """A nonlinear oscillator."""
+    return p @ p / 2 + (q @ q) ** 2 / 4 + q[0] ** 2
+
+
+def squares(q, p):
+    """A Hamiltonian of any arrays, real or complex."""
+    pairs = zip(*map(jax.tree.leaves, (q, p)), strict=True)
+    return sum(jnp.sum(jnp.abs(b) ** 2) / 2 + jnp.sum(jnp.real(a) ** 4) for a, b in pairs)
+
+
+CASES = {
+    "rotations": (ENERGIES["SO3"], SymplecticIntegrator(lifted(Cayley(SO3)))),
+    "sphere": (pendulum_energy, SymplecticIntegrator(lifted(Projection(SPHERE)))),
+    "sphere, order 6": (pendulum_energy, Composition(SymplecticIntegrator(lifted(Projection(SPHERE))), KAHAN_LI_6)),
+    "plane, backward Euler": (quartic, SymplecticIntegrator(lifted(default_retraction(PLANE), 1.0))),
+    "poses": (squares, SymplecticIntegrator(lifted(default_retraction(POSES)))),
+    "unitary": (squares, SymplecticIntegrator(lifted(default_retraction(UNITARY)))),
+    "rigid body": (ENERGIES["SO3*R3"], Composition(SymplecticIntegrator(lifted(default_retraction(RIGID))))),
+    "Gauss": (ENERGIES["SO3"], SymplecticIntegrator(Gauss(3, Cayley(SO3)))),
+    "optimal control by Gauss": (KINEMATIC, PresymplecticIntegrator(Gauss(2, Cayley(SO3)))),
+    "optimal control": (KINEMATIC, Composition(PresymplecticIntegrator(lifted(Cayley(SO3))))),
+}
+
+
+SLOW = ("poses", "rigid body", "optimal control by Gauss")  # to compile by XLA
+
+
+def start_of(method, size=0.5) -> tuple:
+    manifold = method.manifold
+    q = manifold.random_point(KEY)
+    return q, jax.tree.map(lambda a: size * a, manifold.random_tangent(KEY, q))
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES])
+def test_the_tape_computes_the_numbers_of_xla(name):
+    """Relative to the size of the numbers, over steps enough for each Jacobian to grow old."""
+    system, method = CASES[name]
+    start = start_of(method)
+    paths = [integrate(system, method, start, 0.1, 12, evaluator=kind) for kind in ("tape", "xla")]
+    for mine, theirs in zip(*map(jax.tree.leaves, paths), strict=True):
+        assert mine.shape == theirs.shape
+        assert mine.dtype == theirs.dtype
+        assert norm(mine - theirs) <= 1e-12 * max(1.0, norm(theirs))
+    assert paths[0].evaluator.startswith("tape")
+    assert str(paths[1].evaluator) == "XLA: it was asked for"
+
+
+@pytest.mark.parametrize("name", ["sphere", "rotations", "optimal control"])
+def test_both_fail_at_the_same_step_or_both_succeed(name):
+    """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as another."""
+    system, method = CASES[name]
+    q, p = start_of(method, 2.0)
+    sizes = np.geomspace(0.1, 8.0, 40)  # beyond, rounding decides to where Newton's method wanders
+    starts = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], len(sizes), 0), (q, p))
+    mine, theirs = (integrate_many(system, method, starts, sizes, 3, evaluator=kind) for kind in ("tape", "xla"))
+    failed = np.asarray(mine.failed_step), np.asarray(theirs.failed_step)
+    assert np.any(failed[0] >= 0)
+    assert np.any(failed[0] < 0)
+    assert np.array_equal(*failed)
+
+
+def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
+    """Projections to level sets are found by iteration."""
+    method = SymplecticIntegrator(lifted(default_retraction(ELLIPSOID)))
+    start = start_of(method)
+    path = integrate(pendulum_energy, method, start, 0.1, 2)
+    assert "it calls implicit_root" in path.evaluator
+    with pytest.raises(InvalidInputError, match=r"(?s)cannot run on the tape: .*implicit_root.*try evaluator=None"):
+        integrate(pendulum_energy, method, start, 0.1, 2, evaluator="tape")
+    with pytest.raises(InvalidInputError, match="evaluator must be 'tape', 'xla' or None, got 'gpu'"):
+        integrate(pendulum_energy, method, start, 0.1, 2, evaluator="gpu")
+
+
+@pytest.mark.parametrize("count", [1, lanes.FEW, 130])
+def test_many_trajectories_are_those_of_one_after_the_other(count):
+    """One after the other, and on lanes with two full blocks; with step sizes of their own."""
+    method = CASES["sphere"][1]
+    starts = jax.vmap(lambda k: start_of_key(method, k))(jax.random.split(KEY, count))
+    sizes = np.linspace(0.05, 0.2, count)
+    many = integrate_many(pendulum_energy, method, starts, sizes, 6, save_every=3)
+    assert many.q.shape == (count, 3, 3)
+    assert many.stage_times.shape == (count, 2)
+    for k in {0, count // 2, count - 1}:
+        one = integrate(pendulum_energy, method, jax.tree.map(lambda a, k=k: a[k], starts), sizes[k], 6, save_every=3)
+        for mine, theirs in zip(jax.tree.leaves(jax.tree.map(lambda a, k=k: a[k], many)), jax.tree.leaves(one), strict=True):
+            assert norm(mine - theirs) <= 1e-13
+
+
+def start_of_key(method, key) -> tuple:
+    q = method.manifold.random_point(key)
+    return q, method.manifold.random_tangent(key, q)
+
+
+def test_trajectories_that_stop_are_marked_one_by_one():
+    """Among lanes that go on, whose states do not depend on them."""
+    method = CASES["sphere"][1]
+    starts = jax.vmap(lambda k: start_of_key(method, k))(jax.random.split(KEY, 70))
+    sizes = np.full(70, 0.1)
+    whole = integrate_many(pendulum_energy, method, starts, sizes, 4)
+    sizes[[3, 66]] = 50.0
+    some = integrate_many(pendulum_energy, method, starts, sizes, 4)
+    stopped = np.flatnonzero(np.asarray(some.failed_step) >= 0)
+    assert stopped.tolist() == [3, 66]
+    assert np.flatnonzero(np.asarray(some.result == Result.step_not_solved)).tolist() == [3, 66]
+    assert norm(some.q[3] - some.q[3, :1]) == 0
+    others = np.setdiff1d(np.arange(70), stopped)
+    assert norm(some.q[others] - whole.q[others]) <= 1e-13
+
+
+def test_starts_and_step_sizes_of_many_are_checked():
+    method = CASES["sphere"][1]
+    q, p = np.tile([1.0, 0.0, 0.0], (4, 1)), np.zeros((4, 3))
+    off = np.concatenate([q[:2], 2 * q[:1], q[:1]])
+    with pytest.raises(NotOnManifoldError, match=r"start 2: not on Sphere"):
+        integrate_many(pendulum_energy, method, (off, p), 0.1, 2)
+    with pytest.raises(NotOnManifoldError, match=r"starts: a covector .*NaN"):
+        integrate_many(pendulum_energy, method, (q, np.where(np.arange(4)[:, None] == 2, np.nan, p)), 0.1, 2)
+    with pytest.raises(InvalidInputError, match=r"one more axis, of one length, in front; got shapes"):
+        integrate_many(pendulum_energy, method, (q, p[:3]), 0.1, 2)
+    with pytest.raises(InvalidInputError, match=r"one number or one for each of the 4 starts, got an array of shape \(3,\)"):
+        integrate_many(pendulum_energy, method, (q, p), np.ones(3), 2)
+    with pytest.raises(InvalidInputError, match=r"each of step_sizes must be a finite number other than 0"):
+        integrate_many(pendulum_energy, method, (q, p), [0.1, 0.1, 0.0, 0.1], 2)
