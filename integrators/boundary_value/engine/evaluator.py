@@ -113,7 +113,8 @@ class XlaEvaluator(Evaluator):
         def evaluated(*arguments: np.ndarray) -> Arrays:
             count = max(len(a) for a in arguments)
             filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
-            return tuple(np.ascontiguousarray(np.asarray(v), dtype=float) for v in compiled(*filled))
+            # Copies: the arrays of XLA are read-only, and the assembly adds to them.
+            return tuple(np.array(v, dtype=float, order="C") for v in compiled(*filled))
 
         return evaluated
 
