@@ -1,5 +1,7 @@
 """The solver that a user holds: parameters, batches, unequal steps, callbacks, interrupts, evaluators."""
 
+from itertools import pairwise
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -123,7 +125,7 @@ def test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_
     many = solver.solve_many(START, ends, horizons, parameters=parameters, callback=lambda i: seen.append(list(i.members)))
     assert list(many.success) == [True, True, False, True]
     assert seen[0] == [0, 1, 2, 3]
-    assert all(set(after) <= set(before) for before, after in zip(seen, seen[1:], strict=False))
+    assert all(set(after) <= set(before) for before, after in pairwise(seen))
     assert len(seen[-1]) < 4
     for k in (0, 1, 3):
         own = jax.tree.map(lambda leaf, k=k: leaf[k], parameters)
@@ -271,3 +273,19 @@ def test_a_function_that_has_no_scalars_is_evaluated_by_xla(bound):
     assert "svd" in solver.reason
     assert solver.solve(np.zeros(1), np.ones(1), 1.0).cost == pytest.approx(2.0, rel=1e-12)
     assert (bound.evaluator, bound.reason) == ("tape", "all functions are traced to scalar operations")
+
+
+def test_ends_may_be_shared_and_free_in_a_batch(solver):
+    """One start and horizon for all; and ends of which only the terminal cost asks something."""
+    free = OptimalControlProblem(PLANE, cart, effort, 1, terminal_cost=lambda q, p: p["mass"] * (q - 1) @ (q - 1))
+    starts = np.array([[0.0, 0.0], [0.2, -0.1], [0.0, 0.7]])
+    several = Solver(free, Gauss(2, Exponential(PLANE)), 3)
+    parameters = {"mass": np.array([0.5, 1.0, 4.0]), "drag": (np.tile(GIVEN["drag"][0], (3, 1)),)}
+    many = several.solve_many(starts, None, HORIZON, parameters=parameters)
+    for k, found in enumerate(many):
+        own = jax.tree.map(lambda leaf, k=k: leaf[k], parameters)
+        assert_same(found, several.solve(starts[k], None, HORIZON, parameters=own), 1e-12)
+        slope = 2 * own["mass"] * (found.states[-1] - 1)
+        np.testing.assert_allclose(found.costates[-1], -slope, rtol=1e-10)
+    with pytest.raises(InvalidInputError, match="one length B"):
+        several.solve_many(starts, None, [1.0, 2.0], parameters=parameters)
