@@ -28,14 +28,17 @@ from .engine.diagnosis import Diagnosis
 from .engine.evaluator import chosen
 from .engine.layout import Layout, parameter_layout
 from .engine.newton import Found, Iteration, newton
+from .engine.sensitivity import Sensitivities
 from .engine.start import Start
 from .engine.transcription import Data, Nodes, OneStage
 from .guess import Guess, checked_guess
 from .progress import printed
+from .sensitivity import Sensitivity, require_isolated, require_same
 from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Checks, Solution, Solutions, Statistics
 
 DEFAULT_TOLERANCE_POWER = 0.7
+REFINED, SOLVED = 5, 1e-6  # iterations that restore what a record rounds or leaves out, and the residuals they may leave
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 Method = DiscretizationMap | Gauss
 
@@ -87,6 +90,7 @@ class Solver:
         self._start = Start(problem.manifold, method.retraction)
         self._found: dict[Any, _Traced] = {}
         self._classes: dict[Any, Classification | None] = {}
+        self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters:
             with one_reading():
                 self._traced(None)
@@ -184,6 +188,28 @@ class Solver:
                 raise InvalidInputError("the members of a batch have other free factors; solve those with the same ones together")
             return Solutions(self._solved(members, conditions, options, began))
 
+    def sensitivity(self, solution: Solution, start: Any, end: Any, parameters: Any = None) -> Sensitivity:
+        """Derivatives of a solution by its ends, horizon and parameters, those with which this solver found it.
+
+        One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
+        ``InvalidInputError`` if ``solution`` does not solve this problem between these ends, and ``ConvergenceError`` if its KKT system is
+        singular to rounding: then the extremal is one of a family, or two meet in it, and it has no derivatives.
+        """
+        if not isinstance(solution, Solution) or solution.singular is not None:
+            raise InvalidInputError(f"sensitivity takes a Solution of a regular problem, got {solution!r:.80}")
+        require_concrete("sensitivity", start, end, parameters)
+        with one_reading(), np.errstate(all="ignore"):
+            member = self._member(start, end, float(solution.times[-1]), solution, parameters)
+            traced, conditions, guess = self._posed([member], [self._conditions(member)[1]])
+            found = newton(conditions, guess, *_options(None, REFINED, None, False))
+            require_same(solution, self.state.points(found.assembled.nodes[0]), bool(found.residuals.largest[0] <= SOLVED))
+            key = _structure(parameters)
+            if key not in self._derivatives:
+                self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
+            columns = self._derivatives[key](conditions, found.iterate, found.assembled)
+        require_isolated(columns.smallest[0], columns.states, solution)
+        return Sensitivity.of(columns, 0, (self.state, self.control), self.problem.manifold.dimension, parameters)
+
     def _member(self, start: Any, end: Any, horizon: Any, guess: Any, parameters: Any) -> _Member:
         """The arguments of one trajectory, checked."""
         if not (is_finite_number(horizon) and horizon > 0):
@@ -255,21 +281,27 @@ class Solver:
         began: float,
     ) -> list[Solution]:
         """Solutions of regular problems."""
+        traced, own, guess = self._posed(members, conditions)
+        tracing = time.perf_counter() - began
+        with np.errstate(all="ignore"):  # what is not finite is judged
+            found = newton(own, guess, *options)
+            seconds = tracing, time.perf_counter() - began - tracing
+            return list(self._records(traced, own.data, found, options, seconds))
+
+    def _posed(
+        self, members: list[_Member], conditions: list[tuple[NodeCondition, NodeCondition]]
+    ) -> tuple[_Traced, Conditions, Iterate]:
+        """The traced functions, the conditions of the members, and the guesses."""
         parameters = np.stack([parameter_layout(m.parameters).rows(m.parameters, 0) for m in members])
         traced = self._traced(members[0].parameters)
-        first, last = conditions[0]
         rows = [np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1)]
         self._require_on_manifold(traced, members, rows)
         data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters)
         guess = self._guess(traced, members, rows, data)
-        tracing = time.perf_counter() - began
         first, last = conditions[0]
         entries = self._entries(first), self._entries(last)
         ends = Ends(*rows, *entries, *(np.array(c.fixed_coordinates, float) for c in (first, last)))
-        with np.errstate(all="ignore"):  # what is not finite is judged
-            found = newton(Conditions(traced.steps, traced.nodes, ends, data), guess, *options)
-            seconds = tracing, time.perf_counter() - began - tracing
-            return list(self._records(traced, data, found, options, seconds))
+        return traced, Conditions(traced.steps, traced.nodes, ends, data), guess
 
     def _entries(self, condition: NodeCondition) -> np.ndarray:
         """Which entries of a flat point are prescribed."""

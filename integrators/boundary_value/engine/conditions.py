@@ -112,6 +112,8 @@ class Conditions:
         last = blocks.right[:, -1]
         blocks.hessian[:, -1] += last.mT @ terminal.curvature @ last
         blocks.gradient[:, -1] += np.einsum("bn,bnz->bz", terminal.slope, last)
+        if blocks.inner is not None:  # what the condensed velocities move the end by, the terminal cost's slope is moved with
+            blocks.slope[:, -1] += np.einsum("bnz,bnj,bj->bz", last, terminal.curvature, blocks.inner.after[:, -1])
         cost = np.sum(blocks.costs, axis=1) + terminal.value
         distance = np.max(np.abs(gaps), axis=1)
         return Assembled(blocks, gap, frames, coordinates, nodes, costates, terminal, cost, distance)
@@ -119,9 +121,10 @@ class Conditions:
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of steps."""
         part = fraction[:, None, None]
-        moves = Moves(step.unknowns, step.multipliers, fraction)
+        multipliers = self._of_nodes(assembled, step)
+        moves = Moves(step.unknowns, multipliers, fraction)
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
-        costates = np.einsum("bkne,bkn->bke", assembled.frames, assembled.coordinates + part * step.multipliers)
+        costates = np.einsum("bkne,bkn->bke", assembled.frames, assembled.coordinates + part * multipliers)
         costates[:, -1] -= assembled.terminal.derivative
         return Iterate(unknowns, costates)
 
@@ -158,7 +161,9 @@ class Conditions:
         turned = np.sum(step.multipliers * assembled.gap, axis=(1, 2))
         inner = assembled.blocks.inner
         if inner is not None:
-            velocities, multipliers = self.transcription.whole(assembled.blocks, step.unknowns, step.multipliers, self.data)
+            ahead += np.sum(assembled.terminal.slope * inner.after[:, -1], axis=1)
+            moved = step.unknowns, self._of_nodes(assembled, step)
+            velocities, multipliers = self.transcription.whole(assembled.blocks, *moved, self.data)
             direct = inner.kept[2][..., : step.unknowns.shape[2]]
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
             ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
@@ -178,6 +183,15 @@ class Conditions:
         finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
         strict = is_strict_minimum(found, multipliers[0].size)
         return Step(steps, multipliers, strict, finite), found.curvature, found.size
+
+    def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
+        """Steps of the covectors at the nodes: of the multipliers, and at the last of the terminal cost's slope, which moves."""
+        moved = np.einsum("bnz,bz->bn", assembled.blocks.right[:, -1], step.unknowns[:, -1])
+        if assembled.blocks.inner is not None:
+            moved += assembled.blocks.inner.after[:, -1]
+        turned = np.array(step.multipliers)
+        turned[:, -1] -= np.einsum("bnj,bj->bn", assembled.terminal.curvature, moved)
+        return turned
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.

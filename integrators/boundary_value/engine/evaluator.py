@@ -124,7 +124,8 @@ class _Compiled:
         filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
         if count not in self.executables:
             self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
-        return tuple(np.array(v, dtype=float) for v in self.executables[count](*filled))
+        # Copies: the arrays of XLA are read-only, and the assembly adds to them.
+        return tuple(np.array(v, dtype=float, order="C") for v in self.executables[count](*filled))
 
 
 @final

@@ -1,0 +1,205 @@
+"""Derivatives of an extremal by its ends, horizon and parameters: its KKT system with one right-hand side for each.
+
+Where ``F(y, theta) = 0`` are the conditions, with the regular Jacobian ``K`` of a solution, ``dy/dtheta = -K^-1 dF/dtheta`` by
+the implicit function theorem [Fiacco 1976]; and the cost has the derivative ``dL/dtheta`` of the Lagrangian.
+"""
+
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds.numerics import ambient as vec
+from ....retractions import default_retraction
+from .collocation import Collocation
+from .condensing import condense
+from .conditions import Assembled, Conditions, Iterate
+from .elimination import BlockSystem, eliminate
+from .evaluator import Evaluator
+from .transcription import Nodes, OneStage, at_points
+
+SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+
+
+class Columns(NamedTuple):
+    """Derivatives of the equations of the steps by their lengths and by the parameters, ``K = 1 + P`` columns."""
+
+    slope: np.ndarray  # (B, N, z, K)
+    begin: np.ndarray  # (B, N, n, K): of the beginnings, in the frames of the nodes
+    end: np.ndarray
+    lagrangian: np.ndarray  # (B, N, K)
+
+
+class Derivatives(NamedTuple):
+    """Derivatives in K columns: by the coordinates of the start, of the end, by the horizon, and by the parameters."""
+
+    cost: np.ndarray  # (B, K)
+    states: np.ndarray  # (B, K, N + 1, E)
+    costates: np.ndarray
+    controls: np.ndarray  # (B, K, N s, U)
+    smallest: np.ndarray  # (B,), pivot of the elimination
+
+
+@final
+class Sensitivities:
+    """The derivatives of extremals of one problem and method, traced once."""
+
+    def __init__(self, steps: OneStage | Collocation, nodes: Nodes, evaluator: Evaluator) -> None:
+        self.steps, self.nodes = steps, nodes
+        self.columns = (_OneStageColumns if isinstance(steps, OneStage) else _CollocationColumns)(steps, evaluator)
+        n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
+        m, u = nodes.problem.controls.dimension, nodes.control.size
+        self._terminal = evaluator.derivatives(self._terminal_of, n + k, e, k)
+        self._turned = evaluator.values(self._turned_of, u, m)
+        self._carried = evaluator.values(self._carried_of, e, e, e, e)
+
+    def __call__(self, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Derivatives:
+        """The derivatives of the extremals ``iterate`` whose KKT systems are ``assembled``."""
+        data, blocks, n = conditions.data, assembled.blocks, self.nodes.problem.manifold.dimension
+        own = self.columns(iterate, assembled, conditions)
+        fractions = data.steps / np.sum(data.steps, axis=1)[:, None]
+        share = np.concatenate([fractions[:, :, None], np.ones((*data.steps.shape, data.parameters.shape[1]))], axis=2)
+        own = Columns(*(a * (share if a.ndim == 3 else share[:, :, None]) for a in own))
+        curvature, slope = self._of_terminal(assembled, data.parameters)
+        right, held = blocks.right[:, -1], assembled.terminal.curvature
+        own.slope[:, -1] += right.mT @ (held @ own.end[:, -1] + curvature)
+        gap = np.zeros((*assembled.gap.shape, 2 * n + share.shape[2]))
+        gap[:, :-1, :, 2 * n :] += own.begin
+        gap[:, 1:, :, 2 * n :] -= own.end
+        gap[:, 0, :, :n] -= np.diag(conditions.ends.start_coordinates)
+        gap[:, -1, :, n : 2 * n] += np.diag(conditions.ends.end_coordinates)
+        before = np.zeros((*own.slope.shape[:3], 2 * n))
+        steps, multipliers, smallest = self._solved(conditions, assembled, np.concatenate([before, own.slope], axis=3), gap)
+        moved = self._moved(blocks, own, steps)
+        turned = np.array(multipliers)
+        turned[:, -1] -= held @ moved[:, -1]
+        turned[:, -1, :, 2 * n :] -= curvature
+        lagrangian = np.sum(own.lagrangian, axis=1) + slope
+        ends = assembled.coordinates[:, 0], assembled.coordinates[:, -1]
+        cost = np.concatenate([-ends[0], ends[1], lagrangian], axis=1)
+        return Derivatives(cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), smallest)
+
+    def _solved(
+        self, conditions: Conditions, assembled: Assembled, slope: np.ndarray, gap: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        blocks, count, units = assembled.blocks, len(gap), conditions.units
+        coordinates = conditions.ends.start_coordinates, conditions.ends.end_coordinates
+        fixed = (np.broadcast_to(c, (count, c.size)) for c in coordinates)
+        found = eliminate(BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed), units)
+        lengths = (units.cost[:, None] / units.nodes)[:, None, :, None]
+        return found.steps * units.unknowns[:, None, :, None], found.multipliers * lengths, found.smallest
+
+    def _moved(self, blocks: Any, own: Columns, steps: np.ndarray) -> np.ndarray:
+        """Displacements of the nodes in their frames, shape (B, N + 1, n, K)."""
+        begin, end = blocks.left @ steps, (blocks.right[:, -1] @ steps[:, -1])[:, None]
+        begin[..., -own.begin.shape[3] :] += own.begin
+        end[..., -own.end.shape[3] :] += own.end[:, -1:]
+        return np.concatenate([begin, end], axis=1)
+
+    def _of_terminal(self, assembled: Assembled, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives by horizon and parameters of the terminal cost's slope, (B, n, K), and of its value, (B, K)."""
+        n = self.nodes.problem.manifold.dimension
+        hessian, gradient, *_ = at_points(self._terminal, 1, assembled.nodes[:, -1], parameters)
+        rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
+        return np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2), np.concatenate([none, gradient[:, n:]], axis=1)
+
+    def _ambient(self, assembled: Assembled, moved: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""
+        vectors, covectors = (np.einsum("bknj,bkne->bkje", a, assembled.frames) for a in (moved, turned))
+        at = assembled.nodes[:, :, None], assembled.costates[:, :, None], vectors, covectors
+        (carried,) = at_points(self._carried, 3, *at)
+        return np.moveaxis(vectors, 2, 1), np.moveaxis(carried, 2, 1)
+
+    def _of_controls(self, iterate: Iterate, steps: np.ndarray) -> np.ndarray:
+        u = iterate.unknowns.controls
+        n, columns = self.nodes.problem.manifold.dimension, steps.shape[3]
+        turns = steps[:, :, n:].reshape(*u.shape[:3], -1, columns)
+        (found,) = at_points(self._turned, 4, u[:, :, :, None], np.moveaxis(turns, 4, 3))
+        return np.moveaxis(found, 3, 1).reshape(len(u), columns, -1, u.shape[3])
+
+    def _terminal_of(self, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
+        n, point = self.nodes.problem.manifold.dimension, self.nodes.layout.point(q)
+        bound = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters + d[n:]))
+        return bound.final_cost(vec.add(point, vec.combine(bound.manifold.basis(point), d[:n]))), jnp.zeros(0)
+
+    def _turned_of(self, u: Array, du: Array) -> tuple[Array]:
+        point, turn = self.nodes.control.point(u), default_retraction(self.nodes.problem.controls)
+        frame = turn.frame(point)
+        return (jax.jvp(lambda d: self.nodes.control.flat(turn.chart(point, frame, d)), (jnp.zeros_like(du),), (du,))[1],)
+
+    def _carried_of(self, *given: Array) -> tuple[Array]:
+        manifold, layout = self.nodes.problem.manifold, self.nodes.layout
+        q, p, dq, dp = map(layout.point, given)
+        return (layout.flat(jax.jvp(manifold.projection, (q, p), (dq, dp))[1]),)
+
+
+@final
+class _OneStageColumns:
+    """Of the steps of a discretization map: mixed derivatives of what a step is."""
+
+    def __init__(self, steps: OneStage, evaluator: Evaluator) -> None:
+        self.steps = steps
+        e, u, k = steps.state.size, steps.control.size, steps.parameter.size
+        self._row = evaluator.derivatives(self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k)
+
+    def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
+        data, (x, u), z, n = conditions.data, iterate.unknowns, self.steps.dimension, self.steps.manifold.dimension
+        nodes, costates = assembled.nodes, assembled.costates
+        around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
+        given = data.steps[:, :, None], data.parameters[:, None]
+        hessian, gradient, jacobian, _ = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
+        ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
+        return Columns(hessian[:, :, :z, z:], *ends, gradient[:, :, z:])
+
+    def _row_of(self, d: Array, *given: Array) -> tuple[Array, Array]:
+        z, (*at, h, parameters) = self.steps.dimension, given
+        return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :])
+
+
+@final
+class _CollocationColumns:
+    """Of the steps of a Gauss method: its points' mixed derivatives by the parameters; the length of a step enters linearly."""
+
+    def __init__(self, steps: Collocation, evaluator: Evaluator) -> None:
+        self.steps = steps
+        e, u, k, n = steps.state.size, steps.control.size, steps.parameter.size, steps.manifold.dimension
+        self.dimension = 3 * n + steps.controls.dimension
+        self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k)
+
+    def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
+        data, unknowns, inner = conditions.data, iterate.unknowns, assembled.blocks.inner
+        n, q, table = self.steps.manifold.dimension, self.dimension, self.steps.tableau
+        h = data.steps
+        turned = np.einsum("ij,bkja->bkia", table.matrix, unknowns.velocities)  # derivative of xi by h
+        weights = (h[:, :, None] * table.weights)[..., None]
+        at = unknowns.centres[:, :, None], h[:, :, None, None] * turned, unknowns.velocities, unknowns.controls
+        found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None])
+        hessian, gradient, jacobian, values = found[:4]
+        far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
+        points, ends = inner.points, inner.ends
+        slope, end_slope, each = gradient[..., :q], ends.slope[..., 0], h[:, :, None, None]
+        # The Lagrangian of a point is its weight h b_i times a function; and xi = h matrix nu, eta = h weights nu.
+        by_h = np.einsum("bkizy,bkiy->bkiz", hessian[..., :q, n : 2 * n], turned) + slope / each
+        by_h[..., 2 * n : 3 * n] += np.einsum("ij,bkia->bkja", table.matrix, slope[..., n : 2 * n])
+        by_h[..., 2 * n : 3 * n] += table.weights[:, None] * end_slope[:, :, None, n:]
+        missed = np.einsum("bkiny,bkiy->bkin", jacobian[..., :n, n : 2 * n], turned) + values[..., :n] / each
+        lagrangian = np.sum(gradient[..., n : 2 * n] * turned, axis=3) + values[..., n] / h[:, :, None]
+        lagrangian = np.sum(lagrangian, axis=2) + np.sum(end_slope[..., n:] * far, axis=2)
+        wanted = points._replace(
+            slope=np.concatenate([by_h[..., None], hessian[..., :q, q:]], axis=4),
+            defect=np.concatenate([missed[..., None], jacobian[..., :n, q:]], axis=4),
+        )
+        none = np.zeros((*ends.slope.shape[:3], data.parameters.shape[1]))
+        outer = np.concatenate([np.einsum("bkzy,bky->bkz", ends.hessian[..., n:], far)[..., None], none], axis=3)
+        parts, _ = condense(wanted, ends._replace(slope=outer), h, table)
+        begin, finish = parts.before, parts.after
+        begin[..., 0] += np.einsum("bkny,bky->bkn", ends.left[..., n:], far)
+        finish[..., 0] += np.einsum("bkny,bky->bkn", ends.right[..., n:], far)
+        whole = np.concatenate([lagrangian[..., None], np.sum(gradient[..., q:], axis=2)], axis=2)
+        return Columns(parts.slope, begin, finish, whole)
+
+    def _point_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
+        *at, parameters = given
+        return self.steps._point_of(z[: self.dimension], *at, parameters + z[self.dimension :])[:2]

@@ -1,0 +1,82 @@
+"""The record of an extremal's derivatives."""
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from ...manifolds import ConvergenceError, InvalidInputError
+from .engine.layout import Layout
+from .engine.sensitivity import SINGULAR, Derivatives
+from .solution import SAME, Solution
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Derivative:
+    """The derivative of an extremal by a number, or, with more leading axes, by an array of numbers.
+
+    ``states``, ``costates`` and ``controls`` are derivatives of the arrays of the ``Solution``, tangent vectors of the ambient
+    space with its nodes or stages along the axis behind those leading ones.
+    """
+
+    cost: Any
+    states: Any
+    costates: Any
+    controls: Any
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sensitivity:
+    """Derivatives of an extremal ``y`` by what it was computed for, ``dy = -K^-1 dF`` with its KKT system ``F(y) = 0``.
+
+    ``start``, ``end``: by the coordinates of the ends in the bases ``manifold.basis(start)`` and ``manifold.basis(end)``, leading
+    axis n, zero for those that are free. ``horizon``: with the lengths of the steps in proportion. ``parameters``: in the
+    structure of the parameters, a ``Derivative`` for each array, with its axes leading; None where there are none. The
+    derivative of the cost is that of the Lagrangian (envelope theorem): ``start.cost = -p_0`` in coordinates.
+    """
+
+    start: Derivative
+    end: Derivative
+    horizon: Derivative
+    parameters: Any
+
+    @classmethod
+    def of(cls, found: Derivatives, member: int, layouts: tuple[Layout, Layout], n: int, parameters: Any) -> "Sensitivity":
+        """The record of a member from columns."""
+        state, control = layouts
+
+        def part(begin: int, shape: tuple[int, ...]) -> Derivative:
+            places = slice(begin, begin + int(np.prod(shape)))
+            cost, *rows = (a[member, places].reshape((*shape, *a.shape[2:])) for a in found[:4])
+            return Derivative(cost, state.points(rows[0]), state.points(rows[1]), control.points(rows[2]))
+
+        leaves, structure = jax.tree.flatten(parameters)
+        begins = 2 * n + 1 + np.cumsum([0, *(np.size(leaf) for leaf in leaves)])
+        own = [part(int(k), np.shape(leaf)) for k, leaf in zip(begins, leaves, strict=False)]
+        by_parameters = jax.tree.unflatten(structure, own) if leaves else None
+        return cls(part(0, (n,)), part(n, (n,)), part(2 * n, ()), by_parameters)
+
+
+def require_same(solution: Solution, states: Any, solved: bool) -> None:
+    """Raise unless the iteration from a solution found its states again."""
+    pairs = list(zip(jax.tree.leaves(solution.states), jax.tree.leaves(states), strict=True))
+    away = max((float(np.max(np.abs(a - b) / (1 + np.max(np.abs(a))))) for a, b in pairs), default=0.0)
+    if not (solution.success and solved and away <= SAME):
+        raise InvalidInputError(
+            "the solution does not meet the conditions with these ends and parameters: the iteration from it "
+            f"{'ends ' + format(away, '.3g') + ' away' if solved else 'does not converge'}; expected a solution with success, and "
+            "the start, end and parameters of the call of solve that found it"
+        )
+
+
+def require_isolated(smallest: float, states: Any, solution: Solution) -> None:
+    """Raise if the KKT system is singular to rounding."""
+    if not (smallest > np.finfo(float).eps ** SINGULAR and np.all(np.isfinite(states))):
+        raise ConvergenceError(
+            f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the extremal is "
+            "one of a family, or its end is conjugate to its start, and it has no derivatives; try another horizon",
+            solution,
+        )
