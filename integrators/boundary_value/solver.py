@@ -68,9 +68,9 @@ class _Traced(NamedTuple):
 class Solver:
     """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
 
-    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers that count
-    relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``, the tape where the functions can be
-    traced to one; ``solver.evaluator`` tells which it is, and ``solver.reason`` why.
+    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers that
+    count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``, the tape where
+    the functions can be traced to one; ``solver.evaluator`` tells which it is, and ``solver.reason`` why.
 
     What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
     ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at the first
@@ -204,8 +204,8 @@ class Solver:
         lengths += [(len(guesses),)] if several else []
         if len(set(lengths)) != 1 or not lengths[0]:
             raise InvalidInputError(
-                f"the leading axes of starts, ends, horizons, parameters and guesses have lengths {sorted(set(lengths))}, expected "
-                "one length B, wherever there is such an axis; for a single trajectory call solve"
+                f"the leading axes of starts, ends, horizons, parameters and guesses have lengths {sorted(set(lengths))}, "
+                "expected one length B, wherever there is such an axis; for a single trajectory call solve"
             )
         for k in range(lengths[0][0]):
             pair = _taken(manifold, starts, k), _taken(manifold, ends, k)
@@ -331,7 +331,7 @@ class Solver:
                 body_costates=own.body,
                 spatial_costates=own.spatial,
                 cost=float(found.assembled.cost[k]),
-                success=result == Result.successful,
+                success=bool(result == Result.successful),
                 result=Result[result],
                 checks=Checks.of(own, gap, stationarity, bool(found.strict_minimum[k])),
                 statistics=Statistics(int(found.iterations[k]), *seconds),

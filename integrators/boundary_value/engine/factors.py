@@ -11,19 +11,22 @@ from typing import Any
 import numba
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from numba import extending, types
 
 from .arrays import LANES
 
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
+# Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
+njit: Any = numba.njit
+intrinsic: Any = extending.intrinsic
+
 # None of these functions allocates: without counts of references they are a third shorter.
-compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
-inner = numba.njit(
+compiled = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
+inner = njit(
     error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
 )
-reordered = numba.njit(
+reordered = njit(
     error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
 )
 

@@ -20,7 +20,7 @@ LANES = 64  # points that an instruction acts on at once: enough to hide its cho
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+_compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
 @_compiled
