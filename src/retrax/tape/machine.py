@@ -4,6 +4,7 @@ Numba compiles it once on a computer and keeps it on its disk. A program is data
 """
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
