@@ -264,11 +264,12 @@ class _AtOnce:
         misses = np.einsum("kne,kwe->knw", given.frames[1:], gaps)
         if not self._seen(gaps[:, 0], misses[:, :, 0]):
             return np.full((count + 1, n), np.nan)
-        if self.derivatives is None:
-            self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
+        derivatives = self.derivatives
+        if derivatives is None:
+            derivatives = self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
         move = np.zeros((count + 1, n))
         for i in range(count):
-            move[i + 1] = self.derivatives[i] @ move[i] + misses[i, :, 0]
+            move[i + 1] = derivatives[i] @ move[i] + misses[i, :, 0]
         return move
 
     def _seen(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
@@ -288,8 +289,8 @@ def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = ""
     """Names of the factors of a manifold, and in the unit of each the distances of points with leading axes."""
     match manifold:
         case Product(factors=factors):
-            for i, (factor, *points) in enumerate(zip(factors, first, second, strict=True)):
-                yield from factor_distances(factor, *points, f"{name}factor {i}, ")
+            for i, (factor, x, y) in enumerate(zip(factors, first, second, strict=True)):
+                yield from factor_distances(factor, x, y, f"{name}factor {i}, ")
         case Power(factor=factor):
             for part, distances in factor_distances(factor, first, second):
                 yield f"{name}{manifold}{part.removeprefix(str(factor))}", np.max(distances, axis=-1)
