@@ -49,7 +49,7 @@ ASKED_FOR = {
     TIME: ("time", "clock", "t0", "t"),
 }
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
-CLOCKS = frozenset({"t", "time", "tau"})
+CLOCKS = frozenset({"t", "time", "tau", "horizon", "tf", "final_time"})
 
 
 def asked_for(name: str) -> str:

@@ -15,6 +15,7 @@ from ..manifolds.manifold import default_tolerance, same_manifold, working_preci
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
+from ..manifolds.numerics.reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled, digest
 from .functions import failing_line, in_precision, real_number
@@ -237,6 +238,16 @@ class OptimalControlProblem(eqx.Module):
         except FAILURES as error:
             raise InvalidInputError(self._failure(error, q, u)) from error
         return jax.tree.map(np.asarray, found)
+
+    def require_values(self) -> None:
+        """Raise if the functions cannot be called with a point and a control, or return something of another kind."""
+        q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
+        try:
+            traced(lambda q, u: (self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)), q, u)
+        except RetraxError:
+            raise
+        except FAILURES as error:
+            raise InvalidInputError(self._failure(error, q, u)) from error
 
     def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
         """Whether a second derivative by the controls is invertible; raises if it is not because of a kink."""

@@ -222,6 +222,7 @@ class Solver:
         """The functions with parameters of this structure."""
         key = _structure(parameters)
         if key not in self._found:
+            self.problem.with_parameters(parameters).require_values()
             given = self.problem, parameters, self._evaluator
             if isinstance(self.method, Gauss) and self.method.stages > 1:
                 steps: Any = Collocation(self.problem, self.method, *given[1:])

@@ -1,6 +1,6 @@
 """The equations of a step as programs of scalar instructions, and where in one memory they read and write."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,8 +10,10 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.reading import traced
 from ...tape import Tape
 from ...tape.program import CODES, Program, assembled
+from ..programs import content_key
 from ..stages import Stage
 from .integrator import Integrator
 from .step import StepEquations, restored
@@ -76,6 +78,10 @@ class StepPrograms:
         return int(self.places[PLACES.index("count")])
 
 
+MOST_KNOWN = 64
+_known: dict[Hashable, StepPrograms] = {}  # by digests of what was traced, with all values read then; oldest first
+
+
 class _Memory:
     """Rows given out one after the other."""
 
@@ -107,12 +113,20 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     h = np.zeros(())
     chart = _zeros(prepare, h, y, q, p)
     c = np.zeros(chart.first.shape)
-    of_residual = Tape.trace(residual, c, h, q, p, chart)
-    tapes = Tape.trace(prepare, h, y, q, p), of_residual, of_residual.push(0), Tape.trace(end, c, h, chart)
-    control = _zeros(end, c, h, chart)[3]
-    return _laid_out(
-        tapes, {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}, [*chart._fields], rows(control), substeps
-    )
+    parts = {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}
+    calls = (prepare, (h, y, q, p)), (residual, (c, h, q, p, chart)), (end, (c, h, chart))
+    digests = [content_key(traced(function, *examples)) for function, examples in calls]
+    key = (*digests, substeps, *map(rows, parts.values()))
+    if key not in _known:
+        before, middle, after = (Tape.trace(function, *examples) for function, examples in calls)
+        control = rows(_zeros(end, *calls[2][1])[3])
+        found = _laid_out((before, middle, middle.push(0), after), parts, [*chart._fields], control, substeps)
+        if None in digests:
+            return found
+        if len(_known) >= MOST_KNOWN:
+            del _known[next(iter(_known))]
+        _known[key] = found
+    return _known[key]
 
 
 def _stage(integrator: Integrator, system: Any, h: Any) -> Stage:

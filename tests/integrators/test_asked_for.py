@@ -31,7 +31,7 @@ BOUNDS, HORIZON, TIME = "the barrier -d", "multiplies the dynamics and the runni
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
         ("toleranse", r"did you mean tolerance\?"),
-        ("verbose", "classification, integrator$"),
+        ("quiet", "callback, verbose$"),
     ],
 )
 def test_an_option_that_does_not_exist_is_answered(name, words):
@@ -51,12 +51,18 @@ def test_a_free_horizon_is_answered(horizon):
 @pytest.mark.parametrize(
     ("functions", "words"),
     [
-        ({"dynamics": lambda q, u, t: cart(q, u)}, rf"dynamics must be .*\(q, u\), got one of \(q, u, t\).*{TIME}"),
+        ({"dynamics": lambda q, u, t: cart(q, u)}, rf"dynamics must be .*\(q, u\).*, got one of \(q, u, t\).*{TIME}"),
         ({"dynamics": lambda t, q, u: cart(q, u)}, rf"dynamics must be .*got one of \(t, q, u\).*{TIME}"),
         ({"dynamics": lambda q, u, t=0.0: cart(q, u)}, rf"dynamics must be .*got one of \(q, u, t\).*{TIME}"),
         ({"running_cost": lambda q, u, time: u @ u}, rf"running_cost must be .*{TIME}"),
-        ({"running_cost": lambda u: u @ u}, r"running_cost must be a function of \(q, u\), got one of \(u\)$"),
-        ({"terminal_cost": lambda q, horizon: q @ q}, r"terminal_cost must be a function of q, got one of \(q, horizon\)$"),
+        (
+            {"running_cost": lambda u: u @ u},
+            r"running_cost must be a function of \(q, u\), or of these and parameters, got one of \(u\)$",
+        ),
+        (
+            {"terminal_cost": lambda q, horizon: q @ q},
+            rf"terminal_cost must be a function of q.*, got one of \(q, horizon\).*{TIME}",
+        ),
     ],
 )
 def test_functions_of_other_arguments_are_refused(functions, words):

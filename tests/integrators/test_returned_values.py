@@ -104,7 +104,8 @@ def test_single_precision_is_named_where_a_tolerance_asks_for_more():
     for tolerance in (1e-11, 1e-5):
         with catch_warnings():
             simplefilter("ignore")
-            found[tolerance] = solve(coarse, MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=tolerance, throw=False)
+            compiled = Solver(coarse, MIDPOINT, 10, evaluator="xla")
+            found[tolerance] = compiled.solve(REST, AHEAD, 1.0, tolerance=tolerance, throw=False)
     assert found[1e-5].success
     assert not found[1e-11].success
     assert "dynamics returns float32 values where float64 is in use, and no condition can be met" in found[1e-11].result

@@ -10,6 +10,7 @@ from jaxtyping import Array
 from ....manifolds import DomainError, Manifold
 from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction, default_retraction
 from .evaluator import Automatic, Evaluated
 from .layout import Layout
@@ -90,8 +91,9 @@ class Start:
         It begins a little beside the start, because the chord to an opposite point has no tangential part.
         """
         if self._walk is None:
-            size = self.layout.size
-            self._walk = Automatic().values(self._set_out, size, size), Automatic().values(self._go, size, size, 1)
+            size, aside = self.layout.size, jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient))
+            begin = Automatic().values(lambda *ends: self._set_out(aside, *ends), size, size)
+            self._walk = begin, Automatic().values(self._go, size, size, 1)
         (x,) = at_points(self._walk[0], 1, starts, ends)
         states, behind = [], 0.0
         for fraction in fractions:
@@ -102,10 +104,10 @@ class Start:
         way = np.linalg.norm(starts - ends, axis=1)
         return np.stack(states, axis=1), np.linalg.norm(x - ends, axis=1) < way / 2
 
-    def _set_out(self, start: Array, end: Array) -> tuple[Array]:
+    def _set_out(self, aside: Ambient, start: Array, end: Array) -> tuple[Array]:
         x, y = self.layout.point(start), self.layout.point(end)
         chord = vec.subtract(y, x)
-        aside = self.manifold.projection(x, vec.normal(jax.random.key(0), self.manifold.ambient))
+        aside = self.manifold.projection(x, aside)
         aside = self.manifold.projection(x, jax.tree.map(lambda a, c: ASIDE * vec.size(c) * a, aside, chord))
         return (self.layout.flat(self.retraction(x, aside)),)
 
