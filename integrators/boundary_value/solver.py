@@ -204,8 +204,8 @@ class Solver:
         lengths += [(len(guesses),)] if several else []
         if len(set(lengths)) != 1 or not lengths[0]:
             raise InvalidInputError(
-                f"the leading axes of starts, ends, horizons, parameters and guesses have lengths {sorted(set(lengths))}, "
-                "expected one length B, wherever there is such an axis; for a single trajectory call solve"
+                f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, expected "
+                "one length B, wherever there is such an axis; for a single trajectory call solve"
             )
         for k in range(lengths[0][0]):
             pair = _taken(manifold, starts, k), _taken(manifold, ends, k)

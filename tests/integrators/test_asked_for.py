@@ -55,14 +55,8 @@ def test_a_free_horizon_is_answered(horizon):
         ({"dynamics": lambda t, q, u: cart(q, u)}, rf"dynamics must be .*got one of \(t, q, u\).*{TIME}"),
         ({"dynamics": lambda q, u, t=0.0: cart(q, u)}, rf"dynamics must be .*got one of \(q, u, t\).*{TIME}"),
         ({"running_cost": lambda q, u, time: u @ u}, rf"running_cost must be .*{TIME}"),
-        (
-            {"running_cost": lambda u: u @ u},
-            r"running_cost must be a function of \(q, u\), or of these and parameters, got one of \(u\)$",
-        ),
-        (
-            {"terminal_cost": lambda q, horizon: q @ q},
-            rf"terminal_cost must be a function of q.*, got one of \(q, horizon\).*{TIME}",
-        ),
+        ({"running_cost": lambda u: u @ u}, r"running_cost must be a function .*parameters, got one of \(u\)$"),
+        ({"terminal_cost": lambda q, horizon: q @ q}, rf"terminal_cost must be .*got one of \(q, horizon\).*{TIME}"),
     ],
 )
 def test_functions_of_other_arguments_are_refused(functions, words):

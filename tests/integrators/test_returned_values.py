@@ -7,7 +7,15 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, SymplecticIntegrator, classify, integrate, solve
+from retrax.integrators import (
+    OptimalControlProblem,
+    PresymplecticIntegrator,
+    Solver,
+    SymplecticIntegrator,
+    classify,
+    integrate,
+    solve,
+)
 from retrax.integrators.results import warn_of_coarse_values
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.retractions import Addition, CotangentLift, Midpoint

@@ -8,9 +8,12 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ....manifolds import InvalidInputError
 from ....manifolds.manifold import working_precision
+from ....manifolds.numerics.reading import traced
+from ...compilation import compiler_options
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
@@ -112,8 +115,6 @@ class XlaEvaluator(Evaluator):
         return self._reason
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
-        del sizes
-
         def at_point(*arguments: Any) -> Any:
             if first is None:
                 return function(*arguments)
@@ -124,14 +125,22 @@ class XlaEvaluator(Evaluator):
             _, vector, *others = function(zero, *arguments)
             return curvature, scalar_slope[0], jacobian, vector, *others
 
-        compiled = jax.jit(jax.vmap(at_point))
+        return _Compiled(traced(at_point, *(jnp.zeros(size) for size in sizes)))
 
-        def evaluated(*arguments: np.ndarray) -> Arrays:
-            count = max(len(a) for a in arguments)
-            filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
-            return tuple(np.ascontiguousarray(np.asarray(v), dtype=float) for v in compiled(*filled))
 
-        return evaluated
+class _Compiled:
+    """A traced function, compiled for each number of points."""
+
+    def __init__(self, program: ClosedJaxpr) -> None:
+        self.function = jax.vmap(jaxpr_as_fun(program))
+        self.executables: dict[int, Any] = {}
+
+    def __call__(self, *arguments: np.ndarray) -> Arrays:
+        count = max(len(a) for a in arguments)
+        filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
+        if count not in self.executables:
+            self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
+        return tuple(np.ascontiguousarray(np.asarray(v), dtype=float) for v in self.executables[count](*filled))
 
 
 @final
