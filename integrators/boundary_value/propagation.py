@@ -58,7 +58,8 @@ def discretization_error(
 
     The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
     ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what is found.
-    ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their manifold.
+    ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
+    manifold.
     """
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
