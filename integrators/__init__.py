@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from .boundary_value import (
     Checks,
+    DiscretizationError,
     Guess,
     SingularArc,
     Solution,
@@ -17,6 +18,7 @@ from .boundary_value import (
     Solver,
     Statistics,
     default_guess,
+    discretization_error,
     load_solution,
     solve,
 )
@@ -70,6 +72,7 @@ __all__ = [
     "ControlStage",
     "DiracIntegrator",
     "DiracSystem",
+    "DiscretizationError",
     "GaussStage",
     "GeodesicRetraction",
     "Guess",
@@ -92,6 +95,7 @@ __all__ = [
     "Trajectory",
     "classify",
     "default_guess",
+    "discretization_error",
     "form_defect",
     "integrate",
     "integrate_many",

@@ -14,7 +14,8 @@ from ..manifolds.numerics.reading import one_reading, traced
 from .functions import is_transformed
 from .programs import PLAIN, content_key, program_key
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 MOST_COMPILED = 256
 _compiled: dict[Hashable, Any] = {}  # executables by program and settings, oldest first
@@ -97,7 +98,8 @@ def _traced(function: Callable, structure: Any, leaves: list, data: list) -> _Pr
 
 def _executable(program: _Program, data: list) -> Any:
     """The compiled program, as a function of its constants and ``data``."""
-    settings = jax.default_backend(), jax.config.jax_default_device, tuple(compiler_options().items())
+    device = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
+    settings = jax.default_backend(), device, tuple(compiler_options().items())
     key = program.key, settings
     if key not in _compiled:
 

@@ -96,4 +96,4 @@ def _untransformed() -> Any:
 def require_concrete(name: str, *arguments: Any) -> None:
     """Raise if JAX is transforming the caller, the public function ``name``, which computes with values."""
     if is_transformed(arguments):
-        raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and compiles its own kernels")
+        raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and computes with values")

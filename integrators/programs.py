@@ -6,7 +6,9 @@ from hashlib import blake2b
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
 # Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every trace.
@@ -95,7 +97,7 @@ class _Writer:
             return "frozenset", sorted(repr(self.value(item)) for item in value)
         if isinstance(value, np.ndarray | np.generic | jax.Array):
             return _content(value)
-        if isinstance(value, jax.core.ShapedArray) or _is_nowhere(value):
+        if isinstance(value, ShapedArray) or _is_nowhere(value):
             return self._kind(value)
         self.foreign = True
         return "unknown", next(_serial)
@@ -108,7 +110,7 @@ def _is_nowhere(value: Any) -> bool:
 
 def _content(value: Any) -> tuple[str, str, bytes]:
     """An array by its entries."""
-    if isinstance(value, jax.Array) and jax.dtypes.issubdtype(value.dtype, jax.dtypes.prng_key):
+    if isinstance(value, jax.Array) and jnp.issubdtype(value.dtype, jax.dtypes.prng_key):
         return repr(value.dtype), *_content(jax.random.key_data(value))[1:]
     array = np.asarray(value)
     return str(array.shape), array.dtype.str, array.tobytes()

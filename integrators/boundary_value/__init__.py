@@ -1,12 +1,14 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
 from .guess import Guess, default_guess
+from .propagation import DiscretizationError, discretization_error
 from .solution import Checks, SingularArc, Solution, Solutions, Statistics, load_solution
 from .solve import solve
 from .solver import Solver
 
 __all__ = [
     "Checks",
+    "DiscretizationError",
     "Guess",
     "SingularArc",
     "Solution",
@@ -14,6 +16,7 @@ __all__ = [
     "Solver",
     "Statistics",
     "default_guess",
+    "discretization_error",
     "load_solution",
     "solve",
 ]

@@ -41,9 +41,9 @@ def default_guess(
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
     layout = Layout.of(problem.manifold)
-    ends = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in (start, end))
+    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in (start, end))
     fractions = (np.arange(steps) + float(discretization.theta)) / steps
-    states = layout.points(Start(problem.manifold, discretization.retraction).states(*ends, fractions)[0])
+    states = layout.points(Start(problem.manifold, discretization.retraction).states(begin, target, fractions)[0])
     rest = resting_control(problem.controls)
     controls = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (steps, *np.shape(leaf))), rest)
     return Guess(states, controls, _zero(problem, steps))

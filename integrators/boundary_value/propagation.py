@@ -15,10 +15,12 @@ from scipy.integrate import DOP853
 from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
 from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
+from .solution import Solution
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
 ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error below it is not resolved
@@ -48,18 +50,19 @@ class DiscretizationError:
         return {name: float(np.max(values)) for name, values in self.distances.items()}
 
 
+@reads_once
 def discretization_error(
-    problem: OptimalControlProblem,
-    retraction: Retraction,
-    times: np.ndarray,
-    states: Ambient,
-    stage_times: np.ndarray,
-    controls: Any,
-    parameters: Any = None,
+    problem: OptimalControlProblem, retraction: Retraction, solution: Solution, parameters: Any = None
 ) -> DiscretizationError:
-    """The error of a discrete solution, found by propagating its controls; see ``Propagator``, which serves many solutions."""
-    propagator = Propagator(problem, retraction, parameters)
-    return propagator.discretization_error(times, states, stage_times, controls, parameters)
+    """The distances of the states of a solution from those to which its controls lead, as functions of time.
+
+    The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
+    ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what is found.
+    ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
+    manifold.
+    """
+    found = solution.times, solution.states, solution.stage_times, solution.controls
+    return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
 
 
 class _Given(NamedTuple):
@@ -264,11 +267,12 @@ class _AtOnce:
         misses = np.einsum("kne,kwe->knw", given.frames[1:], gaps)
         if not self._seen(gaps[:, 0], misses[:, :, 0]):
             return np.full((count + 1, n), np.nan)
-        if self.derivatives is None:
-            self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
+        derivatives = self.derivatives
+        if derivatives is None:
+            derivatives = self.derivatives = (misses[:, :, 1:] - misses[:, :, :1]) / aside
         move = np.zeros((count + 1, n))
         for i in range(count):
-            move[i + 1] = self.derivatives[i] @ move[i] + misses[i, :, 0]
+            move[i + 1] = derivatives[i] @ move[i] + misses[i, :, 0]
         return move
 
     def _seen(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
@@ -288,8 +292,8 @@ def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = ""
     """Names of the factors of a manifold, and in the unit of each the distances of points with leading axes."""
     match manifold:
         case Product(factors=factors):
-            for i, (factor, *points) in enumerate(zip(factors, first, second, strict=True)):
-                yield from factor_distances(factor, *points, f"{name}factor {i}, ")
+            for i, (factor, x, y) in enumerate(zip(factors, first, second, strict=True)):
+                yield from factor_distances(factor, x, y, f"{name}factor {i}, ")
         case Power(factor=factor):
             for part, distances in factor_distances(factor, first, second):
                 yield f"{name}{manifold}{part.removeprefix(str(factor))}", np.max(distances, axis=-1)

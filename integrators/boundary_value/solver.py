@@ -294,30 +294,31 @@ class Solver:
         """The traced functions, the conditions of the members, and the guesses."""
         parameters = np.stack([parameter_layout(m.parameters).rows(m.parameters, 0) for m in members])
         traced = self._traced(members[0].parameters)
-        rows = [np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1)]
+        first, last = conditions[0]
+        begin, end = (np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1))
+        rows = begin, end
         self._require_on_manifold(traced, members, rows)
         data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters)
         guess = self._guess(traced, members, rows, data)
-        first, last = conditions[0]
         entries = self._entries(first), self._entries(last)
-        ends = Ends(*rows, *entries, *(np.array(c.fixed_coordinates, float) for c in (first, last)))
-        return traced, Conditions(traced.steps, traced.nodes, ends, data), guess
+        coordinates = np.array(first.fixed_coordinates, float), np.array(last.fixed_coordinates, float)
+        return traced, Conditions(traced.steps, traced.nodes, Ends(*rows, *entries, *coordinates), data), guess
 
     def _entries(self, condition: NodeCondition) -> np.ndarray:
         """Which entries of a flat point are prescribed."""
         leaves, structure = jax.tree.flatten(self.problem.manifold.ambient)
-        full = [np.full(leaf.shape, fixed * (1 + 1j)) for leaf, fixed in zip(leaves, condition.fixed_leaves, strict=True)]
-        real = [a if np.issubdtype(leaf.dtype, np.complexfloating) else a.real for a, leaf in zip(full, leaves, strict=True)]
-        return self.state.rows(jax.tree.unflatten(structure, real), 0) > 0
+        ones = [1 + 1j if np.issubdtype(leaf.dtype, np.complexfloating) else 1.0 for leaf in leaves]
+        marks = [np.full(a.shape, one * fixed) for a, one, fixed in zip(leaves, ones, condition.fixed_leaves, strict=True)]
+        return self.state.rows(jax.tree.unflatten(structure, marks), 0) > 0
 
-    def _require_on_manifold(self, traced: _Traced, members: list[_Member], rows: list[np.ndarray]) -> None:
+    def _require_on_manifold(self, traced: _Traced, members: list[_Member], rows: tuple[np.ndarray, np.ndarray]) -> None:
         """Raise if a prescribed part of an end is off its manifold."""
         for flat in rows:
             off = ~(np.max(traced.nodes.violations(flat), axis=1, initial=0.0) <= default_tolerance())
             for k in np.flatnonzero(off):
                 require_ends_on(self.problem.manifold, members[k].start, members[k].end)
 
-    def _guess(self, traced: _Traced, members: list[_Member], rows: list[np.ndarray], data: Data) -> Iterate:
+    def _guess(self, traced: _Traced, members: list[_Member], rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
         """The guesses that are given, or curves from start to end with controls at rest and costates zero."""
         count, places, size = len(members), self.stages, self.state.size
         shape = count, self.steps, len(places)

@@ -1,26 +1,30 @@
 """What computes the steps outside JAX's transformations: the tape where it can, else XLA."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import working_precision
 from ...manifolds.numerics.ambient import Ambient
-from ...tape import NotTraceableError
-from ...tape.program import UnknownInstructionError
 from .integrator import Integrator
-from .lanes import TapeSteps
+
+if TYPE_CHECKING:
+    from .lanes import TapeSteps
 
 
 def tape_steps(
     system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray, evaluator: str | None
-) -> TapeSteps | str:
+) -> "TapeSteps | str":
     """The steps on the tape, or in words why XLA computes them; raises if ``evaluator`` asks for a tape that cannot be."""
     if evaluator == "xla":
         return "it was asked for"
     reason = _obstacle(system, integrator)
     if not reason:
+        from ...tape import NotTraceableError
+        from ...tape.program import UnknownInstructionError
+        from .lanes import TapeSteps
+
         try:
             return TapeSteps(system, integrator, starts, step_sizes)
         except (NotTraceableError, UnknownInstructionError) as error:

@@ -36,7 +36,8 @@ class TapeSteps(Steps):
         unknowns, q, p = _begin(system, single, starts)
         self._like = jax.tree.map(lambda a: a[0], (unknowns, q, p))
         self._control = single.control(self._like[0])
-        self._programs = step_programs(single, system, *self._like, parts.size)
+        y, q0, p0 = self._like
+        self._programs = step_programs(single, system, y, q0, p0, parts.size)
         controls = packed(single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
         self._carry = np.ascontiguousarray(np.concatenate([packed((unknowns, q, p)), *[controls] * parts.size]))
         self._failed = np.full(count, -1)

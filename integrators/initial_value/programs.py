@@ -8,11 +8,13 @@ import casadi as ca
 import jax
 import numpy as np
 
+from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.reading import traced
 from ...tape import Tape
 from ...tape.program import CODES, Program, assembled
 from ..programs import content_key
+from ..stages import Stage
 from .integrator import Integrator
 from .step import StepEquations, restored
 
@@ -25,9 +27,10 @@ def rows(tree: Any) -> int:
 def packed(tree: Any) -> np.ndarray:
     """Arrays with the trajectories along their first axis as one: a row for each real number, a column for each trajectory."""
     found = []
-    for leaf in map(np.asarray, jax.tree.leaves(tree)):
-        for half in (leaf.real, leaf.imag) if np.iscomplexobj(leaf) else (leaf,):
-            found.append(half.reshape(len(leaf), -1).T)
+    for leaf in jax.tree.leaves(tree):
+        array = np.asarray(leaf)
+        for half in (np.real(array), np.imag(array)) if np.iscomplexobj(array) else (array,):
+            found.append(half.reshape(len(array), -1).T)
     return np.concatenate(found) if found else np.zeros((0, 0))
 
 
@@ -97,13 +100,13 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     """
 
     def prepare(h: Any, y: Any, q: Ambient, p: Ambient) -> Any:
-        return StepEquations.near(integrator.stage(system, h), q, p, y).chart
+        return StepEquations.near(_stage(integrator, system, h), q, p, y).chart
 
     def residual(c: Any, h: Any, q: Ambient, p: Ambient, chart: Any) -> Any:
-        return StepEquations(integrator.stage(system, h), chart).residual(c, q, p)
+        return StepEquations(_stage(integrator, system, h), chart).residual(c, q, p)
 
     def end(c: Any, h: Any, chart: Any) -> Any:
-        result = StepEquations(integrator.stage(system, h), chart).result(c)
+        result = StepEquations(_stage(integrator, system, h), chart).result(c)
         new = restored(integrator.manifold, result)
         return new.unknowns, new.q, new.p, integrator.control(new.unknowns), result.converged
 
@@ -126,6 +129,16 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     return _known[key]
 
 
+def _stage(integrator: Integrator, system: Any, h: Any) -> Stage:
+    stage = integrator.stage(system, h)
+    if stage is None:
+        raise InvalidInputError(
+            f"the steps of {type(integrator).__name__} are more than the equations of one stage, expected an integrator with a "
+            "stage; try XLA"
+        )
+    return stage
+
+
 def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int) -> StepPrograms:
     """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
     memory = _Memory()
@@ -136,15 +149,15 @@ def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str],
     at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
     reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", *charts]]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
-    joined = [[np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes)]
-    programs = _merged(tapes, *joined, always={*at["first"].tolist(), *at["sizes"].tolist()})
+    read, written = ([np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes))
+    programs = _merged(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
     at |= {"state": at["y"] if at["y"].size else at["q"]}
     counts = {"count": count, "states": states, "controls": controls}
     places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
     cuts = np.cumsum([0, *(len(program.codes) for program in programs)])
-    lists = [np.concatenate([getattr(program, name) for program in programs]) for name in ("codes", "registers", "values")]
-    registers = max(program.size for program in programs)
-    return StepPrograms(*lists, np.stack([cuts[:-1], cuts[1:]], axis=1), np.array(places), memory.rows, registers)
+    codes, registers, values = (np.concatenate([getattr(p, name) for p in programs]) for name in ("codes", "registers", "values"))
+    ranges, most = np.stack([cuts[:-1], cuts[1:]], axis=1), max(program.size for program in programs)
+    return StepPrograms(codes, registers, values, ranges, np.array(places), memory.rows, most)
 
 
 def _zeros(function: Callable, *arguments: Any) -> Any:
@@ -158,13 +171,13 @@ def _merged(tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.nd
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or kernels, read.
     """
     values = [tape.graph.unmarked([tape.outputs])[0] for tape in tapes]
-    prepared = ca.cse(values[0]).elements()
+    prepared: list[Any] = ca.cse(values[0]).elements()
     first_row: dict[int, int] = {}
     again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}
     constant = {row: e for row, e in zip(writes[0].tolist(), prepared, strict=True) if e.is_constant()}
     programs, needed = [], set(always)
     for tape, value, read, write in zip(tapes[1:], values[1:], reads[1:], writes[1:], strict=True):
-        symbols = tape.inputs.elements()
+        symbols: list[Any] = tape.inputs.elements()
         by_row = dict(zip(read.tolist(), symbols, strict=True))
         simpler = [constant.get(row, by_row[again.get(row, row)]) for row in read.tolist()]
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])

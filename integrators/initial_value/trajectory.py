@@ -1,7 +1,7 @@
 """Integration over many steps."""
 
 from pathlib import Path
-from typing import Annotated, Any, final, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, final, get_type_hints
 
 import equinox as eqx
 import jax
@@ -18,9 +18,11 @@ from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
 from .choice import tape_steps
 from .integrator import Integrator
-from .lanes import TapeSteps
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
 from .pieces import run
+
+if TYPE_CHECKING:
+    from .lanes import TapeSteps
 
 
 @final
@@ -231,7 +233,7 @@ def _in_pieces(
     return _recorded(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
 
 
-def run_on_tape(steps: TapeSteps, integrator: Integrator, step_size: np.ndarray, saves: int, every: int) -> Trajectory:
+def run_on_tape(steps: "TapeSteps", integrator: Integrator, step_size: np.ndarray, saves: int, every: int) -> Trajectory:
     """The trajectory, or the trajectories of a leading axis if ``step_size`` has one."""
     kept, failed, interrupt = run(steps, saves, every)
     nodes, failed = steps.nodes(kept), np.broadcast_to(failed, kept.shape[-1:])

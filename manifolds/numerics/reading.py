@@ -13,7 +13,8 @@ from typing import Any, NamedTuple, ParamSpec, TypeVar
 
 import jax
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
 
 _context = jax.make_user_context(None)  # a part of the keys of JAX's caches, of value None wherever a user traces
 _numbers = itertools.count(1)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem
+from retrax.integrators import OptimalControlProblem, discretization_error, solve
 from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, factor_distances
 from retrax.manifolds import SE, SO, DomainError, Euclidean, Power, Product, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Projection
@@ -277,3 +277,12 @@ def test_distances_of_factors() -> None:
         ]
         expected = [angle, 5.0, angle, angle, np.sqrt(2) * angle, 5.0]
         np.testing.assert_allclose(list(found.values()), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("stages", [1, 3])
+def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int) -> None:
+    rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
+    ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)
+    coarse, fine = (discretization_error(problem(), Cayley(RIGID), solve(problem(), method, *ends, 1.0, n)) for n in (8, 16))
+    for name in NAMES:
+        assert np.log2(coarse.largest[name] / fine.largest[name]) == pytest.approx(2 * stages, abs=0.25)

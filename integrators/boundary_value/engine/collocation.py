@@ -14,7 +14,7 @@ from ...problem import OptimalControlProblem
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
 from .evaluator import Arrays, Evaluator
 from .layout import Layout, parameter_layout
-from .transcription import Blocks, Data, Moves, at_points
+from .transcription import AtStages, Blocks, Data, Moves, at_points
 
 
 class GaussUnknowns(NamedTuple):
@@ -97,15 +97,15 @@ class Collocation:
         ends = Ends(both[0], both[2][:, :, :n], both[2][:, :, n:], both[1][..., None])
         parts, condensed = condense(points, ends, steps, self.tableau)
         shape, s = steps.shape, self.stages
-        kept = tuple(a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
+        factors, swaps, maps = (a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
         own = full_slope(points, ends, steps, self.tableau)[..., n : n + s * n, 0].reshape(*shape, s, n)
         rest = ends._replace(slope=np.zeros_like(ends.slope))
         cost = full_slope(points._replace(slope=jacobian[..., n, :, None]), rest, steps, self.tableau)[..., 0]
         inner = cost[..., n : n + s * n]
         direct = np.concatenate([cost[..., :n], cost[..., n + s * n :]], axis=2)
-        gradient = direct + np.einsum("bkiz,bki->bkz", kept[2][..., : self.dimension], inner)
+        gradient = direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner)
         shares = parts.before[..., 0], parts.after[..., 0], values[..., :n], multipliers, own
-        left = inner.reshape(*shape, s, n), frames, condensed.points, condensed.ends, kept
+        left = inner.reshape(*shape, s, n), frames, condensed.points, condensed.ends, (factors, swaps, maps)
         blocks = parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, np.sum(values[..., n], axis=2)
         return Blocks(*blocks, Inner(*shares, *left))
 
@@ -125,16 +125,18 @@ class Collocation:
         """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
         inner = blocks.inner
         table = np.ascontiguousarray(data.steps).ravel(), self.tableau.matrix, self.tableau.weights
-        kept = tuple(a.reshape(-1, *a.shape[2:]) for a in inner.kept)
-        found = expand(Condensed(inner.points, inner.ends, table, kept), steps[..., None], multipliers[..., None])
+        factors, swaps, maps = (a.reshape(-1, *a.shape[2:]) for a in inner.kept)
+        condensed = Condensed(inner.points, inner.ends, table, (factors, swaps, maps))
+        found = expand(condensed, steps[..., None], multipliers[..., None])
         return found.dnu[..., 0], found.dlambda[..., 0]
 
-    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> Arrays:
+    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> AtStages:
         """States, controls and costates at the points, (B, N s, ...)."""
         del costates
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
         states, covectors = at_points(self._state, 3, unknowns.centres[:, :, None], xi, unknowns.costates)
-        return tuple(a.reshape(len(a), -1, a.shape[-1]) for a in (states, unknowns.controls, covectors))
+        states, controls, covectors = (a.reshape(len(a), -1, a.shape[-1]) for a in (states, unknowns.controls, covectors))
+        return states, controls, covectors
 
     def _eta(self, unknowns: GaussUnknowns, data: Data) -> np.ndarray:
         return np.einsum("bk,j,bkja->bka", data.steps, self.tableau.weights, unknowns.velocities)

@@ -91,8 +91,16 @@ class Conditions:
         if len(members) == len(self.data.steps):
             return self
         ends = Ends(self.ends.start[members], self.ends.end[members], *self.ends[2:])
-        data, units = (type(t)(*(leaf[members] for leaf in t)) for t in (self.data, self.units or ()))
+        data = Data(*(leaf[members] for leaf in self.data))
+        units = None if self.units is None else Units(*(leaf[members] for leaf in self.units))
         return Conditions(self.transcription, self.at_nodes, ends, data, units)
+
+    @property
+    def measured(self) -> Units:
+        """The units, once they are measured."""
+        if self.units is None:
+            raise RuntimeError("the conditions have no units yet; call measure with the first iterates")
+        return self.units
 
     def assemble(self, iterate: Iterate) -> Assembled:
         """The KKT system at an iterate."""
@@ -139,21 +147,21 @@ class Conditions:
 
     def infeasibility(self, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes lack."""
-        inner, missing = assembled.blocks.inner, np.sum(np.abs(assembled.gap) / self.units.nodes[:, None], axis=(1, 2))
+        inner, missing = assembled.blocks.inner, np.sum(np.abs(assembled.gap) / self.measured.nodes[:, None], axis=(1, 2))
         if inner is None:
             return missing
-        return missing + np.sum(np.abs(inner.defect) / self.units.nodes[:, None, None], axis=(1, 2, 3))
+        return missing + np.sum(np.abs(inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
 
     def held(self, assembled: Assembled) -> np.ndarray:
         """The multipliers on the gap."""
         inner, held = assembled.blocks.inner, np.sum(assembled.coordinates * assembled.gap, axis=(1, 2))
         if inner is not None:
             held += np.sum(inner.multipliers * inner.defect, axis=(1, 2, 3))
-        return held / self.units.cost
+        return held / self.measured.cost
 
     def relative_cost(self, assembled: Assembled) -> np.ndarray:
         """The cost in its unit."""
-        return assembled.cost / self.units.cost
+        return assembled.cost / self.measured.cost
 
     def promise(self, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the cost and of the multipliers on the gap, to first order, by whole steps."""
@@ -168,18 +176,18 @@ class Conditions:
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
             ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
             turned += np.sum(multipliers * inner.defect, axis=(1, 2, 3))
-        return ahead / self.units.cost, turned / self.units.cost
+        return ahead / self.measured.cost, turned / self.measured.cost
 
     def eliminate(self, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
-        d = self.units.unknowns
+        d = self.measured.unknowns
         diagonal = np.max(np.abs(np.diagonal(assembled.blocks.hessian, axis1=2, axis2=3)), axis=1)
-        diagonal = diagonal * d * d / self.units.cost[:, None]  # typical curvature of each coordinate, the unit of the shift
+        diagonal = diagonal * d * d / self.measured.cost[:, None]  # typical curvature of each coordinate, the unit of the shift
         floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
         scales = np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
-        found = eliminate(self._system(assembled), self.units, shift, scales)
+        found = eliminate(self._system(assembled), self.measured, shift, scales)
         steps = found.steps[..., 0] * d[:, None]
-        multipliers = found.multipliers[..., 0] * (self.units.cost[:, None] / self.units.nodes)[:, None]
+        multipliers = found.multipliers[..., 0] * (self.measured.cost[:, None] / self.measured.nodes)[:, None]
         finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
         strict = is_strict_minimum(found, multipliers[0].size)
         return Step(steps, multipliers, strict, finite), found.curvature, found.size
@@ -199,7 +207,7 @@ class Conditions:
         The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory. Where K
         is singular to rounding, it is as large as that.
         """
-        sizes, units = self._sizes(iterate, assembled), self.units.unknowns
+        sizes, units = self._sizes(iterate, assembled), self.measured.unknowns
         own = np.concatenate([sizes.along(sizes.spreads + sizes.values), sizes.controls], axis=1)
         largest = np.max(np.abs(step.unknowns), axis=1) / np.maximum(own, SHARE * units)
         extent = np.concatenate([sizes.along(sizes.spreads), sizes.controls], axis=1)
@@ -237,7 +245,7 @@ class Conditions:
         An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its unit.
         """
         own = np.maximum(sizes.spreads, VALUE * sizes.values)
-        along = np.maximum(sizes.along(own), SHARE * self.units.nodes)
+        along = np.maximum(sizes.along(own), SHARE * self.measured.nodes)
         entries = np.maximum(own, np.max(sizes.support * along[:, :, None], axis=1, initial=0.0))
         gap = np.max(assembled.distance / np.where(entries > 0, entries, 1.0), axis=1)
         inner = assembled.blocks.inner
@@ -252,7 +260,7 @@ class Conditions:
         Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate sets the
         scale.
         """
-        blocks, d = assembled.blocks, self.units.unknowns
+        blocks, d = assembled.blocks, self.measured.unknowns
         starts = np.einsum("bknz,bkn->bkz", blocks.left, assembled.coordinates[:, :-1])
         ends = np.einsum("bknz,bkn->bkz", blocks.right, assembled.coordinates[:, 1:])
         parts = d * np.max(np.abs(blocks.gradient) + np.abs(starts) + np.abs(ends), axis=1)
@@ -264,7 +272,7 @@ class Conditions:
         if inner is None:
             return found
         weights = self.data.steps[:, :, None, None] * self.transcription.tableau.weights[:, None]
-        d = self.units.nodes
+        d = self.measured.nodes
         scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
         slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
         return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))

@@ -92,7 +92,7 @@ def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places
     from . import kernels
 
     hessian, left, right, slope, gap, *fixed = (plain(a[m]) for a in system)
-    (d, g), cost, weight = (plain(a[m]) for a in units[:2]), units.cost[m], WEIGHT * len(left)
+    d, g, cost, weight = plain(units.unknowns[m]), plain(units.nodes[m]), units.cost[m], WEIGHT * len(left)
     nodes = np.stack([fixed[0], np.ones(len(g)), fixed[1]]) / g
     gap = gap / g[:, None]
     gap[0] *= fixed[0][:, None]
@@ -100,15 +100,15 @@ def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places
     held = gap[:-1] * (weight / g)[:, None]
     held[0] *= fixed[0][:, None]
     sides = (np.einsum("kns,knj->ksj", left, held) - slope / cost) * d[:, None]
-    blocks, units = (hessian, left, right, sides, -gap), (np.stack([d / cost, raised]), d, nodes)
+    blocks, scales = (hessian, left, right, sides, -gap), (np.stack([d / cost, raised]), d, nodes)
     work, factors = places
-    out.negative[m], out.smallest[m] = kernels.forward(blocks, units, weight, np.stack(fixed), work, factors)
-    out.curvature[m] = kernels.backward(blocks, units, weight, work, factors, (out.steps[m], out.multipliers[m]))
+    out.negative[m], out.smallest[m] = kernels.forward(blocks, scales, weight, np.stack(fixed), work, factors)
+    out.curvature[m] = kernels.backward(blocks, scales, weight, work, factors, (out.steps[m], out.multipliers[m]))
 
 
 def _refuse(out: BlockSolution) -> None:
     """Make columns NaN as a whole that are not finite somewhere."""
-    unknown = ~(np.isfinite(out.steps).all(axis=(1, 2)) & np.isfinite(out.multipliers).all(axis=(1, 2)))
+    unknown = ~(np.all(np.isfinite(out.steps), axis=(1, 2)) & np.all(np.isfinite(out.multipliers), axis=(1, 2)))
     np.copyto(out.steps, np.nan, where=unknown[:, None, None])
     np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
 

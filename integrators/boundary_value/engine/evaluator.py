@@ -19,6 +19,8 @@ Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
 Evaluated = Callable[..., Arrays]  # of arrays with the points along the first axis
 
+ALL_TRACED = "all functions are traced to scalar operations"
+
 
 class Evaluator(ABC):
     """Makes of functions of one point, whose arguments are flat vectors of given sizes, functions of many points.
@@ -57,8 +59,15 @@ class Evaluator(ABC):
 class TapeEvaluator(Evaluator):
     """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem."""
 
-    name = "tape"
-    reason = "all functions are traced to scalar operations"
+    @property
+    def name(self) -> str:
+        """``"tape"``."""
+        return "tape"
+
+    @property
+    def reason(self) -> str:
+        """That all functions are tapes."""
+        return ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         from ....tape import Tape
@@ -92,11 +101,18 @@ class _OnTape:
 class XlaEvaluator(Evaluator):
     """Compiles functions by XLA, in the working precision."""
 
-    name = "xla"
-    reason = ""
-
     def __init__(self, reason: str) -> None:
-        self.reason = reason
+        self._reason = reason
+
+    @property
+    def name(self) -> str:
+        """``"xla"``."""
+        return "xla"
+
+    @property
+    def reason(self) -> str:
+        """Why XLA compiles the functions."""
+        return self._reason
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         def at_point(*arguments: Any) -> Any:
@@ -143,7 +159,7 @@ class Automatic(Evaluator):
     @property
     def reason(self) -> str:
         """Why not all functions run as tapes, or that they do."""
-        return self._refusals[0] if self._refusals else "all functions are traced to scalar operations"
+        return self._refusals[0] if self._refusals else ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         from ....tape import NotTraceableError

@@ -11,19 +11,20 @@ from typing import Any
 import numba
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
+from numba import extending, types
 
 from .arrays import LANES
 
 BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
 
+# Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
+njit: Any = numba.njit
+intrinsic: Any = extending.intrinsic
+
 # None of these functions allocates: without counts of references they are a third shorter.
-compiled = numba.njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
-inner = numba.njit(
-    error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
-reordered = numba.njit(
+compiled = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
+inner = njit(error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+reordered = njit(
     error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
 )
 
@@ -149,7 +150,7 @@ def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[i
     negative, smallest, k = 0, np.inf, np.int64(0)
     while k < last:
         i, r = _chosen(v, k, last)
-        a, b, c = v[i, i], v[min(i, r), max(i, r)], v[r, r]
+        a, b, c = float(v[i, i]), float(v[min(i, r), max(i, r)]), float(v[r, r])
         width = 1 if i == r else 2
         for t in range(width):
             other = i if t == 0 or r == k else r
@@ -159,7 +160,7 @@ def factorise(v: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[i
         k += width
         large = (abs(a + c) + math.hypot(a - c, 2 * b)) / 2
         size = abs(a) if width == 1 else abs(a * (c / large) - b * (b / large))
-        negative += width == 2 or a < 0
+        negative += 1 if width == 2 or a < 0 else 0
         if size < smallest or size != size:
             smallest = size
     return negative, smallest

@@ -46,7 +46,7 @@ class Layout:
         halves = [np.zeros((*leading, 0))]
         for leaf, is_complex in zip(jax.tree.leaves(points), self._complex, strict=True):
             array = np.asarray(leaf)
-            parts = (array.real, array.imag) if is_complex else (array,)
+            parts = (np.real(array), np.imag(array)) if is_complex else (array,)
             halves += [np.asarray(part, float).reshape(*array.shape[:axes], -1) for part in parts]
         return np.concatenate(halves, axis=-1)
 

@@ -208,7 +208,7 @@ class _Search:
                 return step, shift, descends
             shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
             places = np.flatnonzero(going)
-            part = conditions if len(places) == len(going) else conditions.among(places)
+            part = conditions if len(places) == len(going) else conditions.of(places)
             again, curvature, size = part.eliminate(taken(assembled, places), shift[places])
             step = put(step, places, again)
             descends[places] = curvature >= CURVATURE * size
@@ -232,7 +232,7 @@ class _Search:
 
     def elsewhere(self, state: _State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move."""
-        missing = np.max(np.abs(state.assembled.gap), axis=1) / self.conditions.of(state.member).units.nodes
+        missing = np.max(np.abs(state.assembled.gap), axis=1) / self.conditions.of(state.member).measured.nodes
         met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
         return met & (state.residuals.gap > self.tolerance)
 
@@ -263,7 +263,7 @@ class _Search:
         order = np.argsort(joined.member)
         joined = joined if len(states) == 1 else taken(joined, order)
         strict = joined.step.strict & (joined.shift == 0) & joined.isolated
-        missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.units.nodes
+        missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.measured.nodes
         ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped, missing
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 

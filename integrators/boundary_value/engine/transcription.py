@@ -60,6 +60,9 @@ class Terminal(NamedTuple):
     curvature: np.ndarray
 
 
+AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
+
+
 def at_points(function: Any, axes: int, *arguments: np.ndarray) -> Arrays:
     """Evaluate a function of points on arrays with some leading axes in common (of length 1 where an array is shared)."""
     leading = tuple(map(max, zip(*(a.shape[:axes] for a in arguments), strict=True)))
@@ -124,7 +127,7 @@ class OneStage:
         x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])
 
-    def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data) -> Arrays:
+    def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data) -> AtStages:
         """States, controls and costates at the stages, (B, N, ...), from covectors at the nodes, (B, N + 1, E)."""
         x, u = unknowns.centres, unknowns.controls[:, :, 0]
         (covectors,) = at_points(self._pull, 2, x, u, costates[:, :-1], costates[:, 1:], *_given(data))

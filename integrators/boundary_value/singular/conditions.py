@@ -144,7 +144,7 @@ def points_at_ends(c: Classification, conditions: EndConditions, move: Retractio
     found = []
     for condition, terminal in ((conditions.start, 0.0), (conditions.end, 1.0)):
         data = condition.point, condition.mask(), jnp.asarray(terminal)
-        nodes = jax.device_get(_nearest(c.problem, c.equations, move, starts, conditions.unit, *data))
+        nodes = jax.device_get(_nearest(c.problem, c.equations, move, starts, jnp.asarray(conditions.unit), *data))
         found.append(_chosen(c, condition, nodes))
     return found[0], found[1]
 

@@ -214,10 +214,10 @@ def _outcome() -> Callable[..., _Outcome]:
 def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
     """The diagnostics of the trajectory."""
     state, control = Layout.of(problem.manifold), Layout.of(problem.controls)
-    nodes, (states, costates) = ([state.rows(part, 1)[None] for part in pair] for pair in (outcome.nodes, outcome.stages))
+    first, second, states, costates = (state.rows(part, 1)[None] for part in (*outcome.nodes, *outcome.stages))
     stages = states, control.rows(outcome.controls, 1)[None], costates
     with np.errstate(all="ignore"):  # of an iterate that is no solution
-        found = Diagnosis(problem, None, Automatic())(tuple(nodes), stages, np.zeros((1, 0)))
+        found = Diagnosis(problem, None, Automatic())((first, second), stages, np.zeros((1, 0)))
     return jax.tree.map(lambda leaf: leaf[0], found)
 
 

@@ -4,6 +4,7 @@ Numba compiles it once on a computer and keeps it on its disk. A program is data
 """
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -20,7 +21,7 @@ LANES = 64  # points that an instruction acts on at once: enough to hide its cho
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+_compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 
 @_compiled
