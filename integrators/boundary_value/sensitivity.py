@@ -67,8 +67,8 @@ def require_same(solution: Solution, states: Any, solved: bool) -> None:
     if not (solution.success and solved and away <= SAME):
         raise InvalidInputError(
             "the solution does not meet the conditions with these ends and parameters: the iteration from it "
-            f"{'ends ' + format(away, '.3g') + ' away' if solved else 'does not converge'}; expected a solution with success, and "
-            "the start, end and parameters of the call of solve that found it"
+            f"{'ends ' + format(away, '.3g') + ' away' if solved else 'does not converge'}; expected a solution with success, "
+            "and the start, end and parameters of the call of solve that found it"
         )
 
 

@@ -192,8 +192,8 @@ class Solver:
         """Derivatives of a solution by its ends, horizon and parameters, those with which this solver found it.
 
         One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
-        ``InvalidInputError`` if ``solution`` does not solve this problem between these ends, and ``ConvergenceError`` if its KKT system is
-        singular to rounding: then the extremal is one of a family, or two meet in it, and it has no derivatives.
+        ``InvalidInputError`` if ``solution`` does not solve this problem between these ends, and ``ConvergenceError`` if its KKT
+        system is singular to rounding: then the extremal is one of a family, or two meet in it, and it has no derivatives.
         """
         if not isinstance(solution, Solution) or solution.singular is not None:
             raise InvalidInputError(f"sensitivity takes a Solution of a regular problem, got {solution!r:.80}")
