@@ -22,7 +22,7 @@ from .evaluator import Evaluator
 from .transcription import Nodes, OneStage, at_points
 
 CHANGED = 1e-9  # relative: more than rounding
-SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, leaves derivatives few digits
 
 
 class Columns(NamedTuple):
