@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from .boundary_value import (
     Checks,
+    Derivative,
     Guess,
+    Sensitivity,
     SingularArc,
     Solution,
     Solutions,
@@ -68,6 +70,7 @@ __all__ = [
     "Classification",
     "Composition",
     "ControlStage",
+    "Derivative",
     "DiracIntegrator",
     "DiracSystem",
     "GaussStage",
@@ -80,6 +83,7 @@ __all__ = [
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",
+    "Sensitivity",
     "SingularArc",
     "SingularIntegrator",
     "Solution",

@@ -1,0 +1,86 @@
+"""Orders of the Gauss methods in the boundary-value problem, their Newton iteration, and the extremals that they are steps of."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, integrate
+from retrax.manifolds import Euclidean, Sphere
+from retrax.retractions import Gauss, Projection, default_retraction
+
+from tests.support.numerics import slope
+
+SPHERE = Sphere(2)
+PENDULUM = SPHERE * Euclidean(3)
+START = np.array([1.0, 0, 0]), np.zeros(3)
+END = np.array([0.6, 0.0, 0.8]), np.array([0.1, 0.0, 0.2])
+
+
+def spinning(q, u):
+    """A direction turned by a rate, which controls change against friction."""
+    return jnp.cross(q[1], q[0]), u - 0.3 * q[1] + 0.2 * jnp.cross(q[0], q[1])
+
+
+def cost(q, u):
+    return u @ u / 2 + 0.3 * q[0][2] ** 2 + 0.1 * q[1] @ q[1]
+
+
+PROBLEM = OptimalControlProblem(PENDULUM, spinning, cost, 3)
+
+
+def solved(stages, steps):
+    solver = Solver(PROBLEM, Gauss(stages, default_retraction(PENDULUM)), steps[0])
+    counts = (solver, *(Solver(PROBLEM, solver.method, n) for n in steps[1:]))
+    return [one.solve(START, END, 1.0) for one in counts]
+
+
+@pytest.fixture(scope="module")
+def fine():
+    """Order 8 with steps far below those that are measured; its nodes are among theirs."""
+    return solved(4, [24])[0]
+
+
+@pytest.mark.parametrize(("stages", "steps"), [(1, (6, 12, 24)), (2, (3, 6, 12)), (3, (2, 4, 6))])
+def test_orders_in_states_costates_and_cost(fine, stages, steps):
+    found = solved(stages, steps)
+    for part in (lambda s: s.states, lambda s: s.costates):
+        errors = []
+        for n, solution in zip(steps, found, strict=True):
+            there = jax.tree.map(lambda leaf, n=n: leaf[:: 24 // n], part(fine))
+            pairs = zip(jax.tree.leaves(part(solution)), jax.tree.leaves(there), strict=True)
+            errors.append(max(np.max(np.abs(a - b)) for a, b in pairs))
+        assert slope(1 / np.array(steps), np.array(errors), 1e-12) > 2 * stages - 0.4
+    errors = np.array([abs(solution.cost - fine.cost) for solution in found])
+    assert slope(1 / np.array(steps), errors, 1e-13) > 2 * stages - 0.4
+
+
+def test_costates_are_those_that_the_integrator_propagates():
+    solver = Solver(PROBLEM, Gauss(2, default_retraction(PENDULUM)), 4)
+    found = solver.solve(START, END, 1.0)
+    q0, p0 = (jax.tree.map(lambda leaf: leaf[0], part) for part in (found.states, found.costates))
+    path = integrate(PROBLEM, PresymplecticIntegrator(Gauss(2, default_retraction(PENDULUM))), (q0, p0), 0.25, 4)
+    for part, own in ((path.q, found.states), (path.p, found.costates)):
+        for a, b in zip(jax.tree.leaves(part), jax.tree.leaves(own), strict=True):
+            np.testing.assert_allclose(a, b, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(np.reshape(path.controls, (-1, 3)), found.controls, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, 3.0, 30.0])
+def test_newton_s_iteration_is_quadratic_whatever_the_terminal_cost(weight):
+    """Its curvature acts on all points of the last step. Squares of residuals bound those that follow, from one iteration on."""
+    problem = OptimalControlProblem(
+        SPHERE,
+        lambda q, u: jnp.cross(u + jnp.array([0, 0.1, 0.4]), q),
+        lambda q, u: u @ u / 2 + q[0] / 10,
+        3,
+        terminal_cost=lambda q: weight * (q - jnp.array([0.0, 0.6, 0.8])) @ (q - jnp.array([0.1, 0.6, 0.8])) + q[0] ** 3 / 2,
+    )
+    solver, seen = Solver(problem, Gauss(2, Projection(SPHERE)), 3), []
+    first = solver.solve(np.array([1.0, 0, 0]), None, 1.0)
+    nearby = np.array([np.cos(0.05), np.sin(0.05), 0.0])
+    solver.solve(nearby, None, 1.0, guess=first, callback=lambda i: seen.append(max(i.gap[0], i.stationarity[0])))
+    seen = np.array(seen)
+    begun = seen < 1e-2
+    assert len(seen) <= 7
+    for before, after in zip(seen[:-1][begun[:-1]], seen[1:][begun[:-1]], strict=True):
+        assert after <= max(20 * before**1.7, 1e-12)
