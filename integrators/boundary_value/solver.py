@@ -427,7 +427,7 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result
             result = Result.not_finite
         elif found.claimed[k]:
             result = Result.successful
-        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > tolerance:
+        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > np.sqrt(tolerance):
             result = Result.wrong_point
         elif (not found.solvable[k] and not meets[k]) or undetermined:
             result = Result.singular

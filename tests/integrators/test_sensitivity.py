@@ -147,7 +147,7 @@ def test_derivatives_grow_towards_a_conjugate_point(oscillator, offset):
     solver, conjugate = oscillator
     solution = solver.solve(np.zeros(1), np.zeros(1), conjugate * (1 + offset), throw=False)
     if abs(offset) < 1e-8:
-        with pytest.raises((ConvergenceError, InvalidInputError), match="one of a family|with success"):
+        with pytest.raises((ConvergenceError, InvalidInputError), match=r"one of a family|with success"):
             solver.sensitivity(solution)
         return
     angle = 2 * np.arctan(conjugate * (1 + offset) / 20)
