@@ -54,6 +54,7 @@ def test_orders_in_states_costates_and_cost(fine, stages, steps):
     assert slope(1 / np.array(steps), errors, 1e-13) > 2 * stages - 0.4
 
 
+@pytest.mark.slow
 def test_costates_are_those_that_the_integrator_propagates():
     solver = Solver(PROBLEM, Gauss(2, default_retraction(PENDULUM)), 4)
     found = solver.solve(START, END, 1.0)
