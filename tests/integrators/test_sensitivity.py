@@ -116,7 +116,8 @@ def test_derivatives_are_those_of_differences(name):
 
     def pair(make):
         ends = (make(size) for size in (DIFFERENCE, -DIFFERENCE))
-        return [solver.solve(*given, parameters=parameters) for *given, parameters in ends]
+        near = solution if name == "boat" else None  # at a given speed there are several ways
+        return [solver.solve(*given, near, parameters) for *given, parameters in ends]
 
     for k in range(manifold.dimension):
         both = pair(lambda e, k=k: (moved(manifold, start, k, e), end, 1.1, MASS))
