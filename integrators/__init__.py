@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING
 
 from .boundary_value import (
     Checks,
+    Derivative,
     DiscretizationError,
     Guess,
+    Sensitivity,
     SingularArc,
     Solution,
     Solutions,
@@ -70,6 +72,7 @@ __all__ = [
     "Classification",
     "Composition",
     "ControlStage",
+    "Derivative",
     "DiracIntegrator",
     "DiracSystem",
     "DiscretizationError",
@@ -83,6 +86,7 @@ __all__ = [
     "OptimalControlProblem",
     "PresymplecticIntegrator",
     "Result",
+    "Sensitivity",
     "SingularArc",
     "SingularIntegrator",
     "Solution",

@@ -1,6 +1,7 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
 from .guess import Guess, default_guess
+from .sensitivity import Derivative, Sensitivity
 from .propagation import DiscretizationError, discretization_error
 from .solution import Checks, SingularArc, Solution, Solutions, Statistics, load_solution
 from .solve import solve
@@ -8,8 +9,10 @@ from .solver import Solver
 
 __all__ = [
     "Checks",
+    "Derivative",
     "DiscretizationError",
     "Guess",
+    "Sensitivity",
     "SingularArc",
     "Solution",
     "Solutions",

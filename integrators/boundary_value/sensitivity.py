@@ -6,10 +6,10 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds import ConvergenceError
 from .engine.layout import Layout
 from .engine.sensitivity import SINGULAR, Derivatives
-from .solution import SAME, Solution
+from .solution import Solution
 
 
 @final
@@ -44,13 +44,13 @@ class Sensitivity:
     parameters: Any
 
     @classmethod
-    def of(cls, found: Derivatives, member: int, layouts: tuple[Layout, Layout], n: int, parameters: Any) -> "Sensitivity":
-        """The record of a member from columns."""
+    def of(cls, found: Derivatives, layouts: tuple[Layout, Layout], n: int, parameters: Any) -> "Sensitivity":
+        """The record from the columns of one extremal."""
         state, control = layouts
 
         def part(begin: int, shape: tuple[int, ...]) -> Derivative:
             places = slice(begin, begin + int(np.prod(shape)))
-            cost, *rows = (a[member, places].reshape((*shape, *a.shape[2:])) for a in found[:4])
+            cost, *rows = (a[0, places].reshape((*shape, *a.shape[2:])) for a in found[:4])
             return Derivative(cost, state.points(rows[0]), state.points(rows[1]), control.points(rows[2]))
 
         leaves, structure = jax.tree.flatten(parameters)
@@ -60,21 +60,10 @@ class Sensitivity:
         return cls(part(0, (n,)), part(n, (n,)), part(2 * n, ()), by_parameters)
 
 
-def require_same(solution: Solution, states: Any, solved: bool) -> None:
-    """Raise unless the iteration from a solution found its states again."""
-    pairs = list(zip(jax.tree.leaves(solution.states), jax.tree.leaves(states), strict=True))
-    away = max((float(np.max(np.abs(a - b) / (1 + np.max(np.abs(a))))) for a, b in pairs), default=0.0)
-    if not (solution.success and solved and away <= SAME):
-        raise InvalidInputError(
-            "the solution does not meet the conditions with these ends and parameters: the iteration from it "
-            f"{'ends ' + format(away, '.3g') + ' away' if solved else 'does not converge'}; expected a solution with success, "
-            "and the start, end and parameters of the call of solve that found it"
-        )
-
-
-def require_isolated(smallest: float, states: Any, solution: Solution) -> None:
+def require_isolated(found: Derivatives, solution: Solution) -> None:
     """Raise if the KKT system is singular to rounding."""
-    if not (smallest > np.finfo(float).eps ** SINGULAR and np.all(np.isfinite(states))):
+    smallest = float(found.smallest[0])
+    if not (smallest > np.finfo(float).eps ** SINGULAR and all(np.all(np.isfinite(part)) for part in found)):
         raise ConvergenceError(
             f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the extremal is "
             "one of a family, or its end is conjugate to its start, and it has no derivatives; try another horizon",

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from numbers import Number
 from typing import Any, NamedTuple, final
+from weakref import WeakKeyDictionary
 
 import equinox as eqx
 import jax
@@ -27,18 +28,17 @@ from .engine.conditions import Conditions, Ends, Iterate
 from .engine.diagnosis import Diagnosis
 from .engine.evaluator import chosen
 from .engine.layout import Layout, parameter_layout
-from .engine.newton import Found, Iteration, newton
+from .engine.newton import Found, Iteration, newton, taken
 from .engine.sensitivity import Sensitivities
 from .engine.start import Start
 from .engine.transcription import Data, Nodes, OneStage
 from .guess import Guess, checked_guess
 from .progress import printed
-from .sensitivity import Sensitivity, require_isolated, require_same
+from .sensitivity import Sensitivity, require_isolated
 from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Checks, Solution, Solutions, Statistics
 
 DEFAULT_TOLERANCE_POWER = 0.7
-REFINED, SOLVED = 5, 1e-6  # iterations that restore what a record rounds or leaves out, and the residuals they may leave
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 Method = DiscretizationMap | Gauss
 
@@ -67,6 +67,16 @@ class _Traced(NamedTuple):
     diagnosis: Diagnosis
 
 
+class _Kept(NamedTuple):
+    """The KKT system of a solution, one place of those of a batch."""
+
+    traced: _Traced
+    conditions: Conditions
+    found: Found
+    place: int
+    parameters: Any
+
+
 @final
 class Solver:
     """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
@@ -90,6 +100,7 @@ class Solver:
         self._start = Start(problem.manifold, method.retraction)
         self._found: dict[Any, _Traced] = {}
         self._classes: dict[Any, Classification | None] = {}
+        self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters:
             with one_reading():
@@ -188,27 +199,28 @@ class Solver:
                 raise InvalidInputError("the members of a batch have other free factors; solve those with the same ones together")
             return Solutions(self._solved(members, conditions, options, began))
 
-    def sensitivity(self, solution: Solution, start: Any, end: Any, parameters: Any = None) -> Sensitivity:
-        """Derivatives of a solution by its ends, horizon and parameters, those with which this solver found it.
+    def sensitivity(self, solution: Solution) -> Sensitivity:
+        """Derivatives of a solution that this solver found by its ends, horizon and parameters.
 
         One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
-        ``InvalidInputError`` if ``solution`` does not solve this problem between these ends, and ``ConvergenceError`` if its KKT
-        system is singular to rounding: then the extremal is one of a family, or two meet in it, and it has no derivatives.
+        ``InvalidInputError`` for any other solution, one without success, or if the functions have changed since the solver was
+        made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a family, or its ends
+        are conjugate, and it has no derivatives.
         """
-        if not isinstance(solution, Solution) or solution.singular is not None:
-            raise InvalidInputError(f"sensitivity takes a Solution of a regular problem, got {solution!r:.80}")
-        require_concrete("sensitivity", start, end, parameters)
+        if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
+            raise InvalidInputError(
+                f"sensitivity takes a solution with success of a regular problem that this solver found, got {solution!r:.80}; "
+                "try solver.sensitivity(solver.solve(...)) with one and the same solver"
+            )
+        kept = self._kept[solution]
+        key, place = _structure(kept.parameters), np.array([kept.place])
         with one_reading(), np.errstate(all="ignore"):
-            member = self._member(start, end, float(solution.times[-1]), solution, parameters)
-            traced, conditions, guess = self._posed([member], [self._conditions(member)[1]])
-            found = newton(conditions, guess, *_options(None, REFINED, None, False))
-            require_same(solution, self.state.points(found.assembled.nodes[0]), bool(found.residuals.largest[0] <= SOLVED))
-            key = _structure(parameters)
             if key not in self._derivatives:
-                self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
-            columns = self._derivatives[key](conditions, found.iterate, found.assembled)
-        require_isolated(columns.smallest[0], columns.states, solution)
-        return Sensitivity.of(columns, 0, (self.state, self.control), self.problem.manifold.dimension, parameters)
+                self._derivatives[key] = Sensitivities(kept.traced.steps, kept.traced.nodes, self._evaluator)
+            system = taken((kept.found.iterate, kept.found.assembled), place)
+            columns = self._derivatives[key](kept.conditions.of(place), *system)
+        require_isolated(columns, solution)
+        return Sensitivity.of(columns, (self.state, self.control), self.problem.manifold.dimension, kept.parameters)
 
     def _member(self, start: Any, end: Any, horizon: Any, guess: Any, parameters: Any) -> _Member:
         """The arguments of one trajectory, checked."""
@@ -286,7 +298,10 @@ class Solver:
         with np.errstate(all="ignore"):  # what is not finite is judged
             found = newton(own, guess, *options)
             seconds = tracing, time.perf_counter() - began - tracing
-            return list(self._records(traced, own.data, found, options, seconds))
+            solutions = list(self._records(traced, own.data, found, options, seconds))
+        for k, (solution, member) in enumerate(zip(solutions, members, strict=True)):
+            self._kept[solution] = _Kept(traced, own, found, k, member.parameters)
+        return solutions
 
     def _posed(
         self, members: list[_Member], conditions: list[tuple[NodeCondition, NodeCondition]]
@@ -413,7 +428,7 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result
             result = Result.not_finite
         elif found.claimed[k]:
             result = Result.successful
-        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > tolerance:
+        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > np.sqrt(tolerance):
             result = Result.wrong_point
         elif (not found.solvable[k] and not meets[k]) or undetermined:
             result = Result.singular

@@ -17,6 +17,7 @@ from .problems import INERTIA, REST, RIGID, rotation
 PLANE = Euclidean(2)
 START, END, HORIZON, STEPS = np.zeros(2), np.array([1.0, 0.0]), 1.5, 5
 GIVEN = {"mass": 2.0, "drag": (np.array([0.3, 0.1]),)}
+FEW = "attribute of a class", "slots", "jitted helper"  # the others are traced in the same way
 DEFAULT = np.finfo(float).eps ** 0.7
 
 
@@ -181,7 +182,7 @@ def test_verbose_prints_a_line_for_each_iteration(bound, capsys):
     assert float(lines[-1].split()[1]) == pytest.approx(found.cost, rel=1e-8)
 
 
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", [way if way in FEW else pytest.param(way, marks=pytest.mark.slow) for way in WAYS])
 def test_a_value_that_is_held_and_changes_is_never_ignored(way):
     """``q' = u`` at the cost ``k u^2``: the optimum costs ``k``."""
     product, change = held(way, 1.0)

@@ -231,10 +231,13 @@ class _Search:
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
     def elsewhere(self, state: _State) -> np.ndarray:
-        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move."""
+        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
+
+        Near the end the normal part of what is missing is the square of its size: from there it moves.
+        """
         missing = np.max(np.abs(state.assembled.gap), axis=1) / self.conditions.of(state.member).measured.nodes
         met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
-        return met & (state.residuals.gap > self.tolerance)
+        return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
     def report(self, state: _State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""

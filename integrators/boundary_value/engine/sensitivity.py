@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
 from .collocation import Collocation
@@ -20,7 +21,8 @@ from .elimination import BlockSystem, eliminate
 from .evaluator import Evaluator
 from .transcription import Nodes, OneStage, at_points
 
-SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
+CHANGED = 1e-9  # relative: more than rounding
+SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, leaves derivatives few digits
 
 
 class Columns(NamedTuple):
@@ -102,6 +104,8 @@ class Sensitivities:
         """Derivatives by horizon and parameters of the terminal cost's slope, (B, n, K), and of its value, (B, K)."""
         n = self.nodes.problem.manifold.dimension
         hessian, gradient, *_ = at_points(self._terminal, 1, assembled.nodes[:, -1], parameters)
+        terminal = assembled.terminal
+        _require_unchanged((hessian[:, :n, :n], terminal.curvature), (gradient[:, :n], terminal.slope))
         rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
         return np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2), np.concatenate([none, gradient[:, n:]], axis=1)
 
@@ -135,6 +139,15 @@ class Sensitivities:
         return (layout.flat(jax.jvp(manifold.projection, (q, p), (dq, dp))[1]),)
 
 
+def _require_unchanged(*pairs: tuple[np.ndarray, np.ndarray]) -> None:
+    """Raise if functions that are traced for their derivatives compute other values than when the solver was made."""
+    if not all(np.max(np.abs(now - then), initial=0.0) <= CHANGED * np.max(np.abs(then), initial=0.0) for now, then in pairs):
+        raise InvalidInputError(
+            "the problem's functions compute other values than when the solver was made; make a new Solver after a change, or "
+            "give what changes as parameters"
+        )
+
+
 @final
 class _OneStageColumns:
     """Of the steps of a discretization map: mixed derivatives of what a step is."""
@@ -149,7 +162,10 @@ class _OneStageColumns:
         nodes, costates = assembled.nodes, assembled.costates
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         given = data.steps[:, :, None], data.parameters[:, None]
-        hessian, gradient, jacobian, _ = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
+        hessian, gradient, jacobian, values = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
+        blocks = assembled.blocks
+        _require_unchanged((values[:, :, -1], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
+        _require_unchanged((hessian[:, :-1, :z, :z], blocks.hessian[:, :-1]))
         ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
         return Columns(hessian[:, :, :z, z:], *ends, gradient[:, :, z:])
 
@@ -177,6 +193,8 @@ class _CollocationColumns:
         at = unknowns.centres[:, :, None], h[:, :, None, None] * turned, unknowns.velocities, unknowns.controls
         found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None])
         hessian, gradient, jacobian, values = found[:4]
+        _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (jacobian[..., :n, :q], inner.points.constraints))
+        _require_unchanged((np.sum(values[..., n], axis=2), assembled.blocks.costs))
         far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
         points, ends = inner.points, inner.ends
         slope, end_slope, each = gradient[..., :q], ends.slope[..., 0], h[:, :, None, None]
