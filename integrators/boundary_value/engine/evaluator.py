@@ -140,8 +140,7 @@ class _Compiled:
         filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
         if count not in self.executables:
             self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
-        values = self.executables[count](*filled)
-        return tuple(np.array(v, dtype=float, order="C") for v in values)  # the caller's own: those of JAX are read-only
+        return tuple(np.array(v, dtype=float) for v in self.executables[count](*filled))
 
 
 @final

@@ -65,9 +65,12 @@ AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and cos
 
 def at_points(function: Any, axes: int, *arguments: np.ndarray) -> Arrays:
     """Evaluate a function of points on arrays with some leading axes in common (of length 1 where an array is shared)."""
-    leading = np.broadcast_shapes(*(a.shape[:axes] for a in arguments))
-    count = math.prod(leading)
-    flat = [np.broadcast_to(a, (*leading, *a.shape[axes:])).reshape(count, a.shape[-1]) for a in arguments]
+    leading = tuple(map(max, zip(*(a.shape[:axes] for a in arguments), strict=True)))
+    count, flat = math.prod(leading), []
+    for a in arguments:
+        if a.shape[:axes] != leading:
+            a = np.broadcast_to(a, (*leading, a.shape[-1]))
+        flat.append(a.reshape(count, a.shape[-1]))
     return tuple(value.reshape(*leading, *value.shape[1:]) for value in function(*flat))
 
 
