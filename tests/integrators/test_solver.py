@@ -74,7 +74,9 @@ def test_unequal_steps_reach_the_same_optimum(ratio):
     lengths = np.geomspace(1, ratio, 24)
     found = solve(problem, method, HANGING, moved, 3.0, lengths)
     np.testing.assert_allclose(np.diff(found.times), 3 * lengths / lengths.sum())
-    assert found.cost == pytest.approx(solve(problem, method, HANGING, moved, 3.0, 48).cost, rel=1e-6)
+    largest = len(lengths) * lengths.max() / lengths.sum()  # beside an equal step; the method is of order 6
+    fine = solve(problem, method, HANGING, moved, 3.0, 48)
+    assert found.cost == pytest.approx(fine.cost, rel=2e-7 * largest**6)
 
 
 def test_a_batch_without_one_length_is_refused(solver):
