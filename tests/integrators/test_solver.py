@@ -3,14 +3,14 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Result, Solver, solve
+from retrax.integrators import OptimalControlProblem, Result, Solver, discretization_error, solve
 from retrax.manifolds import InvalidInputError
 from retrax.retractions import Exponential, Gauss, Midpoint
 
 from .problems import half_square
 from .test_swing_up import LINE, RIGS, CartPole
 
-HANGING, UPRIGHT = np.zeros(4), np.array([0.0, np.pi, 0.0, 0.0])
+HANGING, UPRIGHT, MOVED = np.zeros(4), np.array([0.0, np.pi, 0.0, 0.0]), np.array([1.0, 0.0, 0.0, 0.0])
 METHOD, STEPS = Midpoint(Exponential(LINE)), 50
 
 
@@ -70,15 +70,24 @@ def test_an_interrupt_leaves_what_was_reached(solver):
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0])
 def test_unequal_steps_reach_the_same_optimum(ratio):
     problem = OptimalControlProblem(LINE, lambda q, u: swinging(q, u, RIGS[0]), half_square, 1)
-    method, moved = Gauss(3, Exponential(LINE)), np.array([1.0, 0.0, 0.0, 0.0])
+    method = Gauss(3, Exponential(LINE))
     lengths = np.geomspace(1, ratio, 24)
-    found = solve(problem, method, HANGING, moved, 3.0, lengths)
+    found = solve(problem, method, HANGING, MOVED, 3.0, lengths)
     np.testing.assert_allclose(np.diff(found.times), 3 * lengths / lengths.sum())
     largest = len(lengths) * lengths.max() / lengths.sum()  # beside an equal step; the method is of order 6
-    fine = solve(problem, method, HANGING, moved, 3.0, 48)
+    fine = solve(problem, method, HANGING, MOVED, 3.0, 48)
     assert found.cost == pytest.approx(fine.cost, rel=1e-6 * largest**6)
 
 
 def test_a_batch_without_one_length_is_refused(solver):
     with pytest.raises(InvalidInputError, match=r"lengths \[\(2,\), \(3,\)\]"):
         solver.solve_many(np.zeros((2, 4)), np.zeros((3, 4)), 1.0, parameters=tuple(np.array(RIGS[:2]).T))
+
+
+def test_the_error_of_a_solution_is_that_with_its_parameters(solver):
+    found = solver.solve(HANGING, MOVED, 3.0, parameters=RIGS[0])
+    error = discretization_error(solver.problem, METHOD.retraction, found, RIGS[0])
+    other = discretization_error(solver.problem, METHOD.retraction, found, RIGS[1])
+    assert error.largest["R^4"] < 0.1 * other.largest["R^4"]
+    with pytest.raises(InvalidInputError, match="functions take parameters, and none are given"):
+        discretization_error(solver.problem, METHOD.retraction, found)
