@@ -1,8 +1,8 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
 from .guess import Guess, default_guess
-from .sensitivity import Derivative, Sensitivity
 from .propagation import DiscretizationError, discretization_error
+from .sensitivity import Derivative, Sensitivity
 from .solution import Checks, SingularArc, Solution, Solutions, Statistics, load_solution
 from .solve import solve
 from .solver import Solver

@@ -21,6 +21,7 @@ from ..problem import OptimalControlProblem
 from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
 from .solution import Solution
+from .solver import check_parameters
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
 ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error below it is not resolved
@@ -59,8 +60,9 @@ def discretization_error(
     The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
     ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what is found.
     ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
-    manifold.
+    manifold, and ``InvalidInputError`` if parameters are missing.
     """
+    check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
 

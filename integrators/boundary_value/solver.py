@@ -227,7 +227,7 @@ class Solver:
         if not (is_finite_number(horizon) and horizon > 0):
             hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
             raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
-        _check_parameters(self.problem, parameters)
+        check_parameters(self.problem, parameters)
         if guess is not None:
             guess = guess.guess() if isinstance(guess, Solution) else guess
             guess = checked_guess(self.problem, guess, self.steps, len(self.stages))
@@ -446,7 +446,7 @@ def _structure(parameters: Any) -> Any:
     return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
 
 
-def _check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
+def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
     """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
     if problem.takes_parameters and parameters is None:
         raise InvalidInputError(
