@@ -18,10 +18,10 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
+from .arguments import check_parameters
 from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
 from .solution import Solution
-from .solver import check_parameters
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
 ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error below it is not resolved

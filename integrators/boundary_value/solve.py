@@ -8,10 +8,11 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
+from .arguments import Method
 from .engine.newton import Iteration
 from .guess import Guess
 from .solution import Solution
-from .solver import Method, Solver
+from .solver import Solver
 
 
 @known_options

@@ -2,26 +2,36 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from numbers import Number
 from typing import Any, NamedTuple, final
 from weakref import WeakKeyDictionary
 
-import equinox as eqx
 import jax
 import numpy as np
 
-from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds import InvalidInputError
 from ...manifolds.manifold import default_tolerance, working_precision
-from ...manifolds.numerics.ambient import is_count, is_finite_number
+from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.reading import one_reading
 from ...retractions import DiscretizationMap, Gauss, Midpoint
 from ..functions import require_concrete
-from ..kinks import kinks_near
 from ..options import HORIZON, known_options
 from ..problem import OptimalControlProblem, resting_control
-from ..results import Result, warn_about_precision
+from ..results import Result
 from ..singular import Classification, SingularIntegrator, classify
+from .arguments import (
+    Method,
+    Options,
+    check_method,
+    check_parameters,
+    check_problem,
+    checked_options,
+    fractions_of,
+    lengths_of,
+    member_of,
+    require_tangent_dynamics,
+    structure_of,
+)
 from .boundary import NodeCondition, boundary_conditions, require_ends_on, require_known_ends
 from .engine.collocation import Collocation
 from .engine.conditions import Conditions, Ends, Iterate
@@ -33,14 +43,10 @@ from .engine.sensitivity import Sensitivities
 from .engine.start import Start
 from .engine.transcription import Data, Nodes, OneStage
 from .guess import Guess, checked_guess
-from .progress import printed
+from .outcome import explained, outcomes
 from .sensitivity import Sensitivity, require_isolated
 from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Checks, Solution, Solutions, Statistics
-
-DEFAULT_TOLERANCE_POWER = 0.7
-MOST_STEPS = 10_000_000  # with arrays much longer memory ends
-Method = DiscretizationMap | Gauss
 
 
 class _Member(NamedTuple):
@@ -51,12 +57,6 @@ class _Member(NamedTuple):
     horizon: float
     guess: Guess | None
     parameters: Any
-
-
-class _Options(NamedTuple):
-    tolerance: float
-    max_iterations: int
-    callback: Callable[[Iteration], Any] | None
 
 
 class _Traced(NamedTuple):
@@ -93,8 +93,8 @@ class Solver:
     @known_options
     def __init__(self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: str = "automatic") -> None:
         require_concrete("Solver", problem)
-        _check_problem(problem, method)
-        self.problem, self.method, self.fractions = problem, method, _fractions(steps)
+        check_problem(problem, method)
+        self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self._evaluator = chosen(evaluator)
         self._start = Start(problem.manifold, method.retraction)
@@ -151,18 +151,18 @@ class Solver:
         ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters)
-        options = _options(tolerance, max_iterations, callback, verbose)
+        options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
             member = self._member(start, end, horizon, guess, parameters)
             problem, conditions = self._conditions(member)
             c = self._classification(problem, conditions, member) if classification is None else classification
-            _check_method(problem, self.method, c, integrator)
+            check_method(problem, self.method, c, integrator)
             if c is not None and not c.regular:
                 solution = self._on_final_manifold(problem, conditions, member, options, (c, integrator))
             else:
                 solution = self._solved([member], [conditions], options, began)[0]
-            solution = _explained(problem, solution)
+            solution = explained(problem, solution)
         return solution.require_success() if throw else solution
 
     @known_options
@@ -185,7 +185,7 @@ class Solver:
         are free for all. Nothing is raised for a member that is not solved: read ``success``. Regular problems only.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
-        options = _options(tolerance, max_iterations, callback, verbose)
+        options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
             members = list(self._members(starts, ends, horizons, guesses, parameters))
@@ -213,7 +213,7 @@ class Solver:
                 "try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
-        key, place = _structure(kept.parameters), np.array([kept.place])
+        key, place = structure_of(kept.parameters), np.array([kept.place])
         with one_reading(), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 self._derivatives[key] = Sensitivities(kept.traced.steps, kept.traced.nodes, self._evaluator)
@@ -236,7 +236,7 @@ class Solver:
     def _members(self, starts: Any, ends: Any, horizons: Any, guesses: Any, parameters: Any) -> Iterator[_Member]:
         """The members of a batch one by one."""
         manifold = self.problem.manifold
-        lengths = [*_lengths(manifold, starts), *_lengths(manifold, ends), *(np.shape(h) for h in [horizons] if np.ndim(h))]
+        lengths = [*lengths_of(manifold, starts), *lengths_of(manifold, ends), *(np.shape(h) for h in [horizons] if np.ndim(h))]
         lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(parameters)]
         several = isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
         lengths += [(len(guesses),)] if several else []
@@ -246,7 +246,7 @@ class Solver:
                 "one length B, wherever there is such an axis; for a single trajectory call solve"
             )
         for k in range(lengths[0][0]):
-            pair = _taken(manifold, starts, k), _taken(manifold, ends, k)
+            pair = member_of(manifold, starts, k), member_of(manifold, ends, k)
             given = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], parameters)
             horizon = np.asarray(horizons)[k].item() if np.ndim(horizons) else horizons
             yield self._member(*pair, horizon, guesses[k] if several else guesses, given)
@@ -258,7 +258,7 @@ class Solver:
 
     def _traced(self, parameters: Any) -> _Traced:
         """The functions with parameters of this structure."""
-        key = _structure(parameters)
+        key = structure_of(parameters)
         if key not in self._found:
             self.problem.with_parameters(parameters).require_values()
             given = self.problem, parameters, self._evaluator
@@ -276,7 +276,7 @@ class Solver:
         """The classification of a singular problem, None of a regular one; the functions are looked at once."""
         first, last = conditions
         values = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(member.parameters)]
-        key = _structure(member.parameters), tuple(values), last.parts
+        key = structure_of(member.parameters), tuple(values), last.parts
         if key not in self._classes:
             known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
             regular = problem.check(known, resting_control(problem.controls))
@@ -289,7 +289,7 @@ class Solver:
         self,
         members: list[_Member],
         conditions: list[tuple[NodeCondition, NodeCondition]],
-        options: _Options,
+        options: Options,
         began: float,
     ) -> list[Solution]:
         """Solutions of regular problems."""
@@ -354,7 +354,7 @@ class Solver:
         return Iterate(traced.steps.begin(states, controls, costates, data), costates)
 
     def _records(
-        self, traced: _Traced, data: Data, found: Found, options: _Options, seconds: tuple[float, float]
+        self, traced: _Traced, data: Data, found: Found, options: Options, seconds: tuple[float, float]
     ) -> Iterator[Solution]:
         """The records of all members."""
         nodes, costates = found.assembled.nodes, found.assembled.costates
@@ -364,7 +364,7 @@ class Solver:
         results = outcomes(found, options.tolerance, options.max_iterations)
         for k, result in enumerate(results):
             own: Any = jax.tree.map(lambda leaf, k=k: leaf[k], diagnostics)
-            _require_tangent_dynamics(self.problem, float(own.normal))
+            require_tangent_dynamics(self.problem, float(own.normal))
             times = np.concatenate([[0.0], np.cumsum(data.steps[k])])
             gap, stationarity = float(found.residuals.gap[k]), float(found.residuals.stationarity[k])
             yield Solution(
@@ -391,7 +391,7 @@ class Solver:
         problem: OptimalControlProblem,
         conditions: tuple[NodeCondition, NodeCondition],
         member: _Member,
-        options: _Options,
+        options: Options,
         method: tuple[Classification, SingularIntegrator | None],
     ) -> Solution:
         """The extremal of a singular problem."""
@@ -407,146 +407,3 @@ class Solver:
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
         return solve_on_final_manifold(request, *method)
-
-
-def _explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
-    """The solution, where it has no success with what in a function may be why."""
-    if solution.success or solution.result == Result[Result.stopped]:
-        return solution
-    q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (solution.stage_states, solution.controls))
-    reason = problem.imprecise(q, u) or kinks_near(problem, solution)
-    return replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
-
-
-def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result]:
-    """The result codes of finished iterations."""
-    largest, results = found.residuals.largest, []
-    meets = np.max(np.abs(found.missing), axis=1) <= tolerance
-    for k in range(len(largest)):
-        undetermined = largest[k] <= tolerance and not found.claimed[k] and not found.stopped
-        if not (np.isfinite(largest[k]) and np.isfinite(found.assembled.cost[k])):
-            result = Result.not_finite
-        elif found.claimed[k]:
-            result = Result.successful
-        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > np.sqrt(tolerance):
-            result = Result.wrong_point
-        elif (not found.solvable[k] and not meets[k]) or undetermined:
-            result = Result.singular
-        elif found.stopped:
-            result = Result.stopped
-        elif found.iterations[k] >= max_iterations:
-            result = Result.too_many_iterations
-        else:
-            result = Result.no_improvement
-        results.append(result)
-    return results
-
-
-def _structure(parameters: Any) -> Any:
-    return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
-
-
-def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
-    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
-    if problem.takes_parameters and parameters is None:
-        raise InvalidInputError(
-            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or tuples or "
-            "dictionaries of them"
-        )
-    if not problem.takes_parameters and parameters is not None:
-        raise InvalidInputError(
-            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions of "
-            "(q, u, parameters)"
-        )
-    for leaf in jax.tree.leaves(parameters):
-        if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
-            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {leaf!r:.80}")
-
-
-def _options(tolerance: float | None, max_iterations: int, callback: Any, verbose: bool) -> _Options:
-    """The options of an iteration, checked."""
-    warn_about_precision()
-    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
-    if not (is_finite_number(limit) and limit > 0):
-        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
-    if not is_count(max_iterations):
-        raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
-    if callback is not None and not callable(callback):
-        raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
-    return _Options(float(limit), int(max_iterations), printed(callback) if verbose else callback)
-
-
-def _fractions(steps: Any) -> np.ndarray:
-    """Lengths of the steps as fractions of the horizon, from their number or from lengths."""
-    if is_count(steps):
-        if steps > MOST_STEPS:
-            raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
-        return np.full(int(steps), 1 / int(steps))
-    given = np.asarray(steps)
-    if np.ndim(steps) == 1 and given.size and given.dtype.kind in "fiu" and np.all(np.isfinite(given)) and np.all(given > 0):
-        return given / np.sum(given)
-    raise InvalidInputError(
-        f"steps must be a whole number of at least 1, got {steps!r:.80}; or the lengths of the steps, positive numbers"
-    )
-
-
-def _check_problem(problem: Any, method: Any) -> None:
-    if not isinstance(problem, OptimalControlProblem):
-        raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
-    if not isinstance(method, DiscretizationMap | Gauss):
-        raise InvalidInputError(
-            f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
-        )
-    problem.check_discretization(method)
-
-
-def _check_method(
-    problem: OptimalControlProblem, method: Method, classification: Classification | None, integrator: SingularIntegrator | None
-) -> None:
-    """Raise if the classification or the integrator belongs to something else than the problem."""
-    if classification is not None and not (isinstance(classification, Classification) and classification.is_of(problem)):
-        raise InvalidInputError(
-            f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
-            "classify(problem)"
-        )
-    if integrator is None:
-        return
-    if classification is None or classification.regular:
-        raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
-    if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
-        raise InvalidInputError(
-            f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
-            "try singular_integrator(classification, discretization), and a Composition of it in integrate"
-        )
-
-
-def _require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
-    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked before."""
-    if normal > default_tolerance():
-        raise NotOnManifoldError(
-            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
-            f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
-        )
-
-
-def _lengths(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
-    """Lengths of the leading axes that points have in addition."""
-    if given is None:
-        return []
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return [length for pair in zip(manifold.factors, given, strict=True) for length in _lengths(*pair)]
-    return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
-
-
-def _taken(manifold: Manifold, given: Any, k: int) -> Any:
-    """Member ``k`` of what may be a batch of points, with None where they are free."""
-    if given is None:
-        return None
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return tuple(_taken(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if _is_batch(manifold, given) else given
-
-
-def _is_batch(manifold: Manifold, given: Any) -> bool:
-    shapes = [np.ndim(leaf) for leaf in jax.tree.leaves(given)]
-    return shapes == [len(leaf.shape) + 1 for leaf in jax.tree.leaves(manifold.ambient)]

@@ -1,0 +1,138 @@
+"""What a solver is called with: checked, and as what it computes with."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds.manifold import default_tolerance, working_precision
+from ...manifolds.numerics.ambient import is_count, is_finite_number
+from ...retractions import DiscretizationMap, Gauss
+from ..problem import OptimalControlProblem
+from ..results import warn_about_precision
+from ..singular import Classification, SingularIntegrator
+from .engine.newton import Iteration
+from .progress import printed
+
+DEFAULT_TOLERANCE_POWER = 0.7
+MOST_STEPS = 10_000_000  # with arrays much longer memory ends
+Method = DiscretizationMap | Gauss
+
+
+class Options(NamedTuple):
+    tolerance: float
+    max_iterations: int
+    callback: Callable[[Iteration], Any] | None
+
+
+def structure_of(parameters: Any) -> Any:
+    return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
+
+
+def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
+    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
+    if problem.takes_parameters and parameters is None:
+        raise InvalidInputError(
+            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or tuples or "
+            "dictionaries of them"
+        )
+    if not problem.takes_parameters and parameters is not None:
+        raise InvalidInputError(
+            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions of "
+            "(q, u, parameters)"
+        )
+    for leaf in jax.tree.leaves(parameters):
+        if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
+            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {leaf!r:.80}")
+
+
+def checked_options(tolerance: float | None, max_iterations: int, callback: Any, verbose: bool) -> Options:
+    """The options of an iteration, checked."""
+    warn_about_precision()
+    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+    if not (is_finite_number(limit) and limit > 0):
+        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
+    if not is_count(max_iterations):
+        raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+    if callback is not None and not callable(callback):
+        raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
+    return Options(float(limit), int(max_iterations), printed(callback) if verbose else callback)
+
+
+def fractions_of(steps: Any) -> np.ndarray:
+    """Lengths of the steps as fractions of the horizon, from their number or from lengths."""
+    if is_count(steps):
+        if steps > MOST_STEPS:
+            raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
+        return np.full(int(steps), 1 / int(steps))
+    given = np.asarray(steps)
+    if np.ndim(steps) == 1 and given.size and given.dtype.kind in "fiu" and np.all(np.isfinite(given)) and np.all(given > 0):
+        return given / np.sum(given)
+    raise InvalidInputError(
+        f"steps must be a whole number of at least 1, got {steps!r:.80}; or the lengths of the steps, positive numbers"
+    )
+
+
+def check_problem(problem: Any, method: Any) -> None:
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+    if not isinstance(method, DiscretizationMap | Gauss):
+        raise InvalidInputError(
+            f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
+        )
+    problem.check_discretization(method)
+
+
+def check_method(
+    problem: OptimalControlProblem, method: Method, classification: Classification | None, integrator: SingularIntegrator | None
+) -> None:
+    """Raise if the classification or the integrator belongs to something else than the problem."""
+    if classification is not None and not (isinstance(classification, Classification) and classification.is_of(problem)):
+        raise InvalidInputError(
+            f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
+            "classify(problem)"
+        )
+    if integrator is None:
+        return
+    if classification is None or classification.regular:
+        raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
+    if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
+        raise InvalidInputError(
+            f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
+            "try singular_integrator(classification, discretization), and a Composition of it in integrate"
+        )
+
+
+def require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
+    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked before."""
+    if normal > default_tolerance():
+        raise NotOnManifoldError(
+            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
+            f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+        )
+
+
+def lengths_of(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
+    """Lengths of the leading axes that points have in addition."""
+    if given is None:
+        return []
+    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+        return [length for pair in zip(manifold.factors, given, strict=True) for length in lengths_of(*pair)]
+    return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
+
+
+def member_of(manifold: Manifold, given: Any, k: int) -> Any:
+    """Member ``k`` of what may be a batch of points, with None where they are free."""
+    if given is None:
+        return None
+    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
+        return tuple(member_of(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if _is_batch(manifold, given) else given
+
+
+def _is_batch(manifold: Manifold, given: Any) -> bool:
+    shapes = [np.ndim(leaf) for leaf in jax.tree.leaves(given)]
+    return shapes == [len(leaf.shape) + 1 for leaf in jax.tree.leaves(manifold.ambient)]
