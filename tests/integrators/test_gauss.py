@@ -257,7 +257,7 @@ def test_the_first_inverse_jacobian_is_that_of_small_steps(name):
 
     def departure(h: jax.Array) -> jax.Array:
         stage = integrator.stage(subject.energy, h)
-        equations = StepEquations(stage, *z0, integrator.begin(subject.energy, *z0))
+        equations = StepEquations.near(stage, *z0, integrator.begin(subject.energy, *z0))
         jacobian = jax.jacfwd(lambda c: equations.residual(c, *z0))(equations.first)
         return jnp.asarray(stage.small_step_inverse()) @ jacobian - jnp.eye(jacobian.shape[0])
 

@@ -86,7 +86,7 @@ class Sensitivities:
     def _solved(
         self, conditions: Conditions, assembled: Assembled, slope: np.ndarray, gap: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        blocks, count, units = assembled.blocks, len(gap), conditions.units
+        blocks, count, units = assembled.blocks, len(gap), conditions.measured
         coordinates = conditions.ends.start_coordinates, conditions.ends.end_coordinates
         fixed = (np.broadcast_to(c, (count, c.size)) for c in coordinates)
         found = eliminate(BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed), units)
