@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable, Iterator, Sequence
 from numbers import Number
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
 
 import jax
@@ -99,7 +99,7 @@ class Solver:
         self._evaluator = chosen(evaluator)
         self._start = Start(problem.manifold, method.retraction)
         self._found: dict[Any, _Traced] = {}
-        self._classes: dict[Any, Classification | None] = {}
+        self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters:
@@ -156,13 +156,18 @@ class Solver:
         with one_reading():
             member = self._member(start, end, horizon, guess, parameters)
             problem, conditions = self._conditions(member)
-            c = self._classification(problem, conditions, member) if classification is None else classification
+            given = problem, conditions, member
+            trusted = classification is None and self._is_trusted(conditions, member)
+            c = classification if trusted or classification is not None else self._classification(*given)
             check_method(problem, self.method, c, integrator)
-            if c is not None and not c.regular:
-                solution = self._on_final_manifold(problem, conditions, member, options, (c, integrator))
-            else:
+            solution = None
+            if c is None or c.regular:
                 solution = self._solved([member], [conditions], options, began)[0]
-            solution = explained(problem, solution)
+                if trusted and not self._shows_regular(solution, parameters):
+                    c = self._classification(*given)
+            if c is not None and not c.regular:
+                solution = self._on_final_manifold(*given, options, (c, integrator))
+            solution = explained(problem, cast(Solution, solution))
         return solution.require_success() if throw else solution
 
     @known_options
@@ -273,17 +278,30 @@ class Solver:
     def _classification(
         self, problem: OptimalControlProblem, conditions: tuple[NodeCondition, NodeCondition], member: _Member
     ) -> Classification | None:
-        """The classification of a singular problem, None of a regular one; the functions are looked at once."""
+        """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved with."""
         first, last = conditions
-        values = [np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(member.parameters)]
-        key = structure_of(member.parameters), tuple(values), last.parts
-        if key not in self._classes:
+        values = tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(member.parameters))
+        key = structure_of(member.parameters), last.parts
+        if key not in self._classes or self._classes[key][0] != values:
             known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
             regular = problem.check(known, resting_control(problem.controls))
             problem.require_cost(known, last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
-            self._classes[key] = None if regular else classify(problem, exclude_zero_costate=excluded)
-        return self._classes[key]
+            self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
+        return self._classes[key][1]
+
+    def _is_trusted(self, conditions: tuple[NodeCondition, NodeCondition], member: _Member) -> bool:
+        """Whether the problem was regular with the parameters before: then a solution can show that it is with these."""
+        key = structure_of(member.parameters), conditions[1].parts
+        return key in self._classes and self._classes[key][1] is None
+
+    def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
+        """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""
+        layouts = (self.state, solution.stage_states), (self.control, solution.controls), (self.state, solution.stage_costates)
+        states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
+        rows = parameter_layout(parameters).rows(parameters, 0)[None]
+        minimum = solution.success and solution.checks.strict_minimum
+        return minimum and self._traced(parameters).diagnosis.is_curved((states, controls, costates), rows)
 
     def _solved(
         self,

@@ -4,8 +4,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Result, Solver, discretization_error, solve
-from retrax.manifolds import InvalidInputError
-from retrax.retractions import Exponential, Gauss, Midpoint
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.retractions import Exponential, Gauss, Midpoint, default_retraction
 
 from .problems import half_square
 from .test_swing_up import LINE, RIGS, CartPole
@@ -91,3 +91,36 @@ def test_the_error_of_a_solution_is_that_with_its_parameters(solver):
     assert error.largest["R^4"] < 0.1 * other.largest["R^4"]
     with pytest.raises(InvalidInputError, match="functions take parameters, and none are given"):
         discretization_error(solver.problem, METHOD.retraction, found)
+
+
+@pytest.fixture(scope="module")
+def weighted():
+    """A cart that pays for the square and the size of its force and for where it is, by weights that are parameters."""
+
+    def cost(q, u, weights):
+        return weights[0] * u @ u / 2 + weights[1] * jnp.abs(u[0]) + weights[2] * q @ q / 2
+
+    problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), cost, 1)
+    return Solver(problem, Midpoint(default_retraction(Euclidean(2))), 8)
+
+
+@pytest.mark.parametrize("weight", [1.0, 1e-3, 1e-6, 0.0])
+def test_parameters_that_leave_a_kink_alone_are_refused_after_others(weighted, weight):
+    for price in (1.0, 0.3, 1e-3):
+        assert weighted.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0, parameters=np.array([price, 0, 0])).success
+    asked = np.array([weight, 1.0 - (weight > 0), 0.0])
+    if weight:
+        assert weighted.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0, parameters=asked).success
+    else:
+        with pytest.raises(InvalidInputError, match="kink"):
+            weighted.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0, parameters=asked)
+
+
+@pytest.mark.slow
+def test_parameters_that_make_the_problem_singular_are_seen_after_others(weighted):
+    """Without a price of the force the discrete problem still has a strict minimum, with impulses at the ends."""
+    for price, singular in ((1.0, False), (1e-6, False), (0.0, True)):
+        asked = np.array([price, 0.0, 1.0])
+        solution = weighted.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0, parameters=asked, throw=False)
+        assert (solution.singular is not None) == singular
+        assert solution.success != singular

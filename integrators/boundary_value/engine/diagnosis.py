@@ -1,6 +1,7 @@
 """Quantities computed from a discrete extremal: Hamiltonians, momenta, what is conserved, and what leaves the manifold."""
 
-from typing import Any, NamedTuple, final
+from functools import partial
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,10 @@ from ....manifolds import MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.product import homogeneous_factors
+from ...probing import flat_directions
 from ...problem import OptimalControlProblem
 from ...stages.stage import positive
-from .evaluator import Evaluator
+from .evaluator import Evaluated, Evaluator
 from .layout import Layout, parameter_layout
 from .transcription import at_points
 
@@ -39,7 +41,7 @@ class Diagnosis:
     """What is computed from a trajectory of a problem, traced once."""
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
-        self.problem = problem
+        self.problem, self._evaluator, self._parts = problem, evaluator, cast(tuple[Evaluated, ...] | None, None)
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self.parameter = parameter_layout(parameters)
         states, controls, given = self.state.size, self.control.size, self.parameter.size
@@ -73,6 +75,22 @@ class Diagnosis:
         body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
         worst = dict(zip(self._equations, np.max(violations, axis=1).T[1:], strict=True))
         return Diagnostics(hamiltonians, size, momenta, body, spatial, worst, brackets, np.max(normal, axis=1))
+
+    def is_curved(self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> bool:
+        """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular problem."""
+        if self._parts is None:
+            sizes = self.problem.controls.dimension, self.state.size, self.control.size, self.state.size, self.parameter.size
+            self._parts = tuple(self._evaluator.derivatives(partial(self._part_of, k), *sizes) for k in (0, 1))
+        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
+        looked_at = [part[:, sample] for part in stages]
+        found = [at_points(part, 2, *looked_at, parameters[:, None]) for part in self._parts]
+        curvatures, slopes = (np.stack([values[k][0] for values in found], axis=1) for k in (0, 1))
+        return not any(len(flat_directions(*at)) for at in zip(slopes, curvatures, strict=True))
+
+    def _part_of(self, k: int, d: Array, *given: Array) -> tuple[Array, Array]:
+        """The power ``<p, X>`` or the cost rate at a control moved in its chart."""
+        problem, q, u, p = self._bound(*given)
+        return problem.parts(q, p, problem.steer(u, d))[k], jnp.zeros(0)
 
     def _rounding(self, stages: list[np.ndarray], given: np.ndarray) -> np.ndarray:
         """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of.
