@@ -118,6 +118,8 @@ class Manifold(eqx.Module):
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
         """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does not."""
+        if self._holds(a):
+            return ""
         wrong = self.describe_shapes(a, role) or self._describe_kinds(a, role)
         if wrong:
             return wrong
@@ -125,6 +127,15 @@ class Manifold(eqx.Module):
         if not all(np.all(np.isfinite(np.asarray(leaf))) for leaf in known):
             return f"{self._named(role)} has entries that are NaN or infinite"
         return ""
+
+    def _holds(self, a: Ambient) -> bool:
+        """Whether ``a`` is one of NumPy's arrays of finite real numbers for each of a point's: seen at once, in most calls."""
+        leaves, structure = jax.tree.flatten(a)
+        expected, wanted = jax.tree.flatten(self.ambient)
+        return structure == wanted and all(
+            type(leaf) is np.ndarray and leaf.dtype.kind == "f" and leaf.shape == kind.shape and bool(np.isfinite(leaf).all())
+            for leaf, kind in zip(leaves, expected, strict=True)
+        )
 
     def describe_shapes(self, a: Ambient, role: str) -> str:
         """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do not."""

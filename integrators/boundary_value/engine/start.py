@@ -31,6 +31,7 @@ class Start:
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
         self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
+        self._other = default_retraction(manifold)
         self._curves: list[Evaluated] = []
         self._walk: tuple[Evaluated, Evaluated] | None = None
 
@@ -54,7 +55,7 @@ class Start:
         return self._along(0, self.retraction, *way)
 
     def _default(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._along(1, default_retraction(self.manifold), *way)
+        return self._along(1, self._other, *way)
 
     def _along(
         self, place: int, retraction: Retraction, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray

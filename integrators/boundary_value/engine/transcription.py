@@ -171,7 +171,8 @@ class Nodes:
         self.problem, self.layout, self.parameter = problem, Layout.of(problem.manifold), parameter_layout(parameters)
         self.control = Layout.of(problem.controls)
         self._frame = evaluator.values(self._frame_of, self.layout.size)
-        self._terminal = evaluator.values(self._terminal_of, self.layout.size, self.parameter.size)
+        sizes, paid = (self.layout.size, self.parameter.size), problem.terminal_cost is not None
+        self._terminal = evaluator.values(self._terminal_of, *sizes) if paid else None
         self._violations = evaluator.values(self._violations_of, self.layout.size)
         self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
@@ -183,6 +184,10 @@ class Nodes:
 
     def terminal(self, last: np.ndarray, parameters: np.ndarray) -> Terminal:
         """The terminal cost at last nodes, shape (B, E)."""
+        if self._terminal is None:
+            n = self.problem.manifold.dimension
+            shapes = (), last.shape[1:], (n,), (n, n)
+            return Terminal(*(np.zeros((len(last), *shape)) for shape in shapes))
         return Terminal(*at_points(self._terminal, 1, last, parameters))
 
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
