@@ -61,7 +61,7 @@ CASES = {
     "project": "cylinder",
 }
 OFFSETS = np.array([[0.0, 0], [0, 0], [1, 0], [0, 1], [-1, 0], [0, -1]])
-SMALL = 1e-4
+SMALL = 1e-8  # offset off P_f that direct still takes for rounding of the start
 
 
 @cache
