@@ -58,6 +58,7 @@ SMOOTH = {
     "own rule": lambda x: _squared(x) + _cubed(x),
     "whole numbers": lambda x: x * ((5 * x).astype(int) // 2 + (7 * x).astype(int) % 3),
     "complex": lambda x: _complex(x),
+    "complex with a number as part": lambda x: jnp.real(jnp.outer(jax.lax.complex(x, 0.0), 1j * x) @ jax.lax.complex(x, 2.0)),
     "complex solve": lambda x: jnp.real(jnp.linalg.solve(_matrix(x) + 1j * jnp.eye(3), x * (1 + 2j))),
 }
 

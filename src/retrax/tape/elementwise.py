@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, parts, scalars
+from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, moved, parts, scalars
 
 Function = Callable[..., ca.SX]
 
@@ -225,6 +225,12 @@ def _convert(params: dict[str, Any], x: Entries) -> Entries:
     return _mapped(truncated, x) if kind in "iu" else x
 
 
+def _paired(*halves: Any) -> Complex:
+    """A complex array from its parts, of which one may be a single number."""
+    shape = np.broadcast_shapes(*(half.shape for half in halves))
+    return Complex(*(half if half.shape == shape else moved(half, lambda a: np.broadcast_to(a, shape)) for half in halves))
+
+
 def _round(params: dict[str, Any], x: Entries) -> Entries:
     def away(a: ca.SX) -> ca.SX:
         return ca.sign(a) * ca.floor(ca.fabs(a) + 0.5)
@@ -264,7 +270,7 @@ def _logic(params: dict[str, Any], name: str, *arrays: Entries) -> Entries:
 _OTHERS: dict[str, Callable[..., Entries]] = {
     "and": lambda params, *a: _logic(params, "and", *a),
     "clamp": _clamp,
-    "complex": lambda params, a, b: Complex(a, b),
+    "complex": lambda params, a, b: _paired(a, b),
     "convert_element_type": _convert,
     "div": _divided,
     "imag": lambda params, a: parts(a)[1],
