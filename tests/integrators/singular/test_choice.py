@@ -72,7 +72,7 @@ def test_the_choice_does_not_depend_on_the_frequency_of_the_paper_s_example_nor_
         for rate in (3.0, 1.0, 0.4, 0.2):
             assert chosen(classify(wave(rate, seed), seed=seed)) == "direct", (rate, seed)
     for rate in (0.3, 2.0):
-        for scale in SCALES:
+        for scale in SCALES[::3]:
             for units in np.where(np.eye(3, dtype=bool), scale, 1.0):
                 assert chosen(classify(wave(rate, *units))) == "direct", (rate, units)
 
@@ -214,10 +214,9 @@ def test_constraints_that_do_not_commute_are_refused_in_all_units():
 def test_all_verdicts_stay_through_units_and_small_costs():
     expected = applying(classify(carried(0.0)))
     assert expected == ["direct", "rattle", "reduced", "project"]
-    for scale in SCALES[::3]:
-        for units in np.where(np.eye(3, dtype=bool), scale, 1.0):
-            assert applying(classify(carried(0.0, *units))) == expected, units
-            assert applying(classify(carried(0.1, *units))) == ["rattle", "project"], units
+    for units in np.where(np.eye(3, dtype=bool), [[SCALES[0]], [SCALES[-1]], [SCALES[1]]], 1.0):
+        assert applying(classify(carried(0.0, *units))) == expected, units
+        assert applying(classify(carried(0.1, *units))) == ["rattle", "project"], units
 
 
 @pytest.mark.slow
