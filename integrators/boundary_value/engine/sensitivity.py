@@ -50,7 +50,9 @@ class Sensitivities:
 
     def __init__(self, steps: OneStage | Collocation, nodes: Nodes, evaluator: Evaluator) -> None:
         self.steps, self.nodes = steps, nodes
-        self.columns = (_OneStageColumns if isinstance(steps, OneStage) else _CollocationColumns)(steps, evaluator)
+        self.columns = (
+            _OneStageColumns(steps, evaluator) if isinstance(steps, OneStage) else _CollocationColumns(steps, evaluator)
+        )
         n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
         m, u = nodes.problem.controls.dimension, nodes.control.size
         self._terminal = evaluator.derivatives(self._terminal_of, n + k, e, k)
