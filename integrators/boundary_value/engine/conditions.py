@@ -5,11 +5,10 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from .elimination import BlockSystem, eliminate, is_strict_minimum
-from .scaling import SHARE, Units, natural_units
+from .scaling import SHARE, Units, natural_units, unscaled
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
-SMALLEST_PIVOT = 0.6  # power of the machine epsilon
 
 
 class Iterate(NamedTuple):
@@ -84,7 +83,6 @@ class Conditions:
 
     def __init__(self, transcription: Any, nodes: Nodes, ends: Ends, data: Data, units: Units | None = None) -> None:
         self.transcription, self.at_nodes, self.ends, self.data, self.units = transcription, nodes, ends, data, units
-        self.epsilon = np.finfo(float).eps
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
@@ -186,8 +184,7 @@ class Conditions:
         floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
         scales = np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
         found = eliminate(self._system(assembled), self.measured, shift, scales)
-        steps = found.steps[..., 0] * d[:, None]
-        multipliers = found.multipliers[..., 0] * (self.measured.cost[:, None] / self.measured.nodes)[:, None]
+        steps, multipliers = (columns[..., 0] for columns in unscaled(found, self.measured))
         finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
         strict = is_strict_minimum(found, multipliers[0].size)
         return Step(steps, multipliers, strict, finite), found.curvature, found.size

@@ -19,6 +19,7 @@ from .condensing import condense
 from .conditions import Assembled, Conditions, Iterate
 from .elimination import BlockSystem, eliminate
 from .evaluator import Evaluator
+from .scaling import unscaled
 from .transcription import Nodes, OneStage, at_points
 
 CHANGED = 1e-9  # relative: more than rounding
@@ -92,8 +93,7 @@ class Sensitivities:
         coordinates = conditions.ends.start_coordinates, conditions.ends.end_coordinates
         fixed = (np.broadcast_to(c, (count, c.size)) for c in coordinates)
         found = eliminate(BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed), units)
-        lengths = (units.cost[:, None] / units.nodes)[:, None, :, None]
-        return found.steps * units.unknowns[:, None, :, None], found.multipliers * lengths, found.smallest
+        return *unscaled(found, units), found.smallest
 
     def _moved(self, blocks: Any, own: Columns, steps: np.ndarray) -> np.ndarray:
         """Displacements of the nodes in their frames, shape (B, N + 1, n, K)."""

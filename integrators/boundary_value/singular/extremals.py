@@ -234,8 +234,7 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
 def _record(
     request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
 ) -> Solution:
-    (states, costates), controls = outcome.nodes, outcome.controls
-    diagnostics = _diagnostics(request.problem, outcome)
+    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
     arc = SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,
