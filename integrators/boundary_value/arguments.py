@@ -7,7 +7,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds import InvalidInputError, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import is_count, is_finite_number
 from ...retractions import DiscretizationMap, Gauss
@@ -113,26 +113,3 @@ def require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> N
             f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
             f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
         )
-
-
-def lengths_of(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
-    """Lengths of the leading axes that points have in addition."""
-    if given is None:
-        return []
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return [length for pair in zip(manifold.factors, given, strict=True) for length in lengths_of(*pair)]
-    return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
-
-
-def member_of(manifold: Manifold, given: Any, k: int) -> Any:
-    """Member ``k`` of what may be a batch of points, with None where they are free."""
-    if given is None:
-        return None
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return tuple(member_of(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if _is_batch(manifold, given) else given
-
-
-def _is_batch(manifold: Manifold, given: Any) -> bool:
-    shapes = [np.ndim(leaf) for leaf in jax.tree.leaves(given)]
-    return shapes == [len(leaf.shape) + 1 for leaf in jax.tree.leaves(manifold.ambient)]

@@ -17,7 +17,7 @@ from ....retractions import Retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import Classification, FinalEquations
-from ..boundary import NodeCondition, Part
+from ..end_points import NodeCondition, Part
 from .least_squares import least_squares
 from .shooting import Pair
 

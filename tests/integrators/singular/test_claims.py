@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.boundary_value.boundary import boundary_conditions
+from retrax.integrators.boundary_value.end_points import boundary_conditions
 from retrax.integrators.boundary_value.singular import EndConditions
 from retrax.integrators.boundary_value.singular.claims import broken_end, not_stationary, stationarity
 from retrax.integrators.boundary_value.singular.conditions import AtEnds
