@@ -23,6 +23,17 @@ LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "mat
 
 def real_number(name: str, value: Any) -> Array:
     """What a user's function returned, as one real number in the precision in use; raises if it is something else."""
+    return _real(name, value, 0)
+
+
+def real_vector(name: str, value: Any) -> Array:
+    """What a user's function returned, as a real number or a vector of them; raises if it is something else."""
+    return _real(name, value, 1)
+
+
+def _real(name: str, value: Any, axes: int) -> Array:
+    """Real numbers with at most ``axes`` axes."""
+    expected = "a real number or a vector of them" if axes else "a real number"
     got = "nothing; did it forget to return?" if value is None else f"{value!r}"
     if isinstance(value, np.ndarray | np.generic | jax.Array | list | tuple):
         value = _stacked(value)
@@ -32,14 +43,15 @@ def real_number(name: str, value: Any) -> Array:
     elif isinstance(value, complex):
         kind = np.dtype(complex)
     if kind is None:
-        raise InvalidInputError(f"{name} must return a real number, got {got}")
+        raise InvalidInputError(f"{name} must return {expected}, got {got}")
     if jnp.issubdtype(kind, jnp.complexfloating):
-        raise InvalidInputError(f"{name} must return a real number, got a complex one; try jnp.real(...) of it, or vdot and abs")
+        raise InvalidInputError(f"{name} must return {expected}, got a complex one; try jnp.real(...) of it, or vdot and abs")
     if not jnp.issubdtype(kind, jnp.number):
-        raise InvalidInputError(f"{name} must return a real number, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
+        raise InvalidInputError(f"{name} must return {expected}, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
     shape = getattr(value, "shape", ())
-    if shape != ():
-        raise InvalidInputError(f"{name} must return a scalar, got an array of shape {shape}; sum it or pick an entry")
+    if len(shape) > axes:
+        wanted, hint = ("a number or a vector", "jnp.ravel it") if axes else ("a scalar", "sum it or pick an entry")
+        raise InvalidInputError(f"{name} must return {wanted}, got an array of shape {shape}; {hint}")
     return in_precision(name, value, working_precision())
 
 

@@ -49,7 +49,8 @@ ASKED_FOR = {
     TIME: ("time", "clock", "t0", "t"),
 }
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
-CLOCKS = frozenset({"t", "time", "tau", "horizon", "tf", "final_time"})
+TIMES = frozenset({"t", "time", "tau"})
+CLOCKS = TIMES | {"horizon", "tf", "final_time"}
 
 
 def asked_for(name: str) -> str:
@@ -91,20 +92,27 @@ def _require_all(signature: inspect.Signature, what: str, arguments: tuple, opti
 def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:
     """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``, or of these and ``more``.
 
-    Returns whether it takes ``more``.
+    A time, ``t``, is the last of the arguments that are expected, or is not among them. Returns whether it takes ``more``.
     """
     if not callable(function):
         raise InvalidInputError(f"{name} must be a function of {expected}, got {function!r}")
     parameters, count = _names(function), expected.count(",") + 1
     if parameters is None:
         return False
-    clock = CLOCKS.intersection(parameters) and len(parameters) > count
+    clock = _has_clock(parameters, count, expected.endswith("t)"))
     takes_them = bool(more) and takes_more(function, count)
     if not (takes_them or _binds(function, count)) or clock:
-        hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock else ""
+        hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock and not expected.endswith("t)") else ""
         also = f", or of these and {more}" if more else ""
         raise InvalidInputError(f"{name} must be a function of {expected}{also}, got one of ({', '.join(parameters)}){hint}")
     return takes_them
+
+
+def _has_clock(parameters: list[str], count: int, timed: bool) -> bool:
+    """Whether there is a time among the arguments where none is expected."""
+    if timed:
+        return any(name in TIMES and place != count - 1 for place, name in enumerate(parameters))
+    return len(parameters) > count and not CLOCKS.isdisjoint(parameters)
 
 
 def takes_more(function: Callable, count: int) -> bool:

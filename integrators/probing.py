@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..retractions import default_retraction
+from ..manifolds.numerics.errors import TRACEABLE
+from .functions import failing_line
+
+FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -40,6 +42,7 @@ class Probed(NamedTuple):
     costs: tuple[Array, Array]  # running and terminal, with the first control
     slopes: Array
     curvatures: Array
+    limits: tuple[tuple[Array, ...], tuple[Array, ...]]  # constraints, and their derivatives by the control asked for
 
 
 def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: Array, covectors: Ambient) -> Probed:
@@ -56,35 +59,17 @@ def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: 
         curvature, value = jax.jacfwd(slope, has_aux=True)(c)
         return value, curvature
 
-    return Probed(controls, normals, sizes, costs, *jax.vmap(derivatives)(*with_rest(directions, covectors)))
+    def limits(c: Array) -> tuple[Array, ...]:
+        return problem.limits.of_functions(q, problem.steer(u, c))
+
+    rest = jnp.zeros(problem.controls.dimension)
+    bounded = limits(rest), jax.jacfwd(limits)(rest)
+    return Probed(controls, normals, sizes, costs, *jax.vmap(derivatives)(*with_rest(directions, covectors)), bounded)
 
 
 def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
     """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
     return jnp.stack(problem.parts(q, problem.manifold.projection(q, covector), problem.steer(u, c)))
-
-
-def cost_rates(
-    problem: "OptimalControlProblem", q: Ambient, moves: Array, u: Ambient, directions: Array
-) -> tuple[Float[Array, "moves controls"], Array]:
-    """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by both."""
-    retraction = default_retraction(problem.manifold)
-    frame = retraction.frame(q)
-
-    def at(q: Ambient, c: Array) -> tuple[Array, Array]:
-        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u, z[1])))((q, c))
-        return rate, vec.size(slopes)
-
-    return jax.vmap(lambda move: jax.vmap(lambda c: at(retraction.chart(q, frame, move), c))(directions))(moves)
-
-
-def terminal_costs(problem: "OptimalControlProblem", points: Ambient) -> tuple[Array, Ambient]:
-    """The terminal cost at several points, and its differentials there, of the structure of the points."""
-
-    def at(q: Ambient) -> tuple[Array, Ambient]:
-        return problem.final_cost(q), problem.manifold.projection(q, vec.gradient(problem.final_cost, q))
-
-    return jax.vmap(at)(points)
 
 
 def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
@@ -256,3 +241,26 @@ def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: 
         f"first one {change} between u = {controls[0]} and u = {controls[1]}; expected a smooth function of u, because the "
         f"conditions dH/du = 0 do not hold at a kink; try {smooth}"
     )
+
+
+def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient, u: Ambient) -> str:
+    """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
+    shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
+    reason, hint = str(error), "try another number of controls, or index what is there"
+    if isinstance(error, jax.errors.JAXTypeError):
+        reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
+    elif not _has_velocity(problem, q, u) and _has_velocity(problem, u, q):
+        hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
+    where = failing_line(error, problem.functions)
+    return (
+        f"the problem's functions fail at a point q of {problem.manifold}, shape {shapes[0]}, and a control u of "
+        f"{problem.controls}, shape {shapes[1]}{where and ', in ' + where}: {reason}; {hint}"
+    )
+
+
+def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool:
+    try:
+        jax.eval_shape(problem.velocity, *arguments)
+    except FAILURES:
+        return False
+    return True

@@ -1,6 +1,6 @@
 """Optimal control problems and Pontryagin's Hamiltonian."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from itertools import pairwise
 from typing import Any, final
 
@@ -8,34 +8,32 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, RetraxError
 from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.errors import TRACEABLE
 from ..manifolds.numerics.reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled, digest
-from .functions import failing_line, in_precision, real_number
-from .options import HORIZON, known_options, require_arguments, takes_more
+from .constraints import Constraint, Inequalities, constraint_words
+from .costs import is_steep, require_cost
+from .functions import in_precision, real_number
+from .options import known_options, require_arguments, takes_more
 from .probing import (
     CURVATURES,
+    FAILURES,
     LADDER,
-    ROUNDING,
     SPREAD,
     Probed,
     along_lines,
     bend,
-    cost_rates,
+    failure_words,
     flats,
     kink_words,
     probe,
-    terminal_costs,
 )
-
-FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -44,12 +42,17 @@ TerminalCost = Callable[[Any], Any]
 
 @final
 class OptimalControlProblem(eqx.Module):
-    """Minimise ``int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` on a manifold.
+    """Minimise ``Phi_0(q(0)) + int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` and ``g(q, u) <= 0`` on a manifold.
 
-    ``dynamics(q, u)`` returns a tangent vector at ``q``, ``running_cost(q, u)`` and ``terminal_cost(q)`` a scalar; all are
-    JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0 to 0. Functions that take one
-    more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and arrays; then
-    ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them.
+    ``dynamics(q, u)`` returns a tangent vector at ``q``; ``running_cost(q, u)``, ``terminal_cost(q)`` and ``initial_cost(q)``
+    return a scalar; all are JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0
+    to 0. ``control_bounds``, of controls in R^m only: a pair ``(lower, upper)`` of numbers or arrays of the shape of a control,
+    infinite where there is none. ``constraints``: functions ``g(q, u)`` by their names, of which each returns a number or a
+    vector, whose entries are not positive along a trajectory. With ``time_dependent`` the functions take the time after ``u``:
+    ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the initial cost does not.
+
+    Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and
+    arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them.
     """
 
     manifold: Manifold
@@ -58,6 +61,9 @@ class OptimalControlProblem(eqx.Module):
     controls: Manifold
     terminal_cost: TerminalCost | None
     abnormal: bool = eqx.field(static=True)
+    initial_cost: TerminalCost | None
+    limits: Inequalities
+    time_dependent: bool = eqx.field(static=True)
     takes_parameters: bool = eqx.field(static=True)
 
     @known_options
@@ -69,30 +75,115 @@ class OptimalControlProblem(eqx.Module):
         controls: Manifold | int,
         terminal_cost: TerminalCost | None = None,
         abnormal: bool = False,
+        initial_cost: TerminalCost | None = None,
+        control_bounds: tuple[Any, Any] | None = None,
+        constraints: Mapping[str, Constraint] | None = None,
+        time_dependent: bool = False,
     ) -> None:
         self.manifold = manifold
-        self.dynamics, self.running_cost, self.terminal_cost = dynamics, running_cost, terminal_cost
+        self.dynamics, self.running_cost = dynamics, running_cost
+        self.terminal_cost, self.initial_cost = terminal_cost, initial_cost
         self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
-        self.abnormal = abnormal
+        self.abnormal, self.time_dependent = abnormal, time_dependent
         for name, value in (("manifold", self.manifold), ("controls", self.controls)):
             if not isinstance(value, Manifold):
                 raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
-        if not isinstance(abnormal, bool | np.bool_):
-            raise InvalidInputError(f"abnormal must be True or False, got {abnormal!r}")
-        takes = require_arguments("dynamics", dynamics, "(q, u)", more="parameters")
-        takes |= require_arguments("running_cost", running_cost, "(q, u)", more="parameters")
-        if terminal_cost is not None:
-            takes |= require_arguments("terminal_cost", terminal_cost, "q", more="parameters")
-        self.takes_parameters = takes
+        for name, flag in (("abnormal", abnormal), ("time_dependent", time_dependent)):
+            if not isinstance(flag, bool | np.bool_):
+                raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
+        given = isinstance(constraints, Inequalities)
+        self.limits = constraints if given else Inequalities.of(control_bounds, constraints, self.controls)
+        expected = {2: "(q, u, t)", 1: "(q, t)"} if time_dependent else {2: "(q, u)", 1: "q"}
+        expected[0] = "q"
+        takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
+        self.takes_parameters = any(takes)
+
+    def _functions(self) -> Iterator[tuple[str, Callable, int]]:
+        """Names of the functions, and of what they are: 2 of state and control, 1 of the last state, 0 of the first."""
+        names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
+        for name, kind in names:
+            if getattr(self, name) is not None or kind == 2:
+                yield name, getattr(self, name), kind
+        for name, function in zip(self.limits.names, self.limits.functions, strict=True):
+            yield constraint_words(name), function, 2
+
+    @property
+    def functions(self) -> dict[str, Callable]:
+        """All functions by the names that messages have for them."""
+        return {name: function for name, function, _ in self._functions()}
+
+    @property
+    def control_bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
+        """The bounds of the controls, arrays of their shape; None if there are none."""
+        both = [np.array(side) for side in (self.limits.lower, self.limits.upper)]
+        return (both[0].reshape(self._shape), both[1].reshape(self._shape)) if both[0].size else None
+
+    @property
+    def constraints(self) -> dict[str, Constraint]:
+        """The constraints by their names."""
+        return dict(zip(self.limits.names, self.limits.functions, strict=True))
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self.controls.shape if isinstance(self.controls, Euclidean) else ()
 
     def with_parameters(self, parameters: Any) -> "OptimalControlProblem":
         """The problem whose functions have the parameters; the problem itself if they take none."""
         if not self.takes_parameters:
             return self
-        names = (("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1))
-        bound = (_bound(getattr(self, name), count, parameters) for name, count in names)
-        dynamics, running_cost, terminal_cost = bound
-        return OptimalControlProblem(self.manifold, dynamics, running_cost, self.controls, terminal_cost, self.abnormal)
+        counts = (1, 2, 3) if self.time_dependent else (1, 1, 2)
+        return self._changed(lambda f, kind: _bound(f, counts[kind], parameters), self.time_dependent)
+
+    def at_time(self, t: Any) -> "OptimalControlProblem":
+        """The problem whose functions have the time, behind which they take nothing more; itself if they take no time."""
+        if not self.time_dependent:
+            return self
+        return self._changed(lambda f, kind: (lambda *arguments: f(*arguments, t)) if kind else f, False)
+
+    def _changed(self, change: Callable[[Callable, int], Callable], time_dependent: bool) -> "OptimalControlProblem":
+        """The problem with other functions, made of these and their kinds."""
+        made = [change(function, kind) for _, function, kind in self._functions()]
+        given: dict[str, Any] = dict(zip(self.functions, made, strict=True))
+        functions = tuple(made[len(made) - len(self.limits.names) :])
+        limits: Any = Inequalities(self.limits.lower, self.limits.upper, self.limits.names, functions, self.limits.at_first)
+        costs = given["running_cost"], self.controls, given.get("terminal_cost"), self.abnormal, given.get("initial_cost")
+        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, constraints=limits, time_dependent=time_dependent)
+
+    def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
+        """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in order."""
+        return self.limits.values(q, u)
+
+    @property
+    def inequality_names(self) -> tuple[str, ...]:
+        """A name for each of the inequalities, as ``cone[1]``; of a problem whose functions have their parameters."""
+        return self.limits.words(self._sizes, self._shape)
+
+    def inequality_mask(self, steps: int, stages: int) -> np.ndarray:
+        """At which points of a trajectory the inequalities hold, shape ``(steps, stages, k)``."""
+        return self.limits.mask(self._sizes, steps, stages)
+
+    def by_constraint(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Numbers that belong to the inequalities, along the last axis, by names; bounds have one for each entry of ``u``."""
+        return self.limits.by_name(values, self._sizes)
+
+    @property
+    def _sizes(self) -> dict[str, int | None]:
+        return self.limits.sizes(self.manifold.ambient, self.controls.ambient)
+
+    def require_treated(self, what: str, *treated: str) -> None:
+        """Raise if the problem has bounds, constraints, an initial cost or a time that ``what`` does not treat."""
+        has = {
+            "control bounds": any(self.limits.bounded.values()),
+            "constraints": bool(self.limits.functions),
+            "an initial cost": self.initial_cost is not None,
+            "an explicit time": self.time_dependent,
+        }
+        left = [words for words, there in has.items() if there and words not in treated]
+        if left:
+            raise InvalidInputError(
+                f"the problem has {' and '.join(left)}, which {what} does not treat; expected a problem without; try one that "
+                "has none"
+            )
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
@@ -120,6 +211,10 @@ class OptimalControlProblem(eqx.Module):
         """Terminal cost ``Phi(q)``, zero if there is none."""
         return jnp.zeros(()) if self.terminal_cost is None else real_number("terminal_cost", self.terminal_cost(q))
 
+    def first_cost(self, q: Ambient) -> Array:
+        """Initial cost ``Phi_0(q)``, zero if there is none."""
+        return jnp.zeros(()) if self.initial_cost is None else real_number("initial_cost", self.initial_cost(q))
+
     def parts(self, q: Ambient, p: Ambient, u: Ambient) -> tuple[Array, Array]:
         """The power ``<p, X(q, u)>`` and the cost rate ``p_0 F(q, u)``."""
         return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
@@ -146,10 +241,11 @@ class OptimalControlProblem(eqx.Module):
     def digest(self) -> bytes | None:
         """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
 
-        def functions(q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array]:
-            return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)
+        return digest(self._values, self.manifold.ambient, self.controls.ambient)
 
-        return digest(functions, self.manifold.ambient, self.controls.ambient)
+    def _values(self, q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array, Array, Array]:
+        """What all functions return."""
+        return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q), self.first_cost(q), self.inequalities(q, u)
 
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
@@ -185,49 +281,14 @@ class OptimalControlProblem(eqx.Module):
 
         The terminal one at points of which the arrays that are ``fixed`` at the end are those of ``end``.
         """
-        directions = np.concatenate([size * self._directions()[0] for size in (1, 1e2, 1e4)])
-        moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, self.manifold.dimension)).astype(directions.dtype)
-        moves[0] = 0.0
-        costs, slopes = call_compiled(cost_rates, self, q, moves, resting_control(self.controls), directions)[0]
-        if self.abnormal or not _is_one_number(costs, np.max(slopes)):
-            return
-        terminal = "no terminal cost of a free end is given"
-        if self.terminal_cost is not None and not (fixed and all(fixed)):
-            ends, tilts = self._terminal(self._points(end, fixed))
-            if not _is_one_number(ends, max(np.max(np.abs(tilt)) for tilt in _free_leaves(tilts, fixed))):
-                return
-            terminal = f"the terminal cost is {float(ends[0]):.6g} at every end"
-        raise InvalidInputError(
-            f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and {terminal}: over a "
-            "fixed horizon all curves from start to end then cost the same, and none is the solution; expected a cost of states "
-            f"or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
-        )
+        require_cost(self, (q, resting_control(self.controls), self._directions()[0]), end, fixed)
 
     def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
         """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not zero.
 
         Where that is free, of arrays that are not ``fixed``, no extremal ends with ``p = 0``.
         """
-        if self.terminal_cost is None:
-            return False
-        _, tilts = self._terminal(self._points(self.manifold.random_point(jax.random.key(1))))
-        rounding = ROUNDING * np.finfo(working_precision()).eps
-        return any(
-            bool(np.any((a[0] != 0) & np.all(np.abs(a - a[0]) <= rounding * np.abs(a[0]), axis=0)))
-            for a in _free_leaves(tilts, fixed)
-        )
-
-    def _points(self, q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
-        """A point and random ones, along the leading axis; those of its arrays that are ``fixed`` are the same in all."""
-        keys = jax.random.split(jax.random.key(0), CURVATURES)
-        points = [jax.tree.map(np.asarray, x) for x in (q, *map(self.manifold.random_point, keys))]
-        leaves, structure = jax.tree.flatten(jax.tree.map(lambda *leaves: np.stack(leaves), *points))
-        known = fixed or (False,) * len(leaves)
-        leaves = [np.broadcast_to(a[0], a.shape) if is_known else a for a, is_known in zip(leaves, known, strict=True)]
-        return jax.tree.unflatten(structure, leaves)
-
-    def _terminal(self, points: Ambient) -> tuple[np.ndarray, Ambient]:
-        return jax.tree.map(np.asarray, call_compiled(terminal_costs, self, points)[0])
+        return is_steep(self, fixed)
 
     def _probed(self, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> Probed:
         """The functions at ``(q, u)`` and around, in NumPy arrays; raises if they fail there."""
@@ -236,18 +297,18 @@ class OptimalControlProblem(eqx.Module):
         except RetraxError:
             raise
         except FAILURES as error:
-            raise InvalidInputError(self._failure(error, q, u)) from error
+            raise InvalidInputError(failure_words(self, error, q, u)) from error
         return jax.tree.map(np.asarray, found)
 
     def require_values(self) -> None:
         """Raise if the functions cannot be called with a point and a control, or return something of another kind."""
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
         try:
-            traced(lambda q, u: (self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q)), q, u)
+            traced(self._values, q, u)
         except RetraxError:
             raise
         except FAILURES as error:
-            raise InvalidInputError(self._failure(error, q, u)) from error
+            raise InvalidInputError(failure_words(self, error, q, u)) from error
 
     def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
         """Whether a second derivative by the controls is invertible; raises if it is not because of a kink."""
@@ -281,46 +342,20 @@ class OptimalControlProblem(eqx.Module):
                 f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
                 "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
             )
+        for name, values, slopes in zip(self.limits.names, *probed.limits, strict=True):
+            if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
+                what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
+                raise InvalidInputError(
+                    f"{constraint_words(name)} {what} at q = {q}, u = {u}, where "
+                    f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in place "
+                    "of sqrt(u @ u) - a"
+                )
 
     def _directions(self) -> tuple[np.ndarray, Ambient]:
         """Random coordinates of controls and random ambient covectors, the same at every call."""
         draw = np.random.default_rng(0).standard_normal
         covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), self.manifold.ambient)
         return SPREAD * draw((CURVATURES, self.controls.dimension)).astype(working_precision()), covectors
-
-    def _failure(self, error: Exception, q: Ambient, u: Ambient) -> str:
-        """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
-        shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
-        reason, hint = str(error), "try another number of controls, or index what is there"
-        if isinstance(error, jax.errors.JAXTypeError):
-            reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
-        elif not self._has_velocity(q, u) and self._has_velocity(u, q):
-            hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
-        names = "dynamics", "running_cost", "terminal_cost"
-        where = failing_line(error, {name: getattr(self, name) for name in names})
-        return (
-            f"the problem's functions fail at a point q of {self.manifold}, shape {shapes[0]}, and a control u of "
-            f"{self.controls}, shape {shapes[1]}{where and ', in ' + where}: {reason}; {hint}"
-        )
-
-    def _has_velocity(self, *arguments: Ambient) -> bool:
-        try:
-            jax.eval_shape(self.velocity, *arguments)
-        except FAILURES:
-            return False
-        return True
-
-
-def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:
-    """Arrays of a pytree that are not ``fixed``, all if that is empty."""
-    leaves = jax.tree.leaves(tree)
-    return [leaf for leaf, known in zip(leaves, fixed or (False,) * len(leaves), strict=True) if not known]
-
-
-def _is_one_number(values: np.ndarray, slope: Any) -> bool:
-    """Whether values of a function, and the largest of its slopes, say that it is constant."""
-    rounding = ROUNDING * np.finfo(working_precision()).eps * np.max(np.abs(values))
-    return bool(np.ptp(values) <= rounding and slope <= rounding)
 
 
 def resting_control(controls: Manifold) -> Ambient:

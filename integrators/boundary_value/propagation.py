@@ -62,6 +62,7 @@ def discretization_error(
     ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
     manifold, and ``InvalidInputError`` if parameters are missing.
     """
+    problem.require_treated("discretization_error", "control bounds", "constraints", "an initial cost")
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)

@@ -50,6 +50,7 @@ class DiracSystem(eqx.Module):
         """
         if not isinstance(problem, OptimalControlProblem):
             raise InvalidInputError(f"controlled takes an OptimalControlProblem, got {problem!r}; or give DiracSystem an H(q, p)")
+        problem.require_treated("DiracSystem.controlled", "an initial cost")
         return cls(problem.manifold, _ExtremalHamiltonian(problem), forms, rates)
 
     def __check_init__(self) -> None:

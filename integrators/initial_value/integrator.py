@@ -18,7 +18,8 @@ from ...retractions import CotangentLift, DiscretizationMap, Gauss
 from ..compilation import compiled
 from ..functions import real_number
 from ..options import require_arguments
-from ..problem import FAILURES, OptimalControlProblem, resting_control
+from ..probing import FAILURES
+from ..problem import OptimalControlProblem, resting_control
 from ..stages import ControlStage, GaussStage, GaussUnknowns, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
@@ -183,6 +184,7 @@ class PresymplecticIntegrator(VariationalIntegrator):
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not isinstance(system, OptimalControlProblem):
             raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
+        system.require_treated("PresymplecticIntegrator", "an initial cost")
         system.check_discretization(self.discretization)
         u = extremal_control(system, q, p)
         system.check(q, u)

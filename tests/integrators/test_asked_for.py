@@ -37,7 +37,7 @@ BOUNDS, HORIZON, TIME = "the barrier -d", "multiplies the dynamics and the runni
 def test_an_option_that_does_not_exist_is_answered(name, words):
     with pytest.raises(InvalidInputError, match=rf"^solve has no option '{name}', expected one of .*{words}"):
         solve(CART, MIDPOINT, REST, AHEAD, 1.0, 4, **{name: 1})
-    if words == BOUNDS:
+    if words == BOUNDS and name not in ("control_bounds", "path_constraints"):
         with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*{words}"):
             OptimalControlProblem(PLANE, cart, effort, 1, **{name: (-1, 1)})
 

@@ -116,6 +116,7 @@ def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None,
 def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> None:
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"classify takes an OptimalControlProblem, got {problem!r}")
+    problem.require_treated("classify", "an initial cost")
     if not isinstance(starts, int) or starts < 1:
         raise InvalidInputError(f"starts must be a positive number of random starts, got {starts!r}; try 20")
     if problem.controls.dimension == 0:

@@ -142,6 +142,7 @@ def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -
     """Raise if ``singular`` does not name controls of a Euclidean control space."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"expected an OptimalControlProblem, got {problem!r}")
+    problem.require_treated("a splitting of the controls", "an initial cost")
     count = problem.controls.dimension
     named = all(isinstance(i, int) and 0 <= i < count for i in singular)
     if not (isinstance(problem.controls, Euclidean) and singular and named and len(set(singular)) == len(singular)):

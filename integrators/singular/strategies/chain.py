@@ -97,6 +97,7 @@ def reduce_until_regular(
     the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no such
     controls, or a reduction does not apply.
     """
+    problem.require_treated("reduce_until_regular", "an initial cost")
     affine, reductions = affine_controls(problem, near) if singular is None else singular, list[GohReduction]()
     if not affine:
         raise InvalidInputError("there is nothing to reduce: the Hamiltonian has a second derivative in every control")
