@@ -15,6 +15,7 @@ from retrax.manifolds import (
     EmbeddedMetric,
     Euclidean,
     InvalidInputError,
+    LevelSet,
     Manifold,
     Power,
     Simplex,
@@ -38,6 +39,8 @@ from retrax.testing import (
 from retrax.testing.sites import special_points
 
 from tests.support.numerics import norm
+
+from .wrong_spaces import MutantManifold
 
 SPHERE, EAST = Sphere(2), jnp.array([0.0, 0.6, 0.8])
 
@@ -164,6 +167,37 @@ def test_facts_are_measured_at_the_points_of_the_user():
         InvalidInputError, match=r"points\[0\] is not a point: .* where \(2,\) came; try a list of points of Sphere"
     ):
         check_retraction(Projection(SPHERE), points=[jnp.ones(2)])
+
+
+class Volume(LevelSet):
+    """Matrices of determinant one, by another way than the group."""
+
+    def constraint(self, x):
+        return jnp.linalg.det(x) - 1.0
+
+
+def test_zero_is_not_said_to_be_a_kink_where_an_equation_is_missing():
+    volume, names = Volume(shape=(2, 2)), ["random_tangents_are_tangent", "restore_is_the_identity_on_the_manifold"]
+    lacking, kink = "try adding the equation that excludes it", "try jnp.where"
+    for power in (0, 1, 2):  # from the equation itself to one that holds at zero, too
+        mutant = MutantManifold(
+            volume, violations=lambda x, k=power: {"det": jnp.abs(jnp.linalg.det(x) ** k * volume.constraint(x))}
+        )
+        failures = check_manifold(mutant, only=names, throw=False).failures
+        assert len(failures) == (2 if power else 0)
+        assert all(lacking in outcome.words and "at a special point, x = [0. " in outcome.where for outcome in failures)
+    (gone,) = check_manifold(
+        MutantManifold(volume, violations=lambda x: {"none": 0 * jnp.abs(x[0, 0])}),
+        only="equations_see_normal_displacements",
+        throw=False,
+    ).failures
+    assert "every equation" in gone.words  # what random points say comes before what zero says
+    assert gone.where.startswith("at seed")
+    assert lacking not in gone.words
+
+    sharp = MutantManifold(SPHERE, projection=lambda x, a: SPHERE.projection(x, a) + 0 * jnp.sqrt(x[1] ** 2 + x[2] ** 2))
+    words = check_manifold(sharp, only="derivative_of_the_projection_is_that_of_differences", throw=False).failures[0].words
+    assert kink in words
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..manifolds import InvalidInputError, Manifold
+from ..manifolds import InvalidInputError, Manifold, MatrixLieGroup
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
 from .numerics import SCALES, coarse_differences, compiled, differences, violation_kernel
@@ -94,8 +94,15 @@ class Facts(ABC):
                 self._broken[name] = error
                 raise
             found = jax.tree.map(lambda *parts: np.stack(parts), *rows)
-            self._measured[name, kind] = {**found, "place": np.array([site.words for site in self.sites])}
+            places = {"place": np.array([site.words for site in self.sites]), "doubtful": self._doubtful}
+            self._measured[name, kind] = {**found, **places}
         return self._measured[name, kind]
+
+    @property
+    def _doubtful(self) -> np.ndarray:
+        """The sites that are points of the manifold only if ``violations``, which are being checked, say so rightly."""
+        judged = self.subject is self.manifold and not isinstance(self.manifold, MatrixLieGroup)
+        return np.array([judged and site.special for site in self.sites])
 
     def compare(
         self,

@@ -14,6 +14,7 @@ from ..manifolds.numerics.errors import TRACEABLE
 from .precision import precision
 
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
+DOUBTFUL = "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
 THE_VALUE = "the value"
 # Folders of files that errors pass through on their way from what is checked.
 _INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
@@ -59,10 +60,15 @@ class Comparison:
 
     @property
     def worst(self) -> int:
-        """The sample to show: one where the limit is not kept if there is one, and of these one whose value is farthest off."""
+        """The sample to show: one where the limit is not kept if there is one, and of these one whose value is farthest off.
+
+        A point that may be none of the manifold is shown only if it is kept at all others.
+        """
         sign = 1 if self.side == "at most" else -1
         badness = np.where(self.decided, np.nan_to_num(sign * self.measured, nan=np.inf), -np.inf)
-        return int(np.argmax(badness if self.holds.all() else np.where(self.holds, -np.inf, badness)))
+        failing, certain = ~self.holds, ~self.at["doubtful"]
+        shown = failing & certain if np.any(failing & certain) else failing
+        return int(np.argmax(np.where(shown, badness, -np.inf) if failing.any() else badness))
 
 
 @dataclass(frozen=True)
@@ -156,6 +162,8 @@ def judge(check: Check, facts: Any) -> Outcome:
             words += f"; at {np.sum(~found.decided)} of {len(found.decided)} samples it is {unsaid}"
         return Outcome(check, "holds", words, f"at {_place(found.at, k)}")
     hint = NAN if np.isnan(found.measured[k]) else found.hint(k) if found.hint else ""
+    if found.at["doubtful"][k]:
+        hint = f"{DOUBTFUL}; otherwise {hint}" if hint == NAN else "; ".join(filter(None, (hint, DOUBTFUL)))
     return Outcome(check, "fails", words + (f"; {hint}" if hint else ""), f"at {_place(found.at, k)}")
 
 
