@@ -8,10 +8,12 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
-from ...retractions import DiscretizationMap
+from ...retractions import Gauss
 from ..evaluation import at_each
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
+from .arguments import Method, fractions_of
+from .boundary import boundary_conditions, require_known_ends
 from .engine.layout import Layout
 from .engine.start import Start
 
@@ -30,23 +32,30 @@ class Guess(NamedTuple):
         return f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
 
 
-def default_guess(
-    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
-) -> Guess:
-    """Guess along the curve of a retraction from start to end, or, outside its image, a walk to the end.
+def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:
+    """The guess that ``solve`` begins with: the curve of a retraction from start to end, or, outside its image, a walk to the end.
 
-    The retraction is the discretization's own; where its curve does not arrive, or in very unequal steps, the default one of the
+    The retraction is the method's own; where its curve does not arrive, or in very unequal steps, the default one of the
     manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out
     in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    layout = Layout.of(problem.manifold)
-    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in (start, end))
-    fractions = (np.arange(steps) + float(discretization.theta)) / steps
-    states = layout.points(Start(problem.manifold, discretization.retraction).states(begin, target, fractions)[0])
+    require_known_ends(problem.manifold, start, end)
+    layout, fractions = Layout.of(problem.manifold), fractions_of(steps)
+    points = [condition.point for condition in boundary_conditions(problem.manifold, start, end, False)]
+    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in points)
+    places = stage_places(method, fractions)
+    states = layout.points(Start(problem.manifold, method.retraction).states(begin, target, places)[0])
     rest = resting_control(problem.controls)
-    controls = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (steps, *np.shape(leaf))), rest)
-    return Guess(states, controls, _zero(problem, steps))
+    controls = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (len(places), *np.shape(leaf))), rest)
+    return Guess(states, controls, _zero(problem, len(fractions)))
+
+
+def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
+    """Times of the stages in fractions of the horizon, from those of the steps."""
+    inside = np.array(method.nodes) if isinstance(method, Gauss) else np.array([float(method.theta)])
+    starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
+    return (starts[:, None] + inside * fractions[:, None]).ravel()
 
 
 def _zero(problem: OptimalControlProblem, steps: int) -> Any:
