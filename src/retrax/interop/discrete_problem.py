@@ -39,7 +39,7 @@ class DiscreteProblem:
     ubx: np.ndarray
     lbg: np.ndarray
     ubg: np.ndarray
-    read: Callable[[np.ndarray, np.ndarray], Guess]
+    points: "Points"
 
     @property
     def nlp(self) -> dict[str, ca.MX]:
@@ -53,7 +53,11 @@ class DiscreteProblem:
 
     def guess(self, found: Any) -> Guess:
         """States and controls at the stages and costates at the nodes, from ``{"x", "lam_g"}`` as ``nlpsol`` returns them."""
-        return self.read(*(np.asarray(ca.DM(found[name])).ravel() for name in ("x", "lam_g")))
+        return self.points.read(*(np.asarray(ca.DM(found[name])).ravel() for name in ("x", "lam_g")))
+
+    def initial(self, guess: Guess) -> np.ndarray:
+        """The unknowns with the states and controls of another guess."""
+        return self.points.unknowns(guess)
 
 
 def posed(
@@ -74,10 +78,8 @@ def posed(
     require_ends_on(problem.manifold, *ends)
     if guess is None:
         guess = default_guess(problem, method, *ends, steps)
-    stages = method.stages if isinstance(method, Gauss) else 1
-    checked = checked_guess(problem, guess, len(fractions), stages)
     conditions = boundary_conditions(problem.manifold, *ends, True)
-    return _discrete(Transcription(bound, method), conditions, float(horizon) * fractions, checked)
+    return _discrete(Transcription(bound, method), conditions, float(horizon) * fractions, guess)
 
 
 def _discrete(
@@ -98,26 +100,32 @@ def _discrete(
     prescribed = np.concatenate([fixed[0], np.ones((count - 1) * size, bool), fixed[1]])
     terminal, slope = _function(functions.last, size)(last)
     f, g = ca.sum2(costs) + terminal, ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits))
-    x0 = np.concatenate([functions.begin(guess, count).ravel(), np.zeros(slack * (count + 1))])
-    bound = np.full(len(x0), np.inf)
+    bound = np.full(x.numel(), np.inf)
     unused = [_unused_slacks(functions, condition) for condition in conditions]
-    bound[len(x0) - slack * (count + 1) :][np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])] = 0.0
+    bound[x.numel() - slack * (count + 1) :][np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])] = 0.0
     lower = np.zeros(g.numel())
     lower[g.numel() - limits.numel() :] = -np.inf
     nodes = ca.horzcat(first, finishes[:, :-1], last)
-    read = _Reader(functions, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
-    return DiscreteProblem(x, f, g, x0, -bound, bound, lower, np.zeros(g.numel()), read)
+    points = Points(functions, lengths, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
+    return DiscreteProblem(x, f, g, points.unknowns(guess), -bound, bound, lower, np.zeros(g.numel()), points)
 
 
 @dataclass(frozen=True, eq=False)
-class _Reader:
-    """From the unknowns and multipliers of a program to a guess."""
+class Points:
+    """Between the unknowns and multipliers of a program and guesses."""
 
     functions: Transcription
+    lengths: np.ndarray
     values: ca.Function
     prescribed: np.ndarray
 
-    def __call__(self, x: np.ndarray, multipliers: np.ndarray) -> Guess:
+    def unknowns(self, guess: Guess) -> np.ndarray:
+        """The unknowns of a guess, with slacks zero."""
+        functions, count = self.functions, len(self.lengths)
+        checked = checked_guess(functions.problem, guess, count, functions.stages)
+        return np.concatenate([functions.begin(checked, count).ravel(), np.zeros(functions.slack * (count + 1))])
+
+    def read(self, x: np.ndarray, multipliers: np.ndarray) -> Guess:
         state, control = self.functions.state, self.functions.control
         y, stages, nodes, slope = (np.asarray(value).T for value in self.values(x))
         costates = np.zeros(len(self.prescribed))
