@@ -1,18 +1,22 @@
 """First guesses of a trajectory."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ...manifolds import InvalidInputError
+from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.manifold import default_tolerance
-from ...manifolds.numerics.ambient import Ambient
-from ...retractions import DiscretizationMap
+from ...manifolds.numerics.ambient import Ambient, is_finite_number
+from ...retractions import Gauss
 from ..evaluation import at_each
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
+from .arguments import Method, check_problem, fractions_of
+from .boundary import boundary_conditions, require_ends_on, require_known_ends
 from .engine.layout import Layout
+from .engine.rollout import RollOut
 from .engine.start import Start
 
 
@@ -26,27 +30,123 @@ class Guess(NamedTuple):
     controls: Any
     costates: Any = None
 
+    @classmethod
+    def from_controls(
+        cls, problem: OptimalControlProblem, method: Method, start: Ambient, controls: Any, horizon: float, steps: Any
+    ) -> "Guess":
+        """The trajectory to which controls lead from ``start`` over ``[0, horizon]``.
+
+        ``controls``: points of U with the stages along the leading axis, as in a ``Guess`` or a ``Solution``, or a function of
+        time. Each is held for the share of the step that its stage has as a weight of quadrature. ``steps``: their number, or
+        their lengths. Costates are zero. Raises ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments, and
+        ``DomainError`` where the controls lead to no finite state.
+        """
+        return rolled_out(problem, method, start, controls, horizon, steps)
+
+    @classmethod
+    def from_waypoints(
+        cls, problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any = None
+    ) -> "Guess":
+        """The trajectory through ``points``, from each to the next along the curve of the method's retraction.
+
+        ``times`` of the points: ascending, counted relative to the last minus the first; by default evenly spaced. Where the
+        curve does not arrive, the way is that of ``default_guess``. Controls rest, costates are zero. Raises
+        ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments, and ``DomainError`` if no curve arrives.
+        """
+        return through(problem, method, points, steps, times)
+
     def __repr__(self) -> str:
         return f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
 
 
-def default_guess(
-    problem: OptimalControlProblem, discretization: DiscretizationMap, start: Ambient, end: Ambient, steps: int
-) -> Guess:
-    """Guess along the curve of a retraction from start to end, or, outside its image, a walk to the end.
+def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:
+    """The guess that ``solve`` begins with: along the curve of a retraction from start to end, or a walk to the end.
 
-    The retraction is the discretization's own; where its curve does not arrive, or in very unequal steps, the default one of the
+    The retraction is the method's own; where its curve does not arrive, or in very unequal steps, the default one of the
     manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out
     in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    layout = Layout.of(problem.manifold)
-    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in (start, end))
-    fractions = (np.arange(steps) + float(discretization.theta)) / steps
-    states = layout.points(Start(problem.manifold, discretization.retraction).states(begin, target, fractions)[0])
-    rest = resting_control(problem.controls)
-    controls = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (steps, *np.shape(leaf))), rest)
-    return Guess(states, controls, _zero(problem, steps))
+    require_known_ends(problem.manifold, start, end)
+    layout, fractions = Layout.of(problem.manifold), fractions_of(steps)
+    points = [condition.point for condition in boundary_conditions(problem.manifold, start, end, False)]
+    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in points)
+    places = stage_places(method, fractions)
+    states = layout.points(Start(problem.manifold, method.retraction).states(begin, target, places)[0])
+    return Guess(states, _rest(problem, len(places)), _zero(problem, len(fractions)))
+
+
+def through(problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any) -> Guess:
+    """The guess through points."""
+    check_problem(problem, method)
+    given, fractions, layout = list(points), fractions_of(steps), Layout.of(problem.manifold)
+    if len(given) < 2:
+        raise InvalidInputError(f"a guess goes through at least two points, got {len(given)}; give the start, the end and more")
+    for point in given:
+        require_ends_on(problem.manifold, point, None)
+    passed = _shares(times, len(given))
+    places, rows = stage_places(method, fractions), np.stack([layout.rows(jax.tree.map(np.asarray, x), 0) for x in given])
+    own = np.clip(np.searchsorted(passed, places, side="right") - 1, 0, len(given) - 2)
+    start, states = Start(problem.manifold, method.retraction), np.empty((len(places), layout.size))
+    for k in np.unique(own):
+        inside = (places[own == k] - passed[k]) / (passed[k + 1] - passed[k])
+        states[own == k] = start.states(rows[k][None], rows[k + 1][None], inside)[0]
+    return Guess(layout.points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
+
+
+def _shares(times: Any, count: int) -> np.ndarray:
+    """Times of points in fractions of the horizon."""
+    if times is None:
+        return np.linspace(0.0, 1.0, count)
+    given = np.asarray(times)
+    if (
+        given.shape != (count,)
+        or given.dtype.kind not in "fiu"
+        or not np.all(np.diff(given) > 0)
+        or not np.all(np.isfinite(given))
+    ):
+        raise InvalidInputError(f"times must be {count} ascending numbers, one for each point, got {times!r:.80}")
+    return (given - given[0]) / (given[-1] - given[0])
+
+
+def rolled_out(
+    problem: OptimalControlProblem, method: Method, start: Ambient, controls: Any, horizon: float, steps: Any
+) -> Guess:
+    """The guess that controls lead to."""
+    check_problem(problem, method)
+    if not (is_finite_number(horizon) and horizon > 0):
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+    require_ends_on(problem.manifold, start, None)
+    fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
+    places = stage_places(method, fractions)
+    if callable(controls):
+        values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
+        controls = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+    _check_arrays("controls", controls, problem.controls, len(places))
+    weights = np.array(method.weights) if isinstance(method, Gauss) else np.ones(1)
+    ended = np.cumsum((fractions[:, None] * weights).ravel())
+    before, after = places - np.concatenate([[0.0], ended[:-1]]), ended - places
+    begin = layout.rows(jax.tree.map(np.asarray, start), 0)
+    rows = control.rows(controls, 1)
+    states = RollOut(problem, method.retraction).states(begin, rows, horizon * before, horizon * after)
+    if not np.all(np.isfinite(states)):
+        lost = int(np.argmin(np.all(np.isfinite(states), axis=1)))
+        raise DomainError(
+            f"the controls lead to no finite state at time {float(horizon) * places[lost]:.6g}; try smaller controls, a shorter "
+            "horizon, or more steps"
+        )
+    return Guess(layout.points(states), jax.tree.map(np.asarray, controls), _zero(problem, len(fractions)))
+
+
+def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
+    """Times of the stages in fractions of the horizon, from those of the steps."""
+    inside = np.array(method.nodes) if isinstance(method, Gauss) else np.array([float(method.theta)])
+    starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
+    return (starts[:, None] + inside * fractions[:, None]).ravel()
+
+
+def _rest(problem: OptimalControlProblem, count: int) -> Any:
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), resting_control(problem.controls))
 
 
 def _zero(problem: OptimalControlProblem, steps: int) -> Any:

@@ -1,21 +1,35 @@
-"""Doors to pymanopt and geomstats: their manifolds as ours, ours as theirs.
+"""Doors to pymanopt and geomstats: their manifolds as ours, ours as theirs; and to CasADi: problems for its solvers.
 
-Neither library is imported before one of these functions is called, and what its import does to global settings is undone.
+None of these libraries is imported before one of these functions is called; what the import of the first two does to global
+settings is undone.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from ..integrators import Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
-from ..retractions import Retraction, default_retraction
+from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
 from .conventions import Conventions
 from .counterpart import Counterpart
 from .geometry import Geometry
 from .metrics import natural_metric
 from .peers import import_peer
 
-__all__ = ["Conventions", "Counterpart", "Geometry", "from_geomstats", "from_pymanopt", "to_geomstats", "to_pymanopt"]
+if TYPE_CHECKING:
+    from .discrete_problem import DiscreteProblem
+
+__all__ = [
+    "Conventions",
+    "Counterpart",
+    "Geometry",
+    "from_geomstats",
+    "from_pymanopt",
+    "to_casadi",
+    "to_geomstats",
+    "to_pymanopt",
+]
 
 
 def to_pymanopt(
@@ -72,6 +86,35 @@ def from_geomstats(space: Any) -> Counterpart:
     one that is not an embedded manifold of real arrays.
     """
     return import_peer(".geomstats").counterpart(space)
+
+
+def to_casadi(
+    problem: OptimalControlProblem,
+    method: DiscretizationMap | Gauss,
+    start: Any,
+    end: Any,
+    horizon: float,
+    steps: Any,
+    guess: Guess | None = None,
+    parameters: Any = None,
+) -> "DiscreteProblem":
+    """The discrete problem that ``solve`` with these arguments solves, as a nonlinear program for ``casadi.nlpsol``.
+
+    The functions are the same, written in the coordinates of the ambient space: points have the equations of their manifold as
+    constraints, and nodes are where ends meet. So it has no chart that could be left, and no two unknowns for one attitude.
+    What is returned has the program in ``nlp``, its guess and bounds in ``arguments``, and ``guess(found)`` for the way back::
+
+        discrete = to_casadi(problem, method, start, end, horizon, steps)
+        found = casadi.nlpsol("solver", "ipopt", discrete.nlp)(**discrete.arguments)
+        solution = solve(problem, method, start, end, horizon, steps, guess=discrete.guess(found))
+
+    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for arguments that ``solve`` would not take, and
+    ``InvalidInputError`` for a manifold of which no independent equations are known; ``NotTraceableError`` where a function has
+    no scalar operations.
+    """
+    from .discrete_problem import posed
+
+    return posed(problem, method, (start, end), horizon, steps, guess, parameters)
 
 
 def _geometry(

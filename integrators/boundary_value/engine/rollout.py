@@ -1,0 +1,54 @@
+"""States to which controls lead, for guesses."""
+
+from typing import final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_solve
+from jaxtyping import Array
+
+from ....manifolds.numerics import ambient as vec
+from ....retractions import Retraction
+from ...problem import OptimalControlProblem
+from .evaluator import Automatic
+from .layout import Layout
+
+
+@final
+class RollOut:
+    """The classical Runge-Kutta method in the chart of a retraction around the beginning of each step, the control constant."""
+
+    def __init__(self, problem: OptimalControlProblem, retraction: Retraction) -> None:
+        self.problem, self.retraction, self.manifold = problem, retraction, problem.manifold
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._step = Automatic().values(self._step_of, self.state.size, self.control.size, 1)
+
+    def states(self, start: np.ndarray, controls: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+        """Flat states, shape ``(K, E)``, where the times ``before`` of K constant controls have passed, each lasting
+        ``before + after``.
+        """
+        q, found = start[None], []
+        with np.errstate(all="ignore"):  # what is not finite is judged by the caller
+            for u, *times in zip(controls, before, after, strict=True):
+                for place, time in enumerate(times):
+                    (q,) = self._step(q, u[None], np.array([[time]]))
+                    if place == 0:
+                        found.append(q[0])
+        return np.stack(found)
+
+    def _step_of(self, x: Array, u: Array, h: Array) -> tuple[Array]:
+        point, control = self.state.point(x), self.control.point(u)
+        frame = self.manifold.basis(point)
+
+        def rate(c: Array) -> Array:
+            q, push = jax.linearize(lambda c: self.retraction(point, vec.combine(frame, c)), c)
+            columns = self.state.flat_frame(jax.vmap(push)(jnp.eye(c.size)))
+            velocity = self.state.flat(self.problem.velocity(q, control))
+            return cho_solve((jnp.linalg.cholesky(columns @ columns.T), True), columns @ velocity)
+
+        total, c = jnp.zeros(self.manifold.dimension), jnp.zeros(self.manifold.dimension)
+        for weight, ahead in ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0)):
+            slope = rate(c)
+            total, c = total + weight * slope, ahead * h[0] * slope
+        return (self.state.flat(self.retraction(point, vec.combine(frame, h[0] / 6 * total))),)

@@ -1,0 +1,166 @@
+"""A discrete optimal control problem as a nonlinear program of CasADi."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, final
+
+import casadi as ca
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..integrators import Guess, OptimalControlProblem, default_guess
+from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
+from ..integrators.boundary_value.boundary import NodeCondition, boundary_conditions, require_ends_on
+from ..integrators.boundary_value.guess import checked_guess
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.ambient import is_finite_number
+from ..retractions import DiscretizationMap, Gauss
+from ..tape import Tape
+from .transcription import Transcription
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class DiscreteProblem:
+    """A discrete optimal control problem as a nonlinear program: symbols ``x``, cost ``f``, constraints ``g``, their bounds.
+
+    ``nlp`` is what ``casadi.nlpsol`` takes, ``arguments`` what the solver is called with (``x0, lbx, ubx, lbg, ubg``), and
+    ``guess(found)`` turns what it returns into the ``Guess`` with these states, controls and costates.
+    """
+
+    x: ca.MX
+    f: ca.MX
+    g: ca.MX
+    x0: np.ndarray
+    lbx: np.ndarray
+    ubx: np.ndarray
+    lbg: np.ndarray
+    ubg: np.ndarray
+    points: "Points"
+
+    @property
+    def nlp(self) -> dict[str, ca.MX]:
+        """The program: ``{"x", "f", "g"}``."""
+        return {"x": self.x, "f": self.f, "g": self.g}
+
+    @property
+    def arguments(self) -> dict[str, np.ndarray]:
+        """The guess and the bounds: ``{"x0", "lbx", "ubx", "lbg", "ubg"}``."""
+        return {"x0": self.x0, "lbx": self.lbx, "ubx": self.ubx, "lbg": self.lbg, "ubg": self.ubg}
+
+    def guess(self, found: Any) -> Guess:
+        """States and controls at the stages and costates at the nodes, from ``{"x", "lam_g"}`` as ``nlpsol`` returns them."""
+        return self.points.read(*(np.asarray(ca.DM(found[name])).ravel() for name in ("x", "lam_g")))
+
+    def initial(self, guess: Guess) -> np.ndarray:
+        """The unknowns with the states and controls of another guess."""
+        return self.points.unknowns(guess)
+
+
+def posed(
+    problem: OptimalControlProblem,
+    method: DiscretizationMap | Gauss,
+    ends: tuple[Any, Any],
+    horizon: Any,
+    steps: Any,
+    guess: Guess | None,
+    parameters: Any,
+) -> DiscreteProblem:
+    """The program of a problem as it is given, checked."""
+    check_problem(problem, method)
+    check_parameters(problem, parameters)
+    if not (is_finite_number(horizon) and horizon > 0):
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+    fractions, bound = fractions_of(steps), problem.with_parameters(parameters)
+    require_ends_on(problem.manifold, *ends)
+    if guess is None:
+        guess = default_guess(problem, method, *ends, steps)
+    conditions = boundary_conditions(problem.manifold, *ends, True)
+    return _discrete(Transcription(bound, method), conditions, float(horizon) * fractions, guess)
+
+
+def _discrete(
+    functions: Transcription, conditions: tuple[NodeCondition, NodeCondition], lengths: np.ndarray, guess: Guess
+) -> DiscreteProblem:
+    """The program of a problem with steps of some lengths, from a guess."""
+    count, size, slack = len(lengths), functions.state.size, functions.slack
+    y, s = ca.MX.sym("y", functions.size, count), ca.MX.sym("s", slack, count + 1)
+    x = ca.vertcat(ca.vec(y), ca.vec(s))
+    begins, finishes, costs, held, limits, stages = _function(functions.step, functions.size, 1).map(count)(y, lengths[None])
+    ends = [functions.state.rows(condition.point, 0) for condition in conditions]
+    fixed = [_entries(functions, condition) for condition in conditions]
+    first, last = (
+        mask * end + (1 - mask) * reached for mask, end, reached in zip(fixed, ends, (begins[:, 0], finishes[:, -1]), strict=True)
+    )
+    meeting = _function(functions.meeting, size, size, slack).map(count + 1)
+    gaps = meeting(ca.horzcat(begins, ends[1]), ca.horzcat(ends[0], finishes), s)
+    prescribed = np.concatenate([fixed[0], np.ones((count - 1) * size, bool), fixed[1]])
+    terminal, slope = _function(functions.last, size)(last)
+    f, g = ca.sum2(costs) + terminal, ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits))
+    bound = np.full(x.numel(), np.inf)
+    unused = [_unused_slacks(functions, condition) for condition in conditions]
+    bound[x.numel() - slack * (count + 1) :][np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])] = 0.0
+    lower = np.zeros(g.numel())
+    lower[g.numel() - limits.numel() :] = -np.inf
+    nodes = ca.horzcat(first, finishes[:, :-1], last)
+    points = Points(functions, lengths, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
+    return DiscreteProblem(x, f, g, points.unknowns(guess), -bound, bound, lower, np.zeros(g.numel()), points)
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """Between the unknowns and multipliers of a program and guesses."""
+
+    functions: Transcription
+    lengths: np.ndarray
+    values: ca.Function
+    prescribed: np.ndarray
+
+    def unknowns(self, guess: Guess) -> np.ndarray:
+        """The unknowns of a guess, with slacks zero."""
+        functions, count = self.functions, len(self.lengths)
+        checked = checked_guess(functions.problem, guess, count, functions.stages)
+        return np.concatenate([functions.begin(checked, count).ravel(), np.zeros(functions.slack * (count + 1))])
+
+    def read(self, x: np.ndarray, multipliers: np.ndarray) -> Guess:
+        state, control = self.functions.state, self.functions.control
+        y, stages, nodes, slope = (np.asarray(value).T for value in self.values(x))
+        costates = np.zeros(len(self.prescribed))
+        costates[self.prescribed] = multipliers[: np.count_nonzero(self.prescribed)]
+        costates = costates.reshape(nodes.shape)
+        ended = self.prescribed[-nodes.shape[1] :]
+        costates[-1, ~ended] = -slope[0, ~ended]
+        controls = self.functions.split(y)["controls"]
+        tangent = jax.vmap(self.functions.manifold.projection)(state.points(nodes), state.points(costates))
+        return Guess(
+            state.points(stages.reshape(-1, state.size)),
+            control.points(controls.reshape(-1, control.size)),
+            jax.tree.map(np.asarray, tangent),
+        )
+
+
+def _function(function: Callable, *sizes: int) -> ca.Function:
+    """A function of flat vectors as one of columns."""
+    return Tape.trace(function, *map(jnp.zeros, sizes)).to_casadi()
+
+
+def _entries(functions: Transcription, condition: NodeCondition) -> np.ndarray:
+    """Which entries of a flat point are prescribed."""
+    return np.repeat([part.fixed for part in condition.parts], _sizes(functions, condition))
+
+
+def _unused_slacks(functions: Transcription, condition: NodeCondition) -> np.ndarray:
+    """Which slacks belong to parts that are free: their ends meet nothing, and the slacks are zero."""
+    codimensions = _sizes(functions, condition) - [part.dimension for part in condition.parts]
+    return np.repeat([not part.fixed for part in condition.parts], codimensions)
+
+
+def _sizes(functions: Transcription, condition: NodeCondition) -> np.ndarray:
+    """Numbers in each part of a flat point."""
+    places = np.cumsum([0, *(part.leaves for part in condition.parts)])
+    leaves = jax.tree.leaves(functions.manifold.ambient)
+    sizes = [math.prod(leaf.shape) * (1 + np.issubdtype(leaf.dtype, np.complexfloating)) for leaf in leaves]
+    return np.array([sum(sizes[begin:end]) for begin, end in pairwise(places)])
