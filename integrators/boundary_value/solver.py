@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
 
@@ -22,6 +23,7 @@ from .engine.layout import parameter_layout
 from .engine.newton import Found, Iteration, newton, taken
 from .engine.sensitivity import Sensitivities
 from .guess import Guess
+from .interpolation import Interpolant
 from .members import Member, members_of
 from .outcome import explained
 from .posed import Posed, Posing
@@ -61,7 +63,7 @@ class Solver:
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self._evaluator = chosen(evaluator)
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
-        self._recording = Recording(problem, self._posing.stages)
+        self._recording = Recording(problem, self._posing.stages, Interpolant(method.retraction, problem.controls))
         self._regularity = Regularity()
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
@@ -245,4 +247,4 @@ class Solver:
         h = np.asarray(member.horizon / self.steps, working_precision())
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
-        return solve_on_final_manifold(request, *method)
+        return replace(solve_on_final_manifold(request, *method), interpolant=self._recording.interpolant)
