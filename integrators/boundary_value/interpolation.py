@@ -101,12 +101,12 @@ class Interpolant:
             raise InvalidInputError(f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls")
         return cls(*found)
 
-    def require_fits(self, states: Any, controls: Any) -> None:
+    def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless these are points of its manifolds, along a leading axis."""
         for name, manifold, given in (("states", self.retraction.manifold, states), ("controls", self.controls, controls)):
             expected, got = jax.tree.map(lambda s: s.shape, manifold.ambient), jax.tree.map(lambda a: np.shape(a)[1:], given)
             if expected != got:
-                raise InvalidInputError(f"{name} have the shapes {got} each, expected {expected}, those of {manifold}")
+                raise InvalidInputError(f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}")
 
     def __call__(self, record: Record, t: Any) -> Sample:
         """The extremal at a time, or at an array of times.
@@ -144,15 +144,12 @@ class Interpolant:
 
     def _evaluated(self, steps: _Step, where: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them."""
-        points = np.stack([steps.begin, *np.moveaxis(steps.states, 1, 0), steps.end], axis=1)
         covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
-        through = np.concatenate([[0.0], steps.places, [1.0]])
-        centres = steps.states[:, 0]
         if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
-            points, covectors, through = points[:, ::2], covectors[:, ::2], through[::2]
+            centres, covectors, through = steps.states[:, 0], covectors[:, ::2], np.array([0.0, 1.0])
+            coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
         else:
-            centres = self.chart.centres(steps.states[:, len(steps.places) // 2], steps.begin, steps.end)
-        coordinates = self.chart.coordinates(centres[:, None], points)
+            through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
         momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
         shares = lagrange(through, places)
         c, momentum = (np.einsum("tj,tjn->tn", shares, a[where]) for a in (coordinates, momenta))

@@ -155,8 +155,8 @@ class Solution:
         return self.interpolant(self, t)
 
     def guess(self) -> Guess:
-        """This solution as a guess for another problem with as many steps."""
-        return Guess(self.stage_states, self.controls, self.costates)
+        """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of them."""
+        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates)
 
     def report(self) -> None:
         """Print what a user checks."""
@@ -273,12 +273,12 @@ def load_solution(path: str | Path, retraction: Retraction | None = None, contro
     own = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
     if retraction is not None:
         found = Interpolant(retraction, controls or own)
-        found.require_fits(values["states"], values["controls"])
+        found.require_fits("", values["states"], values["controls"])
         return Solution(**values, interpolant=found)
     try:
         found = None if text is None else Interpolant.from_text(text)
         if found is not None:
-            found.require_fits(values["states"], values["controls"])
+            found.require_fits("", values["states"], values["controls"])
     except InvalidInputError as error:
         raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
     return Solution(**values, interpolant=found)

@@ -29,6 +29,7 @@ from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
 from .regularity import Regularity
+from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
 from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Solution, Solutions
@@ -63,7 +64,9 @@ class Solver:
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self._evaluator = chosen(evaluator)
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
-        self._recording = Recording(problem, self._posing.stages, Interpolant(method.retraction, problem.controls))
+        interpolant = Interpolant(method.retraction, problem.controls)
+        self._mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        self._recording = Recording(problem, self._posing.stages, interpolant)
         self._regularity = Regularity()
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
@@ -119,7 +122,7 @@ class Solver:
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
-            member = Member.checked(self.problem, self._places, (start, end, horizon, guess, parameters))
+            member = Member.checked(self.problem, self._mesh, (start, end, horizon, guess, parameters))
             problem, conditions = self.problem.with_parameters(parameters), member.conditions(self.problem)
             given = problem, conditions, member
             trusted = classification is None and self._regularity.was_regular(conditions, member)
@@ -159,7 +162,7 @@ class Solver:
         began = time.perf_counter()
         with one_reading():
             batch = starts, ends, horizons, guesses, parameters
-            members = list(members_of(self.problem, self._places, *batch))
+            members = list(members_of(self.problem, self._mesh, *batch))
             conditions = [member.conditions(self.problem) for member in members]
             problem = self.problem.with_parameters(members[0].parameters)
             c = self._regularity.classification(problem, conditions[0], members[0])
@@ -194,11 +197,6 @@ class Solver:
         require_isolated(columns, solution)
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
-
-    @property
-    def _places(self) -> tuple[int, int]:
-        """Numbers of steps, and of stages in each."""
-        return self.steps, len(self._posing.stages)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
         """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""

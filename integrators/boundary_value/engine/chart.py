@@ -1,7 +1,7 @@
 """Charts of a retraction around the centres of steps: coordinates of points, and of covectors, in each."""
 
 from functools import cached_property
-from typing import final
+from typing import NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -15,6 +15,18 @@ from .layout import Layout
 from .transcription import at_points
 
 ROUNDS = 30  # of Newton's method, which takes three to five
+
+
+class Polynomials(NamedTuple):
+    """Of some steps: the places, fractions of the step, through which they go, and the coordinates there in charts."""
+
+    places: np.ndarray  # (j,)
+    centres: np.ndarray  # (..., E)
+    coordinates: np.ndarray  # (..., j, n)
+
+    def slopes(self, at: np.ndarray) -> np.ndarray:
+        """Derivatives at some places, shape ``(..., i, n)``, by the fraction of the step."""
+        return np.einsum("ij,...jn->...in", _slopes(self.places, at), self.coordinates)
 
 
 @final
@@ -47,6 +59,12 @@ class Chart:
                 return x
             last = size
         return x
+
+    def polynomials(self, places: np.ndarray, begins: np.ndarray, states: np.ndarray, ends: np.ndarray) -> Polynomials:
+        """Polynomials of time through both ends, shape ``(..., E)``, and the ``s > 1`` points at ``places``, ``(..., s, E)``."""
+        centres = self.centres(states[..., len(places) // 2, :], begins, ends)
+        points = np.concatenate([begins[..., None, :], states, ends[..., None, :]], axis=-2)
+        return Polynomials(np.concatenate([[0.0], places, [1.0]]), centres, self.coordinates(centres[..., None, :], points))
 
     def coordinates(self, centres: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Coordinates of points, shape ``(..., n)``."""
@@ -114,7 +132,7 @@ def lagrange(places: np.ndarray, times: np.ndarray) -> np.ndarray:
     return np.prod(np.where(np.eye(len(places)), 1.0, (times[..., None, None] - places) / others), axis=-1)
 
 
-def slopes(places: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _slopes(places: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Derivatives of these polynomials, shape ``(at, j)``."""
     apart, own = places[:, None] - places + np.eye(len(places)), np.eye(len(places), dtype=bool)
     found = np.zeros((len(at), len(places)))
