@@ -13,7 +13,6 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 
-VERSION = 1
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
 LONGEST_TEXT = 100  # characters
 REAL = tuple(map(np.dtype, (np.float32, np.float64)))
@@ -42,12 +41,13 @@ class _Context(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordFile:
-    """The ``.npz`` file of a class: its name, and its fields with their annotations; no pickled objects.
+    """The ``.npz`` file of a class: its name and version, and its fields with their annotations; no pickled objects.
 
     ``disagreement`` says in words what is wrong with values that fit their annotations one by one; else it is empty.
     """
 
     name: str
+    version: int
     schema: dict[str, Any]
     disagreement: Callable[[dict[str, Any]], str]
 
@@ -84,7 +84,7 @@ class RecordFile:
 
     @property
     def _mark(self) -> str:
-        return f"retrax.{self.name} {VERSION}"
+        return f"retrax.{self.name} {self.version}"
 
     def _require(self, values: dict[str, Any]) -> dict[str, Any]:
         """The values, with dataclasses made of their fields; raises if they do not fit the schema or each other."""

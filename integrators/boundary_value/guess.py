@@ -23,12 +23,15 @@ from .engine.start import Start
 class Guess(NamedTuple):
     """A guess for ``solve``: states and controls at the stages, and costates at the N + 1 nodes (None: zero).
 
-    Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``.
+    Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``. What is
+    known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or neither.
     """
 
     states: Ambient
     controls: Any
     costates: Any = None
+    nodes: Any = None
+    stage_costates: Any = None
 
     @classmethod
     def from_controls(
@@ -164,14 +167,20 @@ def checked_guess(problem: OptimalControlProblem, guess: Any, steps: int, stages
         ("controls", problem.controls, count),
         ("costates", problem.manifold, steps + 1),
     )
+    if (guess.nodes is None) != (guess.stage_costates is None):
+        raise InvalidInputError("guess: nodes and stage_costates come together, and one of them is None; give both or neither")
+    if guess.nodes is not None:
+        expected += ("nodes", problem.manifold, steps + 1), ("stage_costates", problem.manifold, count)
     for name, manifold, length in expected:
         _check_arrays(name, getattr(filled, name), manifold, length)
-    kinds = Guess(problem.manifold.ambient, problem.controls.ambient, problem.manifold.ambient)
-    filled = jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), kinds, filled)
-    for name, value in at_each(problem.manifold.violations, filled.states).items():
-        if not np.max(value) <= default_tolerance():
-            worst = f"{name} reaches {np.max(value):.3g}"
-            raise InvalidInputError(f"guess: states are not on {problem.manifold}: {worst}, expected 0")
+        kinds = manifold.ambient
+        arrays = jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), kinds, getattr(filled, name))
+        filled = filled._replace(**{name: arrays})
+    for what in ("states", "nodes")[: 1 if guess.nodes is None else 2]:
+        for name, value in at_each(problem.manifold.violations, getattr(filled, what)).items():
+            if not np.max(value) <= default_tolerance():
+                worst = f"{name} reaches {np.max(value):.3g}"
+                raise InvalidInputError(f"guess: {what} are not on {problem.manifold}: {worst}, expected 0")
     return filled
 
 

@@ -14,6 +14,7 @@ from ..problem import OptimalControlProblem
 from .arguments import check_parameters
 from .end_points import NodeCondition, boundary_conditions
 from .guess import Guess, checked_guess
+from .resampling import Mesh, resampled
 from .solution import Solution
 
 
@@ -27,16 +28,16 @@ class Member(NamedTuple):
     parameters: Any
 
     @classmethod
-    def checked(cls, problem: OptimalControlProblem, places: tuple[int, int], given: tuple[Any, Any, Any, Any, Any]) -> "Member":
-        """The arguments ``start, end, horizon, guess, parameters``, checked; ``places``: numbers of steps and stages in each."""
+    def checked(cls, problem: OptimalControlProblem, mesh: Mesh, given: tuple[Any, Any, Any, Any, Any]) -> "Member":
+        """The arguments ``start, end, horizon, guess, parameters``, checked; a guess that is a solution is resampled."""
         start, end, horizon, guess, parameters = given
         if not (is_finite_number(horizon) and horizon > 0):
             hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
             raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
         check_parameters(problem, parameters)
         if guess is not None:
-            guess = guess.guess() if isinstance(guess, Solution) else guess
-            guess = checked_guess(problem, guess, *places)
+            guess = resampled(guess, mesh) if isinstance(guess, Solution) else guess
+            guess = checked_guess(problem, guess, len(mesh.fractions), len(mesh.stages))
         return cls(start, end, float(horizon), guess, parameters)
 
     def conditions(self, problem: OptimalControlProblem) -> tuple[NodeCondition, NodeCondition]:
@@ -45,7 +46,7 @@ class Member(NamedTuple):
 
 
 def members_of(
-    problem: OptimalControlProblem, places: tuple[int, int], starts: Any, ends: Any, horizons: Any, guesses: Any, parameters: Any
+    problem: OptimalControlProblem, mesh: Mesh, starts: Any, ends: Any, horizons: Any, guesses: Any, parameters: Any
 ) -> Iterator[Member]:
     """The members of a batch one by one; see ``Member.checked``."""
     manifold = problem.manifold
@@ -62,7 +63,7 @@ def members_of(
         pair = _member_of(manifold, starts, k), _member_of(manifold, ends, k)
         given = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], parameters)
         horizon = np.asarray(horizons)[k].item() if np.ndim(horizons) else horizons
-        yield Member.checked(problem, places, (*pair, horizon, guesses[k] if several else guesses, given))
+        yield Member.checked(problem, mesh, (*pair, horizon, guesses[k] if several else guesses, given))
 
 
 def _lengths_of(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:

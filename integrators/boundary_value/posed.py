@@ -16,7 +16,8 @@ from .engine.diagnosis import Diagnosis
 from .engine.evaluator import Evaluator
 from .engine.layout import Layout, parameter_layout
 from .engine.start import Start
-from .engine.transcription import Data, Nodes, OneStage
+from .engine.transcription import Data, Known, Nodes, OneStage
+from .guess import Guess
 from .members import Member
 
 
@@ -101,10 +102,20 @@ class Posing:
             states = self._start.states(*rows, fractions).reshape(*shape, size)
             rest = self.control.rows(jax.tree.map(np.asarray, resting_control(self.problem.controls)), 0)
             controls = np.broadcast_to(rest, (*shape, rest.size))
-            costates = np.zeros((count, len(self.fractions) + 1, size))
+            costates, known = np.zeros((count, len(self.fractions) + 1, size)), None
         else:
             guesses: Any = [member.guess for member in members]
             states = np.stack([self.state.rows(guess.states, 1) for guess in guesses]).reshape(*shape, size)
             controls = np.stack([self.control.rows(guess.controls, 1) for guess in guesses]).reshape(*shape, -1)
             costates = np.stack([self.state.rows(guess.costates, 1) for guess in guesses])
-        return Iterate(traced.steps.begin(states, controls, costates, data), costates)
+            known = self._known(guesses, shape)
+        return Iterate(traced.steps.begin(states, controls, costates, data, known), costates)
+
+    def _known(self, guesses: list[Guess], shape: tuple[int, int, int]) -> Known | None:
+        """What guesses say of the nodes and of the stages' costates; None if one does not."""
+        if any(guess.nodes is None or guess.stage_costates is None for guess in guesses):
+            return None
+        nodes, covectors = (
+            np.stack([self.state.rows(getattr(guess, name), 1) for guess in guesses]) for name in ("nodes", "stage_costates")
+        )
+        return Known(nodes, covectors.reshape(*shape, -1))

@@ -19,6 +19,7 @@ from ...manifolds.numerics.reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
+from .engine.chart import lagrange
 from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
 from .solution import Solution
@@ -186,7 +187,7 @@ class Propagator:
         slopes = np.empty((STAGES, c.size))
         for part in range(parts):
             for i in range(STAGES):
-                offset = offsets @ _lagrange(given.places, (part + PLACES[i]) / parts)
+                offset = offsets @ lagrange(given.places, (part + PLACES[i]) / parts)
                 stage = c + step * (TABLE[i, :i] @ slopes[:i]).reshape(c.shape)
                 slopes[i] = self._rate(x, stage, bases, offset, given.parameters)[0].ravel()
             c = c + step * (WEIGHTS @ slopes).reshape(c.shape)
@@ -283,12 +284,6 @@ class _AtOnce:
         tangential = np.einsum("kne,kn->ke", self.given.frames[1:], misses)
         sizes = [np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])]
         return bool(np.all(sizes[0] <= sizes[1] + ROUNDING**2 * sizes[2]))
-
-
-def _lagrange(places: np.ndarray, time: float) -> np.ndarray:
-    """Values at a time of the polynomials that are one at one place and zero at the others."""
-    others = places[:, None] - places + np.eye(len(places))
-    return np.prod(np.where(np.eye(len(places)), 1.0, (time - places) / others), axis=1)
 
 
 def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:

@@ -12,6 +12,7 @@ from .arguments import Options, require_tangent_dynamics
 from .engine.layout import Layout
 from .engine.newton import Found
 from .engine.transcription import Data
+from .interpolation import Interpolant
 from .outcome import outcomes
 from .posed import Traced
 from .solution import Checks, Solution, Statistics
@@ -21,8 +22,8 @@ from .solution import Checks, Solution, Statistics
 class Recording:
     """Makes the records of extremals of a problem, with the stages of a step at some places, fractions of it."""
 
-    def __init__(self, problem: OptimalControlProblem, stages: np.ndarray) -> None:
-        self.problem, self.stages = problem, stages
+    def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
+        self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def records(
@@ -56,4 +57,5 @@ class Recording:
                 result=Result[result],
                 checks=Checks.of(own, gap, stationarity, bool(found.strict_minimum[k])),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
+                interpolant=self.interpolant,
             )

@@ -1,19 +1,22 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, final, get_type_hints, overload
 
 import jax
 import numpy as np
 
-from ...manifolds import ConvergenceError
+from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import default_tolerance
+from ...retractions import Retraction
 from ..records import Along, RecordFile, not_finite, shapes
 from .engine.diagnosis import Diagnostics
 from .guess import Guess
+from .interpolation import Interpolant, Sample
 
+VERSION = 2  # of the file
 TOO_COARSE = 0.1
 SAME = 1e-6  # relative distance within which two extremals are one
 
@@ -127,6 +130,7 @@ class Solution:
     checks: Checks
     statistics: Statistics
     singular: SingularArc | None = None
+    interpolant: Interpolant | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for array in _arrays(vars(self)):
@@ -137,9 +141,22 @@ class Solution:
         """Number of steps N."""
         return len(self.times) - 1
 
+    def __call__(self, t: Any) -> Sample:
+        """States, controls and costates at a time, or an array of times, by the polynomials of the method on the manifold.
+
+        States and costates are continuous, controls polynomials on each step; see ``Interpolant``. Raises
+        ``InvalidInputError`` for times outside the horizon, and ``DomainError`` where a step does not fit into a chart.
+        """
+        if self.interpolant is None:
+            raise InvalidInputError(
+                "this solution was read from a file that says nothing of its retraction, which is not one of the library or is "
+                "made with a function, and it has no polynomials between its nodes; try load_solution(path, retraction, controls)"
+            )
+        return self.interpolant(self, t)
+
     def guess(self) -> Guess:
-        """This solution as a guess for another problem with as many steps."""
-        return Guess(self.stage_states, self.controls, self.costates)
+        """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of them."""
+        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates)
 
     def report(self) -> None:
         """Print what a user checks."""
@@ -170,7 +187,8 @@ class Solution:
 
         Raises ``InvalidInputError`` if it is not one that can be read again, such as one put together by hand.
         """
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "interpolant"}
+        values["geometry"] = None if self.interpolant is None else self.interpolant.text
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 
 
@@ -234,16 +252,33 @@ def _arrays(value: Any) -> Iterator[np.ndarray]:
             yield from _arrays(part)
 
 
+_SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name != "interpolant"}
 _FILE = RecordFile(
     "Solution",
-    get_type_hints(Solution, include_extras=True),
+    VERSION,
+    {**_SCHEMA, "geometry": str | None},
     lambda values: not_finite(values) if values["success"] else "",
 )
 
 
-def load_solution(path: str | Path) -> Solution:
+def load_solution(path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None) -> Solution:
     """Read a solution that ``Solution.save`` wrote; nothing in the file is executed.
 
-    Raises ``InvalidInputError`` if the file is something else, damaged, incomplete, or of another version.
+    ``retraction`` and ``controls``: those of the method and the problem, by which it is known between its nodes. A file has them
+    where they are classes of the library, made with numbers. Raises ``InvalidInputError`` if the file is something else,
+    damaged, incomplete, or of another version, or the retraction acts on other points.
     """
-    return Solution(**_FILE.read(path))
+    values = _FILE.read(path)
+    text = values.pop("geometry")
+    own = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
+    if retraction is not None:
+        found = Interpolant(retraction, controls or own)
+        found.require_fits("", values["states"], values["controls"])
+        return Solution(**values, interpolant=found)
+    try:
+        found = None if text is None else Interpolant.from_text(text)
+        if found is not None:
+            found.require_fits("", values["states"], values["controls"])
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
+    return Solution(**values, interpolant=found)

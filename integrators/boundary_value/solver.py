@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
 
@@ -22,11 +23,13 @@ from .engine.layout import parameter_layout
 from .engine.newton import Found, Iteration, newton, taken
 from .engine.sensitivity import Sensitivities
 from .guess import Guess
+from .interpolation import Interpolant
 from .members import Member, members_of
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
 from .regularity import Regularity
+from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
 from .singular import EndConditions, Request, solve_on_final_manifold
 from .solution import Solution, Solutions
@@ -61,7 +64,9 @@ class Solver:
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self._evaluator = chosen(evaluator)
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
-        self._recording = Recording(problem, self._posing.stages)
+        interpolant = Interpolant(method.retraction, problem.controls)
+        self._mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        self._recording = Recording(problem, self._posing.stages, interpolant)
         self._regularity = Regularity()
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
@@ -117,7 +122,7 @@ class Solver:
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
-            member = Member.checked(self.problem, self._places, (start, end, horizon, guess, parameters))
+            member = Member.checked(self.problem, self._mesh, (start, end, horizon, guess, parameters))
             problem, conditions = self.problem.with_parameters(parameters), member.conditions(self.problem)
             given = problem, conditions, member
             trusted = classification is None and self._regularity.was_regular(conditions, member)
@@ -157,7 +162,7 @@ class Solver:
         began = time.perf_counter()
         with one_reading():
             batch = starts, ends, horizons, guesses, parameters
-            members = list(members_of(self.problem, self._places, *batch))
+            members = list(members_of(self.problem, self._mesh, *batch))
             conditions = [member.conditions(self.problem) for member in members]
             problem = self.problem.with_parameters(members[0].parameters)
             c = self._regularity.classification(problem, conditions[0], members[0])
@@ -192,11 +197,6 @@ class Solver:
         require_isolated(columns, solution)
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
-
-    @property
-    def _places(self) -> tuple[int, int]:
-        """Numbers of steps, and of stages in each."""
-        return self.steps, len(self._posing.stages)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
         """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""
@@ -245,4 +245,4 @@ class Solver:
         h = np.asarray(member.horizon / self.steps, working_precision())
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
-        return solve_on_final_manifold(request, *method)
+        return replace(solve_on_final_manifold(request, *method), interpolant=self._recording.interpolant)

@@ -96,7 +96,7 @@ def _disagreement(values: dict[str, Any]) -> str:
 
 _WHOLE = "JAX transforms the call, or jit is disabled"
 _FIELDS = {name: hint for name, hint in get_type_hints(Trajectory, include_extras=True).items() if name != "evaluator"}
-_FILE = RecordFile("Trajectory", {**_FIELDS, "result": str, "failed_step": int}, _disagreement)
+_FILE = RecordFile("Trajectory", 1, {**_FIELDS, "result": str, "failed_step": int}, _disagreement)
 
 
 def load_trajectory(path: str | Path) -> Trajectory:

@@ -22,7 +22,9 @@ from retrax.integrators import (
     load_solution,
     load_trajectory,
 )
-from retrax.manifolds import InvalidInputError
+from retrax.integrators.boundary_value.interpolation import Interpolant
+from retrax.manifolds import SO, Euclidean, InvalidInputError, Product
+from retrax.retractions import default_retraction
 
 N = 3
 RANDOM = np.random.default_rng(0)
@@ -45,7 +47,10 @@ TRAJECTORY = Trajectory(
     jnp.asarray(-TIMES), *jax.tree.map(jnp.asarray, (along(N + 1), along(N + 1))), jnp.ones((N, 5, 2)),
     -jnp.asarray(TIMES[:-1, None] + np.linspace(0.0, 0.3, 5)), Result.step_not_solved, jnp.asarray(7),
 )  # fmt: skip
+PLACES = Product(SO(3) * Euclidean(2), Euclidean(()))
+BETWEEN = Interpolant(default_retraction(PLACES), Euclidean(2))
 RECORDS = {
+    "solution with polynomials": (replace(SOLUTION, interpolant=BETWEEN), load_solution),
     "solution": (SOLUTION, load_solution),
     "regular solution": (replace(SOLUTION, singular=None, momenta={}), load_solution),
     "trajectory": (TRAJECTORY, load_trajectory),
@@ -53,7 +58,7 @@ RECORDS = {
 }
 
 
-@pytest.fixture(params=["solution", "trajectory"])
+@pytest.fixture(params=["solution with polynomials", "trajectory"])
 def record(request):
     return RECORDS[request.param]
 
@@ -199,11 +204,11 @@ def test_what_is_no_record_is_refused(record, kind, tmp_path):
     require_refused(record[1], tmp_path / "pickled.npz")
 
 
-@pytest.mark.parametrize("version", [0, 2, 10, "one"])
+@pytest.mark.parametrize("version", [0, 3, 10, "one"])
 def test_another_version_is_refused_in_words(record, version, tmp_path):
     path, _ = saved(record[0], tmp_path)
     name = type(record[0]).__name__
-    expected = f"retrax.{name} 1"
+    expected = f"retrax.{name} {'2' if name == 'Solution' else '1'}"
     np.savez(path, **{**np.load(path), "schema": np.asarray(f"retrax.{name} {version}")})
     with pytest.raises(InvalidInputError, match=f"schema retrax.{name} {version}, where this version .* reads '{expected}'"):
         record[1](path)

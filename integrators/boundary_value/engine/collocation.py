@@ -11,10 +11,11 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
 from ...problem import OptimalControlProblem
+from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
 from .evaluator import Arrays, Evaluator
 from .layout import Layout, parameter_layout
-from .transcription import AtStages, Blocks, Data, Moves, at_points
+from .transcription import AtStages, Blocks, Data, Known, Moves, at_points
 
 
 class GaussUnknowns(NamedTuple):
@@ -65,12 +66,21 @@ class Collocation:
         self._state = evaluator.values(self._state_at, e, n, e)
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
         self._middle = evaluator.values(self._middle_of, e, e)
+        self._chart = Chart(method.retraction, evaluator)
 
-    def begin(self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data) -> GaussUnknowns:
+    def begin(
+        self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
+    ) -> GaussUnknowns:
         """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
 
-        The velocities are those of the dynamics.
+        The velocities are those of the polynomials through the points and the nodes that are ``known``, else of the dynamics.
         """
+        if known is not None:
+            nodes, places = known.nodes, np.array(self.method.nodes)
+            through = self._chart.polynomials(places, nodes[:, :-1], states, nodes[:, 1:])
+            velocities = through.slopes(places) / data.steps[:, :, None, None]
+            if np.all(np.isfinite(velocities)):  # else a step does not fit into a chart
+                return GaussUnknowns(through.centres, velocities, controls, known.stage_costates)
         half = self.stages // 2
         centres = states[:, :, half]
         if self.stages % 2 == 0:

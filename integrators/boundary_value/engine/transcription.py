@@ -24,6 +24,13 @@ class Data(NamedTuple):
     parameters: np.ndarray  # shape (B, P)
 
 
+class Known(NamedTuple):
+    """What a guess may know beside states, controls and costates: states at the nodes, covectors at the stages."""
+
+    nodes: np.ndarray  # (B, N + 1, E)
+    stage_costates: np.ndarray  # (B, N, s, E)
+
+
 class Unknowns(NamedTuple):
     """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N, s, U)."""
 
@@ -114,9 +121,11 @@ class OneStage:
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
         return Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, -1])
 
-    def begin(self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data) -> Unknowns:
+    def begin(
+        self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
+    ) -> Unknowns:
         """Unknowns from states and controls at the stages, shape (B, N, 1, ...), and costates at the nodes."""
-        del costates, data
+        del costates, data, known
         return Unknowns(states[:, :, 0], controls)
 
     def move(self, unknowns: Unknowns, blocks: Blocks, step: Moves, data: Data) -> Unknowns:

@@ -1,0 +1,199 @@
+"""An extremal between its nodes: the polynomials of its method in the charts of its steps."""
+
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol, Self, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import DomainError, InvalidInputError, Manifold
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.reading import one_reading
+from ...retractions import Retraction, default_retraction
+from .engine.chart import Chart, lagrange
+from .engine.evaluator import Automatic, Evaluated
+from .engine.layout import Layout
+from .engine.transcription import at_points
+from .stored import as_text, from_text
+
+ROUNDING = 8 * float(np.finfo(float).eps)  # relative to the horizon, and for each step: what the sum of the steps loses
+
+
+class Sample(NamedTuple):
+    """States, controls and costates of an extremal at some times, which are along the leading axes of the arrays."""
+
+    times: np.ndarray
+    states: Any
+    controls: Any
+    costates: Any
+
+
+class Record(Protocol):
+    """What an extremal is interpolated from."""
+
+    times: np.ndarray
+    states: Any
+    costates: Any
+    stage_times: np.ndarray
+    stage_states: Any
+    stage_costates: Any
+    controls: Any
+
+
+class _Step(NamedTuple):
+    """Some steps of an extremal, as flat points: its nodes, and its s stages."""
+
+    begin: np.ndarray  # (K, E)
+    end: np.ndarray
+    begin_costates: np.ndarray
+    end_costates: np.ndarray
+    states: np.ndarray  # (K, s, E)
+    costates: np.ndarray
+    controls: np.ndarray  # (K, s, U)
+    places: np.ndarray  # (s,)
+
+
+@final
+class Interpolant:
+    """What a method says of an extremal between its nodes.
+
+    The states of a step are a polynomial of time in the chart of the retraction around the step's centre, for ``s > 1`` stages
+    of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of degree 1, around
+    the base point of the discretization map. The costates are, as covectors of that chart, a polynomial through those at the
+    nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the map [Hairer, Norsett, Wanner 1993,
+    II.7]. The controls are the polynomial through those of the stages, of order ``s``, in a chart of their manifold.
+    """
+
+    def __init__(self, retraction: Retraction, controls: Manifold) -> None:
+        if not (isinstance(retraction, Retraction) and isinstance(controls, Manifold)):
+            raise InvalidInputError(
+                f"a solution is interpolated with a retraction and the manifold of the controls, got {retraction!r:.60} and "
+                f"{controls!r:.60}; try those of its method and its problem"
+            )
+        self.retraction, self.controls = retraction, controls
+        self.state, self.control = Layout.of(retraction.manifold), Layout.of(controls)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Without what is traced, which no other process could use."""
+        return Interpolant, (self.retraction, self.controls)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether it is of the same retraction and controls."""
+        return isinstance(other, Interpolant) and bool(
+            eqx.tree_equal((self.retraction, self.controls), (other.retraction, other.controls))
+        )
+
+    def __hash__(self) -> int:
+        return hash((repr(self.retraction), repr(self.controls)))
+
+    @property
+    def text(self) -> str | None:
+        """What a file holds of it; None where that cannot be told in classes of the library and numbers."""
+        return as_text(self.retraction, self.controls)
+
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """The interpolant that wrote ``text``; raises ``InvalidInputError`` for another one."""
+        found = from_text(text)
+        if len(found) != 2:
+            raise InvalidInputError(f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls")
+        return cls(*found)
+
+    def require_fits(self, what: str, states: Any, controls: Any) -> None:
+        """Raise unless these are points of its manifolds, along a leading axis."""
+        for name, manifold, given in (("states", self.retraction.manifold, states), ("controls", self.controls, controls)):
+            expected, got = jax.tree.map(lambda s: s.shape, manifold.ambient), jax.tree.map(lambda a: np.shape(a)[1:], given)
+            if expected != got:
+                raise InvalidInputError(f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}")
+
+    def __call__(self, record: Record, t: Any) -> Sample:
+        """The extremal at a time, or at an array of times.
+
+        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a chart.
+        """
+        times = checked_times(t, record.times)
+        flat = times.ravel()
+        k = np.clip(np.searchsorted(record.times, flat, side="right") - 1, 0, len(record.times) - 2)
+        places = (flat - record.times[k]) / np.diff(record.times)[k]
+        needed, where = np.unique(k, return_inverse=True)
+        with one_reading(), np.errstate(all="ignore"):
+            states, costates, controls = self._evaluated(self._steps(record, needed), where, places)
+        lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
+        if np.any(lost):
+            raise DomainError(
+                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, and has no "
+                "polynomial there; try more steps, or a retraction with a larger image"
+            )
+        rows = (a.reshape(*times.shape, a.shape[1]) for a in (states, controls, costates))
+        q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
+        return Sample(times, q, u, p)
+
+    def _steps(self, record: Record, k: np.ndarray) -> _Step:
+        """The steps of these numbers."""
+        count = len(record.times) - 1
+        nodes, points = (self.state.rows(part, 1) for part in (record.states, record.stage_states))
+        at_nodes, at_points = (self.state.rows(part, 1) for part in (record.costates, record.stage_costates))
+        longest = np.argmax(np.diff(record.times))
+        stage_times = record.stage_times.reshape(count, -1)[longest]
+        places = (stage_times - record.times[longest]) / np.diff(record.times)[longest]
+        states, costates = (a.reshape(count, len(places), -1)[k] for a in (points, at_points))
+        controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
+        return _Step(nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1], states, costates, controls, places)
+
+    def _evaluated(self, steps: _Step, where: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them."""
+        covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
+        if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
+            centres, covectors, through = steps.states[:, 0], covectors[:, ::2], np.array([0.0, 1.0])
+            coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
+        else:
+            through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
+        momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
+        shares = lagrange(through, places)
+        c, momentum = (np.einsum("tj,tjn->tn", shares, a[where]) for a in (coordinates, momenta))
+        states = self.chart.points(centres[where], c)
+        costates = self.chart.pushed(centres[where], c, momentum)
+        bases = steps.controls[:, 0]
+        (offsets,) = at_points(self._offset, 2, bases[:, None], steps.controls)
+        offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
+        return states, costates, at_points(self._steered, 1, bases[where], offset)[0]
+
+    @cached_property
+    def chart(self) -> Chart:
+        """The charts of the retraction."""
+        return Chart(self.retraction, Automatic())
+
+    @cached_property
+    def _offset(self) -> Evaluated:
+        return Automatic().values(self._offset_of, self.control.size, self.control.size)
+
+    @cached_property
+    def _steered(self) -> Evaluated:
+        return Automatic().values(self._steered_of, self.control.size, self.controls.dimension)
+
+    def _offset_of(self, base: Array, control: Array) -> tuple[Array]:
+        u = self.control.point(base)
+        v = default_retraction(self.controls).preimage(u, self.control.point(control))
+        return (vec.components(self.controls.basis(u), v),)
+
+    def _steered_of(self, base: Array, offset: Array) -> tuple[Array]:
+        u, turn = self.control.point(base), default_retraction(self.controls)
+        return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
+
+
+def checked_times(t: Any, times: np.ndarray) -> np.ndarray:
+    """Times of an extremal as an array; raises ``InvalidInputError`` for what is none."""
+    given = np.asarray(t)
+    if given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
+        raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {t!r:.80}")
+    first, last = float(times[0]), float(times[-1])
+    slack = ROUNDING * len(times) * max(abs(first), abs(last))
+    outside = (given < first - slack) | (given > last + slack)
+    if np.any(outside):
+        raise InvalidInputError(
+            f"the time {float(given[outside].flat[0]):.10g} is outside the horizon of the solution, expected one in "
+            f"[{first:.10g}, {last:.10g}]"
+        )
+    return np.clip(given.astype(float), first, last)

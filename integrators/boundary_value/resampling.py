@@ -1,0 +1,43 @@
+"""A solution as a guess in other steps, or by another method: what it is between its nodes, at the places that are wanted."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .guess import Guess
+from .interpolation import Interpolant
+from .solution import Solution
+
+SAME = 1e-12  # of the horizon: times closer than that are rounding of one
+
+
+class Mesh(NamedTuple):
+    """Where a method has its unknowns: lengths of the steps, and places of the stages in each, as fractions; and its charts."""
+
+    fractions: np.ndarray  # (N,)
+    stages: np.ndarray  # (s,)
+    interpolant: Interpolant
+
+    def times(self, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times of the nodes, and of the stages."""
+        nodes = horizon * np.concatenate([[0.0], np.cumsum(self.fractions)])
+        return nodes, (nodes[:-1, None] + np.diff(nodes)[:, None] * self.stages).ravel()
+
+
+def resampled(solution: Solution, mesh: Mesh) -> Guess:
+    """The solution at the nodes and stages of a mesh, whose horizon is that of the solution.
+
+    Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one chart.
+    """
+    mesh.interpolant.require_fits("guess: ", solution.states, solution.controls)
+    times, stage_times = mesh.times(float(solution.times[-1]))
+    if _same(times, solution.times) and _same(stage_times, solution.stage_times):
+        return solution.guess()
+    # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all the same.
+    interpolant = solution.interpolant or mesh.interpolant
+    nodes, stages = (interpolant(solution, np.minimum(t, solution.times[-1])) for t in (times, stage_times))
+    return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates)
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    return one.shape == other.shape and bool(np.all(np.abs(one - other) <= SAME * np.max(np.abs(other), initial=0.0)))
