@@ -1,16 +1,15 @@
 """The steps of trajectories as programs on the machine of tapes: nothing is compiled for a system."""
 
-import itertools
-import os
+import math
 import time
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import partial
 from typing import Any, final
 
 import jax
 import numpy as np
 
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.threads import in_threads
 from ...tape import NotTraceableError, Tape
 from ..compilation import call_compiled
 from .integrator import Integrator
@@ -105,20 +104,7 @@ class _Workspace:
     def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
         """Integrate over a piece, blocks of lanes side by side on all processors."""
 
-        def share(blocks: tuple[int, int]) -> None:
-            self._integrate(carry, failed, record, self._factors, *numbers, blocks)
+        def share(blocks: range) -> None:
+            self._integrate(carry, failed, record, self._factors, *numbers, (blocks.start, blocks.stop))
 
-        count = min(os.cpu_count() or 1, self._blocks)
-        cuts = [self._blocks * k // count for k in range(count + 1)]
-        shares = list(itertools.pairwise(cuts))
-        if count == 1:
-            share(shares[0])
-            return
-        futures = [_threads().submit(share, part) for part in shares]
-        for future in futures:
-            future.result()
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_name_prefix="retrax-steps")
+        in_threads(share, self._blocks, math.inf)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
+from retrax.manifolds.numerics import threads
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
@@ -39,20 +40,21 @@ def sample(count):
     return draw((3, count)), (1 + draw((3, count)), draw(count))
 
 
-@pytest.mark.parametrize("count", [1, 2, 63, 64, 65, 200])
+@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 64, 255, 256, 257, 520])
 def test_any_number_of_points(count):
     data = sample(count)
     values = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))(data)
     expected = jax.vmap(rotor, ((-1, (-1, -1)),), -1)(data)
     assert jax.tree.structure(values) == jax.tree.structure(expected)
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), values, expected)
+    # Differences of products of numbers near one, whose rounding depends on whether a processor forms both at once.
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), values, expected)
 
 
 def test_threads_change_nothing(monkeypatch):
     data = sample(1000)
     tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
     alone = tape(data)
-    monkeypatch.setattr(module, "WORTH_A_THREAD", 1)
+    monkeypatch.setattr(threads, "WORTH_A_THREAD", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 3)
     jax.tree.map(np.testing.assert_array_equal, tape(data), alone)
 
@@ -68,7 +70,7 @@ def test_without_numba_the_values_are_the_same_and_a_warning_says_why(monkeypatc
     with pytest.warns(UserWarning, match="Numba"):
         values = tape(data)
     module._machine.cache_clear()
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14), values, expected)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), values, expected)
 
 
 @pytest.mark.parametrize("name", REMARKABLE)

@@ -11,7 +11,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from .arrays import in_threads, plain, whole
+from ....manifolds.numerics.threads import in_threads
+from .arrays import plain, whole
 from .elimination import BlockSystem
 
 

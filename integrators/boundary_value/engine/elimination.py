@@ -5,7 +5,8 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from .arrays import LANES, in_threads, plain, whole
+from ....manifolds.numerics.threads import in_threads
+from .arrays import LANES, plain, whole
 from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
@@ -119,7 +120,8 @@ def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     width, own = whole(rows + columns), whole(z)
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
-    work = np.zeros((z, own)), np.zeros((n, own)), np.zeros((n, own)), np.zeros((rows, width)), np.zeros((columns, rows))
+    shapes = (z, own), (n, own), (n, own), (rows, width), (columns, rows), (2, width)
+    work = tuple(map(np.zeros, shapes))
     return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
 
 

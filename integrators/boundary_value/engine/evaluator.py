@@ -1,5 +1,6 @@
 """Functions of one point, evaluated at many points with their derivatives: on the tape, or compiled by XLA."""
 
+import itertools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -81,20 +82,44 @@ class _OnTape:
     """A tape with arguments and values in rows."""
 
     def __init__(self, tape: Any, sizes: Sequence[int]) -> None:
-        self.tape, self.sizes = tape, sizes
-        self.ends = np.cumsum([0, *sizes])
-        self.shapes = tape.shapes
-        self.cuts = np.cumsum([0, *(math.prod(shape) for shape in self.shapes)])
+        self.tape = tape
+        self.sources, self.targets = _Places(sizes), _Places([math.prod(shape) for shape in tape.shapes])
         _ = tape.program
 
     def __call__(self, *arguments: np.ndarray) -> Arrays:
-        count = max(len(a) for a in arguments)
-        inputs = np.empty((self.ends[-1], count))
-        for a, begin, end in zip(arguments, self.ends, self.ends[1:], strict=False):
-            inputs[begin:end] = a.T
-        rows = self.tape.run(inputs).T
-        parts = zip(self.cuts, self.cuts[1:], self.shapes, strict=False)
-        return tuple(np.ascontiguousarray(rows[:, begin:end]).reshape(count, *shape) for begin, end, shape in parts)
+        count = max(map(len, arguments))
+        values = np.empty(count * self.targets.total)
+        cuts = self.targets.cuts
+        places = self.sources.of([len(a) for a in arguments]), self.targets.of([count] * (len(cuts) - 1))
+        given = np.concatenate([a.ravel() for a in arguments]) if len(arguments) > 1 else arguments[0].ravel()
+        self.tape.run(count, (given, places[0], values, places[1]))
+        parts = zip(cuts, cuts[1:], self.tape.shapes, strict=False)
+        return tuple(values[count * begin : count * end].reshape(count, *shape) for begin, end, shape in parts)
+
+
+class _Places:
+    """Where the numbers of the first point stand, and how far those of the next are, in arrays one after the other."""
+
+    def __init__(self, sizes: Sequence[int]) -> None:
+        self.sizes = sizes
+        self.cuts = [0, *itertools.accumulate(sizes)]
+        self.total = self.cuts[-1]
+        self._known: tuple[list[int], np.ndarray] = [], np.empty((0, 2), np.int64)
+
+    def of(self, counts: list[int]) -> np.ndarray:
+        """The places where the arrays have these numbers of points; what all points share is one of them."""
+        known, places = self._known
+        if known != counts or not counts:
+            firsts = itertools.accumulate((size * n for size, n in zip(self.sizes, counts, strict=True)), initial=0)
+            several = max(counts, default=1) > 1
+            rows = [
+                (first + k, 0 if several and n == 1 else size)
+                for first, size, n in zip(firsts, self.sizes, counts, strict=False)
+                for k in range(size)
+            ]
+            places = np.array(rows, np.int64).reshape(-1, 2)
+            self._known = counts, places
+        return places
 
 
 @final

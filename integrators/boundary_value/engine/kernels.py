@@ -7,9 +7,10 @@ complement: those of the next step. At the last step all are eliminated.
 import numpy as np
 
 from .arrays import LANES
-from .factors import add_vector, compiled, copy_vector, dot, factorise, inner, scale, substitute
+from .factors import compiled, copy_vector, dot, factorise, inner, scale, substitute, subtract_one
 
 Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Units = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -22,7 +23,7 @@ def _in_units(out: np.ndarray, block: np.ndarray, rows: np.ndarray, columns: np.
 
 
 @inner
-def _load_blocks(blocks: Blocks, units: Units, k: int, work: Blocks) -> None:
+def _load_blocks(blocks: Blocks, units: Units, k: int, work: Work) -> None:
     """Hessian, left and right of step k in units, without the equations of free coordinates."""
     (hessian, left, right, _, _), (rows, columns, nodes), last = blocks, units, blocks[1].shape[0] - 1
     _in_units(work[0], hessian[k], rows[0], columns)
@@ -60,17 +61,24 @@ def _close(v: np.ndarray, sides: np.ndarray, fixed: np.ndarray) -> None:
 
 
 @inner
-def _load_step(v: np.ndarray, hessian: np.ndarray, left: np.ndarray, right: np.ndarray, sides: np.ndarray, weight: float) -> None:
+def _load_step(v: np.ndarray, work: Work, sides: np.ndarray, weight: float) -> None:
     """Rows of ``d_k``, with the Hessian ``H + weight (right' right - left' left)``."""
-    (n, width), z = left.shape, hessian.shape[0]
+    (hessian, left, right, _, _, f), n = work, work[1].shape[0]
+    z, width = hessian.shape
     for i in range(z):
-        for j in range(v.shape[1]):
+        for j in range(0, width, LANES):
+            copy_vector(v, i, j, hessian, i, j)
+        for j in range(width, v.shape[1]):
             v[i, j] = 0.0
-        for j in range(i & -LANES, width, LANES):
-            add_vector(v, i, j, 1.0, hessian, i, j)
-            for a in range(n):
-                add_vector(v, i, j, weight * right[a, i], right, a, j)
-                add_vector(v, i, j, -weight * left[a, i], left, a, j)
+    for side, ends in ((weight, left), (-weight, right)):
+        for a in range(n):
+            for i in range(z):
+                f[0, i] = side * ends[a, i]
+            for j in range(0, width, LANES):
+                subtract_one(v, 0, min(z, j + LANES), j, f, ends, a)
+    for i in range(z):
+        for j in range(z, width):
+            v[i, j] = 0.0
         for a in range(n):
             v[i, z + a], v[i, z + n + a] = left[a, i], -right[a, i]
         for j in range(sides.shape[1]):
@@ -85,15 +93,15 @@ def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int)
 
 
 @compiled
-def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work: Blocks, factors: tuple) -> tuple[int, float]:
+def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work: Work, factors: tuple) -> tuple[int, float]:
     """Factorise step after step; the number of negative pivots and the size of the smallest.
 
     ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of
     the Hessians with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of
     the last; ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, columns
-    of unknowns; ``factors``: the rows of all steps, their bases, their units, and the swaps.
+    of unknowns, room for two rows; ``factors``: the rows of all steps, their bases, their units, and the swaps.
     """
-    (_, lefts, _, steps, nodes), (hessian, left, right, v, _), (rows, bases, sizes, swaps) = blocks, work, factors
+    (_, lefts, _, steps, nodes), (_, _, _, v, _, f), (rows, bases, sizes, swaps) = blocks, work, factors
     (count, n, z), negative, smallest = lefts.shape, 0, np.inf
     for a in range(n):
         for j in range(z, v.shape[1]):
@@ -102,13 +110,13 @@ def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work
     for k in range(count):
         _load_blocks(blocks, units, k, work)
         _load_nodes(v, z, nodes[k])
-        _load_step(v, hessian, left, right, steps[k], weight)
+        _load_step(v, work, steps[k], weight)
         last = z + n
         if k == count - 1:
             last += n
             _close(v, nodes[count], fixed[1])
-        scale(v, sizes[k], z, last)
-        found, size = factorise(v, swaps[k], last, z + 2 * n)
+        scale(v, f, sizes[k], z, last)
+        found, size = factorise(v, f, swaps[k], last, z + 2 * n)
         negative += found
         if size < smallest or size != size:
             smallest = size
@@ -125,12 +133,12 @@ def _curvature(hessian: np.ndarray, d: np.ndarray) -> float:
 
 
 @compiled
-def backward(blocks: Blocks, units: Units, weight: float, work: Blocks, factors: tuple, out: tuple) -> float:
+def backward(blocks: Blocks, units: Units, weight: float, work: Work, factors: tuple, out: tuple) -> float:
     """Steps and multipliers from the last to the first, and ``sum_k d_k' H_k d_k`` of the first column.
 
     The weights' share is taken out of the multipliers.
     """
-    (hessian, _, right, _, x), (rows, bases, sizes, swaps), (steps, multipliers) = work, factors, out
+    (hessian, _, right, _, x, _), (rows, bases, sizes, swaps), (steps, multipliers) = work, factors, out
     (count, n, z), zero, curvature = blocks[1].shape, np.int64(0), 0.0
     p = z + n
     for k in range(count - 1, -1, -1):

@@ -4,14 +4,19 @@ Numba compiles it once on a computer and keeps it on its disk. A program is data
 """
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba import extending, types
+from numba.core import cgutils
 
 from .program import NAMES
 
-LANES = 64  # points that an instruction acts on at once: enough to hide its choice, few enough for the nearest caches
+LANES = 64  # points that an instruction acts on at once where nobody says how many
+VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
     ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT,
@@ -21,10 +26,121 @@ LANES = 64  # points that an instruction acts on at once: enough to hide its cho
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
-_compiled: Any = numba.njit(cache=True, error_model="numpy", nogil=True)
+# Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
+_njit: Any = numba.njit
+_compiled = _njit(cache=True, error_model="numpy", nogil=True)
+_inner = _njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_intrinsic: Any = extending.intrinsic
+_FUSED = ("contract",)  # a product and a sum may be one instruction
 
 
-@_compiled
+def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
+    """``a`` where ``condition`` is not zero, else ``b``."""
+    return builder.select(builder.fcmp_unordered("!=", condition, ir.Constant(condition.type, None)), a, b)
+
+
+def _truth(relation: str) -> Callable:
+    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
+        one, none = (ir.Constant(v.type, value) for value in (_filled(v.type, 1.0), None))
+        return b.select(b.fcmp_ordered(relation, x(), y()), one, none)
+
+    return emit
+
+
+def _filled(kind: Any, value: float) -> Any:
+    return [value] * kind.count if isinstance(kind, ir.VectorType) else value
+
+
+def _of_llvm(name: str) -> Callable:
+    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
+        suffix = f"v{v.type.count}f64" if isinstance(v.type, ir.VectorType) else "f64"
+        function = cgutils.get_or_insert_function(b.module, ir.FunctionType(v.type, [v.type]), f"{name}.{suffix}")
+        return b.call(function, [x()])
+
+    return emit
+
+
+# Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the constant.
+_EMITTED: dict[int, Callable] = {
+    MUL: lambda b, x, y, z, v: b.fmul(x(), y()),
+    MUL_ADD: lambda b, x, y, z, v: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    MUL_SUB: lambda b, x, y, z, v: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
+    ADD: lambda b, x, y, z, v: b.fadd(x(), y()),
+    SUB: lambda b, x, y, z, v: b.fsub(x(), y()),
+    DIV: lambda b, x, y, z, v: b.fdiv(x(), y()),
+    MUL_CONST: lambda b, x, y, z, v: b.fmul(x(), v),
+    ADD_CONST: lambda b, x, y, z, v: b.fadd(x(), v),
+    CONST_SUB: lambda b, x, y, z, v: b.fsub(v, x()),
+    CONST_DIV: lambda b, x, y, z, v: b.fdiv(v, x()),
+    CONST: lambda b, x, y, z, v: v,
+    INV: lambda b, x, y, z, v: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
+    NEG: lambda b, x, y, z, v: b.fneg(x()),
+    SQ: lambda b, x, y, z, v: b.fmul(x(), x()),
+    TWICE: lambda b, x, y, z, v: b.fadd(x(), x()),
+    SQRT: _of_llvm("llvm.sqrt"),
+    FABS: _of_llvm("llvm.fabs"),
+    LT: _truth("<"),
+    LE: _truth("<="),
+    NOT: lambda b, x, y, z, v: _chosen(b, x(), ir.Constant(v.type, None), ir.Constant(v.type, _filled(v.type, 1.0))),
+    SELECT: lambda b, x, y, z, v: _chosen(b, x(), y(), z()),
+    IF_ELSE_ZERO: lambda b, x, y, z, v: _chosen(b, x(), y(), ir.Constant(v.type, None)),
+}
+
+
+def _instruction(kind: Any) -> Any:
+    """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is one.
+
+    ``kind``: the LLVM type of what is loaded at once. One table of jumps, where Numba would need a loop for each instruction.
+    """
+    size = kind.count if isinstance(kind, ir.VectorType) else 1
+
+    def place(context: Any, builder: Any, signature: Any, arguments: Any, row: Any) -> Any:
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        first = builder.mul(row, builder.extract_value(array.shape, 1)) if signature.args[1].ndim == 2 else row
+        return builder.gep(array.data, [first])
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        code, _, count, *rows, value = arguments
+        target, *operands = (place(context, builder, signature, arguments, row) for row in rows)
+        constant = value
+        if size > 1:
+            constant = ir.Constant(kind, ir.Undefined)
+            for t in range(size):
+                constant = builder.insert_element(constant, value, ir.Constant(ir.IntType(32), t))
+        known = cgutils.alloca_once_value(builder, cgutils.true_bit)
+        after, unknown = builder.append_basic_block("after"), builder.append_basic_block("unknown")
+        jump = builder.switch(code, unknown)
+        step = ir.Constant(count.type, size)
+        for number, emit in _EMITTED.items():
+            block = builder.append_basic_block(NAMES[number])
+            jump.add_case(ir.Constant(code.type, number), block)
+            builder.position_at_end(block)
+            with cgutils.for_range_slice(builder, ir.Constant(count.type, 0), count, step) as (j, _):
+
+                def load(pointer: Any, j: Any = j) -> Callable:
+                    return lambda: builder.load(builder.bitcast(builder.gep(pointer, [j]), kind.as_pointer()), align=8)
+
+                result = emit(builder, *map(load, operands), constant)
+                builder.store(result, builder.bitcast(builder.gep(target, [j]), kind.as_pointer()), align=8)
+            builder.branch(after)
+        builder.position_at_end(unknown)
+        builder.store(cgutils.false_bit, known)
+        builder.branch(after)
+        builder.position_at_end(after)
+        return builder.load(known)
+
+    def typed(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
+        return types.boolean(types.intp, w, *(types.intp,) * 5, types.float64), generate
+
+    return _intrinsic(typed)
+
+
+_on_lanes = _instruction(ir.VectorType(ir.DoubleType(), VECTOR))
+_on_one = _instruction(ir.DoubleType())
+
+
+@_inner
 def _elementary(c: int, x: float) -> float:
     """Functions of one number that take longer than the choice among them."""
     if c == SIN:
@@ -58,14 +174,10 @@ def _elementary(c: int, x: float) -> float:
     return math.erf(x) if c == ERF else (np.log1p(x) if c == LOG1P else np.expm1(x))
 
 
-@_compiled
+@_inner
 def _of_one(c: int, x: float) -> float:
-    if c == FABS:
-        return abs(x)
     if c == SIGN:
         return 1.0 if x > 0 else (-1.0 if x < 0 else x)
-    if c == NOT:
-        return 1.0 if x == 0 else 0.0
     if c == FLOOR:
         return np.floor(x)
     if c == CEIL:
@@ -73,12 +185,8 @@ def _of_one(c: int, x: float) -> float:
     return x if c == ASSIGN else _elementary(c, x)
 
 
-@_compiled
+@_inner
 def _of_two(c: int, x: float, y: float) -> float:
-    if c == LT:
-        return 1.0 if x < y else 0.0
-    if c == LE:
-        return 1.0 if x <= y else 0.0
     if c == EQ:
         return 1.0 if x == y else 0.0
     if c == NE:
@@ -100,159 +208,50 @@ def _of_two(c: int, x: float, y: float) -> float:
     return math.hypot(x, y) if c == HYPOT else np.power(x, y)
 
 
-@_compiled
-def _rare(c: int, w: np.ndarray, o: int, x: int, y: int) -> None:
-    """Instructions whose own time hides the choice among them, lane by lane."""
-    if c < FIRST_OF_ONE:
-        for j in range(LANES):
-            w[o, j] = _of_two(c, w[x, j], w[y, j])
-    else:
-        for j in range(LANES):
-            w[o, j] = _of_one(c, w[x, j])
-
-
-@_compiled
-def _common(c: int, v: float, w: np.ndarray, o: int, x: int, y: int, z: int) -> None:
-    if c == DIV:
-        for j in range(LANES):
-            w[o, j] = w[x, j] / w[y, j]
-    elif c == SQ:
-        for j in range(LANES):
-            w[o, j] = w[x, j] * w[x, j]
-    elif c == NEG:
-        for j in range(LANES):
-            w[o, j] = -w[x, j]
-    elif c == TWICE:
-        for j in range(LANES):
-            w[o, j] = w[x, j] + w[x, j]
-    elif c == INV:
-        for j in range(LANES):
-            w[o, j] = 1.0 / w[x, j]
-    elif c == SQRT:
-        for j in range(LANES):
-            w[o, j] = np.sqrt(w[x, j])
-    elif c == SELECT:
-        for j in range(LANES):
-            w[o, j] = w[y, j] if w[x, j] != 0 else w[z, j]
-    elif c == IF_ELSE_ZERO:
-        for j in range(LANES):
-            w[o, j] = w[y, j] if w[x, j] != 0 else 0.0
-    elif c == CONST:
-        for j in range(LANES):
-            w[o, j] = v
-    elif c == ADD_CONST:
-        for j in range(LANES):
-            w[o, j] = w[x, j] + v
-    elif c == CONST_SUB:
-        for j in range(LANES):
-            w[o, j] = v - w[x, j]
-    elif c == CONST_DIV:
-        for j in range(LANES):
-            w[o, j] = v / w[x, j]
-    else:
-        _rare(c, w, o, x, y)
-
-
-@_compiled
-def _block(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, s: int, m: int) -> None:
-    """Run a program on the points ``s`` to ``s + m``; ``ends`` are all inputs and outputs."""
-    inputs, outputs = ends
-    for k in range(codes.size):
-        c, v = codes[k], values[k]
-        o, x, y, z = registers[k, 0], registers[k, 1], registers[k, 2], registers[k, 3]
-        if c == MUL:
-            for j in range(LANES):
-                w[o, j] = w[x, j] * w[y, j]
-        elif c == MUL_ADD:
-            for j in range(LANES):
-                w[o, j] = w[x, j] * w[y, j] + w[z, j]
-        elif c == MUL_SUB:
-            for j in range(LANES):
-                w[o, j] = w[x, j] * w[y, j] - w[z, j]
-        elif c == SUB_MUL:
-            for j in range(LANES):
-                w[o, j] = w[z, j] - w[x, j] * w[y, j]
-        elif c == ADD:
-            for j in range(LANES):
-                w[o, j] = w[x, j] + w[y, j]
-        elif c == SUB:
-            for j in range(LANES):
-                w[o, j] = w[x, j] - w[y, j]
-        elif c == MUL_CONST:
-            for j in range(LANES):
-                w[o, j] = w[x, j] * v
-        elif c == INPUT:
-            for j in range(m):
-                w[o, j] = inputs[int(v), s + j]
-        elif c == OUTPUT:
-            for j in range(m):
-                outputs[int(v), s + j] = w[x, j]
-        else:
-            _common(c, v, w, o, x, y, z)
+@_inner
+def _other(c: int, x: float, y: float) -> float:
+    return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
 
 
 @_compiled
 def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, first: int, last: int) -> None:
-    """Run a program on the points ``first`` to ``last``.
+    """Run a program on the points ``first`` to ``last``, as many at once as there are lanes.
 
-    ``ends``: inputs and outputs, a row for each scalar and a column for each point; ``w``: registers, shape ``(size, LANES)``.
+    ``ends``: numbers that are read, and for each input where that of the first point stands and how far the next is; numbers
+    that are written, and the same for each output; ``w``: registers, shape ``(size, lanes)``, lanes in whole vectors.
     """
-    for s in range(first, last, LANES):
-        _block(codes, registers, values, ends, w, s, min(LANES, last - s))
+    inputs, sources, outputs, targets = ends
+    lanes = w.shape[1]
+    for s in range(first, last, lanes):
+        m = min(lanes, last - s)
+        for k in range(codes.size):
+            c, v, o, x = codes[k], values[k], registers[k, 0], registers[k, 1]
+            if _on_lanes(c, w, m, o, x, registers[k, 2], registers[k, 3], v):
+                continue
+            if c == INPUT:
+                begin, step = sources[int(v), 0] + s * sources[int(v), 1], sources[int(v), 1]
+                for j in range(m):
+                    w[o, j] = inputs[begin + j * step]
+            elif c == OUTPUT:
+                begin, step = targets[int(v), 0] + s * targets[int(v), 1], targets[int(v), 1]
+                for j in range(m):
+                    outputs[begin + j * step] = w[x, j]
+            else:  # its own time hides the choice
+                y = registers[k, 2]
+                for j in range(m):
+                    w[o, j] = _other(c, w[x, j], w[y, j])
 
 
 @_compiled
 def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
     """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``: registers."""
     for k in range(codes.size):
-        c = codes[k]
-        o, x, y, z = registers[k, 0], registers[k, 1], registers[k, 2], registers[k, 3]
-        if c == MUL:
-            w[o] = w[x] * w[y]
-        elif c == MUL_ADD:
-            w[o] = w[x] * w[y] + w[z]
-        elif c == MUL_SUB:
-            w[o] = w[x] * w[y] - w[z]
-        elif c == SUB_MUL:
-            w[o] = w[z] - w[x] * w[y]
-        elif c == ADD:
-            w[o] = w[x] + w[y]
-        elif c == SUB:
-            w[o] = w[x] - w[y]
-        elif c == MUL_CONST:
-            w[o] = w[x] * values[k]
-        elif c == INPUT:
+        c, o, x = codes[k], registers[k, 0], registers[k, 1]
+        if _on_one(c, w, 1, o, x, registers[k, 2], registers[k, 3], values[k]):
+            continue
+        if c == INPUT:
             w[o] = v[x]
         elif c == OUTPUT:
             v[o] = w[x]
-        elif c == CONST:
-            w[o] = values[k]
         else:
-            w[o] = _other(c, values[k], w[x], w[y], w[z])
-
-
-@_compiled
-def _other(c: int, v: float, x: float, y: float, z: float) -> float:
-    if c == DIV:
-        return x / y
-    if c == SQ:
-        return x * x
-    if c == NEG:
-        return -x
-    if c == TWICE:
-        return x + x
-    if c == INV:
-        return 1.0 / x
-    if c == SQRT:
-        return np.sqrt(x)
-    if c == SELECT:
-        return y if x != 0 else z
-    if c == IF_ELSE_ZERO:
-        return y if x != 0 else 0.0
-    if c == ADD_CONST:
-        return x + v
-    if c == CONST_SUB:
-        return v - x
-    if c == CONST_DIV:
-        return v / x
-    return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
+            w[o] = _other(c, w[x], w[registers[k, 2]])

@@ -14,6 +14,7 @@ NAMES = (
     "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH",
     "LOG1P", "EXPM1",
 )  # fmt: skip
+FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
 
@@ -28,6 +29,7 @@ class _Instruction:
     inputs: list[int]  # the instructions that make its operands
     value: float = 0.0  # a constant, or the place of an input or output
     uses: int = field(default=0)
+    divides: bool = False  # the second operand is an inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +51,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX) -> Program:
     _count(instructions)
     for k, instruction in enumerate(instructions):
         _select(instructions, instruction)
+        _divide(instructions, instruction)
         _immediate(instructions, instruction)
         _multiplied(instructions, k)
     kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
@@ -56,9 +59,10 @@ def assembled(inputs: ca.SX, outputs: ca.SX) -> Program:
 
 
 def _read(function: ca.Function) -> list[_Instruction]:
-    """CasADi's instructions, whose operands are named by the instructions that made them."""
+    """CasADi's instructions, whose operands are named by the instructions that made them; divisors are inverted, each once."""
     found: list[_Instruction] = []
     made: dict[int, int] = {}
+    inverses: dict[int, int] = {}
     for k in range(function.n_instructions()):
         code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if code not in _OF_CASADI:
@@ -72,9 +76,15 @@ def _read(function: ca.Function) -> list[_Instruction]:
             instruction = _Instruction(name, [made[ins[0]]], outs[1])
         else:
             instruction = _Instruction(name, [made[i] for i in ins])
+        if name == "DIV" and found[instruction.inputs[1]].name != "CONST":
+            divisor = instruction.inputs[1]
+            if divisor not in inverses:
+                inverses[divisor] = len(found)
+                found.append(_Instruction("INV", [divisor]))
+            instruction = _Instruction("MUL", [instruction.inputs[0], inverses[divisor]], divides=True)
         found.append(instruction)
         if name != "OUTPUT":
-            made[outs[0]] = k
+            made[outs[0]] = len(found) - 1
     return found
 
 
@@ -95,6 +105,14 @@ def _replace(instructions: list[_Instruction], instruction: _Instruction, name: 
         unused.uses -= 1
         if not unused.uses:
             old += unused.inputs
+
+
+def _divide(instructions: list[_Instruction], instruction: _Instruction) -> None:
+    """A product with an inverse that hardly anything else needs is a division, which rounds once."""
+    if instruction.divides:
+        left, inverse = instruction.inputs
+        if instructions[inverse].uses <= FEW:
+            _replace(instructions, instruction, "DIV", [left, instructions[inverse].inputs[0]], 0.0)
 
 
 def _select(instructions: list[_Instruction], instruction: _Instruction) -> None:

@@ -1,11 +1,8 @@
 """Functions of a point as straight lines of scalar operations, evaluated on many points at once."""
 
-import itertools
 import math
-import os
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import ModuleType
@@ -15,13 +12,15 @@ import casadi as ca
 import jax
 import numpy as np
 
+from ..manifolds.numerics.threads import in_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
 from .trace import trace
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
-WORTH_A_THREAD = 300_000  # instructions times points that one thread does before a second is worth its start
+MOST_LANES = 256  # points that an instruction acts on at once: enough to hide its choice
+MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 
 
 @final
@@ -70,7 +69,9 @@ class Tape:
     def __call__(self, *arguments: Any) -> Any:
         """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
         inputs = self._packed(arguments)
-        rows = self.run(inputs)
+        rows = np.empty((sum(leaf.rows for leaf in self._results), inputs.shape[1]))
+        ends = inputs.ravel(), _rows(*inputs.shape), rows.reshape(-1), _rows(*rows.shape)
+        self.run(inputs.shape[1], ends)
         return jax.tree.unflatten(self.structure, self._unpacked(rows))
 
     @property
@@ -135,8 +136,11 @@ class Tape:
         """
         d, scalar, vector = self.graph.inputs[0], column(self._values[0]), column(self._values[1])
         shapes = [(d.numel(),) * 2, d.shape[:1], (vector.numel(), d.numel()), *(leaf.shape for leaf in self._results[1:])]
-        curvature, slope = self.graph.hessian(scalar, d), self.graph.gradient(scalar, d)
-        flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, self.graph.jacobian(vector, d))]
+        slope, directions = self.graph.gradient(scalar, d), ca.DM.eye(d.numel())
+        # Both along the same directions, in forward mode, so that they share what they compute; each second derivative once.
+        curvature, jacobian = (self.graph.push(of, d, ca.SX(directions)) for of in (slope, vector))
+        curvature = ca.tril2symm(ca.tril(curvature))
+        flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, jacobian)]
         there = self.graph.unmarked([*flat, vector, *(column(v) for v in self._values[2:])])
         there = ca.substitute(there, [d], [ca.SX.zeros(d.numel())])
         results: list[Entries] = [scalars(v, shape) for v, shape in zip(there, shapes, strict=True)]
@@ -144,7 +148,7 @@ class Tape:
         arguments = leaves, jax.tree.structure((0,) * len(leaves))
         return Tape(Graph(self.graph.inputs[1:]), results, arguments, jax.tree.structure((0,) * len(results)))
 
-    @property
+    @cached_property
     def shapes(self) -> list[tuple[int, ...]]:
         """Shapes of the values."""
         return [leaf.shape for leaf in self._results]
@@ -205,21 +209,29 @@ class Tape:
             found.append(real + 1j * rows[begin + size : begin + 2 * size].reshape(shape) if leaf.complex else real)
         return found
 
-    def run(self, inputs: np.ndarray) -> np.ndarray:
-        """All values from all arguments: a row for every real number, in C order, and a column for every point."""
+    def run(self, count: int, ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
+        """Write all values at ``count`` points.
+
+        ``ends``: numbers that are read, and for each real number of the arguments, in C order, where that of the first point
+        stands and how far the next is, shape ``(rows, 2)``; numbers that are written, and the same for the values.
+        """
         machine = _machine()
         if machine is None:
-            return np.array(self._casadi(inputs)).reshape(self.outputs.shape[0], inputs.shape[1])
+            self._run_slowly(count, *ends)
+            return
         p = self.program
-        outputs = np.empty((p.outputs, inputs.shape[1]))
 
-        def run(part: tuple[int, int]) -> None:
-            work = np.zeros((p.size, machine.LANES))
-            machine.run(p.codes, p.registers, p.values, (inputs, outputs), work, *part)
+        def run(part: range) -> None:
+            blocks = -(-len(part) // max(machine.LANES, min(MOST_LANES, MEMORY // max(1, p.size))))
+            lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
+            machine.run(p.codes, p.registers, p.values, ends, np.empty((p.size, lanes)), part.start, part.stop)
 
-        parts = _shares(inputs.shape[1], self.instructions, machine.LANES)
-        list(map(run, parts) if len(parts) == 1 else _threads().map(run, parts))
-        return outputs
+        in_threads(run, count, self.instructions, machine.VECTOR)
+
+    def _run_slowly(self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray) -> None:
+        points = np.arange(count)
+        read, write = (places[:, :1] + places[:, 1:] * points for places in (sources, targets))
+        outputs[write] = np.array(self._casadi(inputs[read])).reshape(write.shape)
 
     @cached_property
     def _casadi(self) -> ca.Function:
@@ -234,19 +246,9 @@ def _real_parts(a: np.ndarray, is_complex: bool) -> tuple[np.ndarray, ...]:
     return (np.real(a), np.imag(a)) if is_complex else (a,)
 
 
-def _shares(points: int, instructions: int, lanes: int) -> list[tuple[int, int]]:
-    """Ranges of points for threads, in whole lanes."""
-    blocks = -(-points // lanes)
-    count = max(1, min(blocks, points * instructions // WORTH_A_THREAD))
-    if count > 1:  # the system is asked only where it matters: that takes as long as a small tape
-        count = min(count, os.cpu_count() or 1)
-    ends = [min(points, lanes * (blocks * k // count)) for k in range(count)] + [points]
-    return list(itertools.pairwise(ends))
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_name_prefix="retrax-tape")
+def _rows(count: int, points: int) -> np.ndarray:
+    """Places of numbers in an array with a row for each of them and a column for each point."""
+    return np.stack([points * np.arange(count), np.ones(count, int)], axis=1)
 
 
 @cache
