@@ -14,7 +14,7 @@ from ..evaluation import at_each
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 from .arguments import Method, check_problem, fractions_of
-from .boundary import boundary_conditions, require_ends_on, require_known_ends
+from .end_points import boundary_conditions, require_ends_on, require_known_ends
 from .engine.layout import Layout
 from .engine.rollout import RollOut
 from .engine.start import Start
