@@ -70,11 +70,19 @@ class Posing:
         begin, end = (np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1))
         rows = begin, end
         self._require_on_manifold(traced, members, rows)
-        data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters)
+        data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters, self._asked(members))
         guess = self._guess(traced, members, rows, data)
         entries = self._entries(first), self._entries(last)
         coordinates = np.array(first.fixed_coordinates, float), np.array(last.fixed_coordinates, float)
         return Posed(traced, Conditions(traced.steps, traced.nodes, Ends(*rows, *entries, *coordinates), data), guess)
+
+    def _asked(self, members: list[Member]) -> np.ndarray | None:
+        """At which points the inequalities are to hold, if there are any."""
+        problem = self.problem.with_parameters(members[0].parameters)
+        if not problem.limits.any:
+            return None
+        mask = problem.inequality_mask(len(self.fractions), len(self.stages))
+        return np.broadcast_to(mask.astype(float), (len(members), *mask.shape))
 
     def _entries(self, condition: NodeCondition) -> np.ndarray:
         """Which entries of a flat point are prescribed."""

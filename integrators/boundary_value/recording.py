@@ -35,6 +35,7 @@ class Recording:
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data)
         diagnostics = traced.diagnosis((nodes, costates), stages, data.parameters)
         results = outcomes(found, options.tolerance, options.max_iterations)
+        multipliers = self._multipliers(found)
         for k, result in enumerate(results):
             own: Any = jax.tree.map(lambda leaf, k=k: leaf[k], diagnostics)
             require_tangent_dynamics(self.problem, float(own.normal))
@@ -58,4 +59,13 @@ class Recording:
                 checks=Checks.of(own, gap, stationarity, bool(found.strict_minimum[k])),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 interpolant=self.interpolant,
+                multipliers={name: rows[k] for name, rows in multipliers.items()},
             )
+
+    def _multipliers(self, found: Found) -> dict[str, np.ndarray]:
+        """Multipliers of the inequalities at the stages, by their names."""
+        slacks = found.iterate.slacks
+        if slacks is None:
+            return {}
+        rows = slacks.multipliers
+        return self.problem.by_constraint(rows.reshape(len(rows), -1, rows.shape[3]))

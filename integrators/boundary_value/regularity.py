@@ -31,6 +31,8 @@ class Regularity:
             regular = problem.check(known, resting_control(problem.controls))
             problem.require_cost(known, last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
+            # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
+            regular = regular or problem.limits.any
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 

@@ -111,6 +111,8 @@ class Solution:
     ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
     factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how the
     computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
+    ``multipliers`` of the inequalities by their names, at the stages, are not negative, and per unit of time: the Hamiltonian
+    ``<p, X> - F - nu g`` is stationary in the controls, and ``nu g = 0``.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -130,6 +132,7 @@ class Solution:
     checks: Checks
     statistics: Statistics
     singular: SingularArc | None = None
+    multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
     interpolant: Interpolant | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

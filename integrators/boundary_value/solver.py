@@ -199,7 +199,9 @@ class Solver:
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
-        """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""
+        """Whether it is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities the latter is not asked."""
+        if self.problem.limits.any:
+            return True
         state, control = self._posing.state, self._posing.control
         layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
         states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)

@@ -14,7 +14,9 @@ from ...problem import OptimalControlProblem
 from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
 from .evaluator import Arrays, Evaluator
+from .inequalities import Held, Slacks, raised
 from .layout import Layout, parameter_layout
+from .scaling import Units
 from .transcription import AtStages, Blocks, Data, Known, Moves, at_points
 
 
@@ -59,7 +61,8 @@ class Collocation:
         )
         e, u, k = self.state.size, self.control.size, self.parameter.size
         self._ends = evaluator.values(self._ends_of, e, n)
-        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k)
+        self.inequalities = len(problem.with_parameters(parameters).inequality_names)
+        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k, self.inequalities)
         self._both = evaluator.derivatives(self._both_of, 2 * n, e, n, e, e, e, e)
         self._centre = evaluator.values(self._centre_moved, e, n)
         self._control = evaluator.values(self._control_moved, u, m)
@@ -94,35 +97,59 @@ class Collocation:
         """Beginnings and ends of the steps, shape (B, N, E)."""
         return at_points(self._ends, 2, unknowns.centres, self._eta(unknowns, data))
 
-    def blocks(self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data) -> Blocks:
+    def blocks(
+        self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
+    ) -> Blocks:
         """The condensed blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
-        n, steps = self.manifold.dimension, data.steps
-        xi = np.einsum("bk,ij,bkja->bkia", steps, self.tableau.matrix, unknowns.velocities)
-        weights = (steps[:, :, None] * self.tableau.weights)[..., None]
-        at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
-        hessian, slope, jacobian, values, frames, multipliers = at_points(self._point, 3, *at, data.parameters[:, None, None])
+        n, steps, shape, s = self.manifold.dimension, data.steps, data.steps.shape, self.stages
+        found = self._at_points(unknowns, data, slacks)
+        hessian, slope, jacobian, values, frames, multipliers = found
+        weights, held = steps[:, :, None, None] * self.tableau.weights[:, None], None
+        columns = slope[..., None]
+        if slacks is not None:
+            weights = weights * data.held(self.inequalities, s)
+            held = Held(values[..., n + 1 :], jacobian[..., n + 1 :, :], weights)
+            hessian, columns = raised(hessian, slope, held, slacks)
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         both = at_points(self._both, 2, unknowns.centres, self._eta(unknowns, data), *around)
-        points = Points(hessian, jacobian[..., :n, :], slope[..., None], values[..., :n, None])
-        ends = Ends(both[0], both[2][:, :, :n], both[2][:, :, n:], both[1][..., None])
+        defect, pulls = values[..., :n, None], both[1][..., None]
+        if held is not None:  # the second column, times the barrier, has no defect and nothing at the ends
+            defect, pulls = (np.concatenate([a, np.zeros_like(a)], axis=-1) for a in (defect, pulls))
+        points = Points(hessian, jacobian[..., :n, :], columns, defect)
+        ends = Ends(both[0], both[2][:, :, :n], both[2][:, :, n:], pulls)
         parts, condensed = condense(points, ends, steps, self.tableau)
-        shape, s = steps.shape, self.stages
         factors, swaps, maps = (a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
-        own = full_slope(points, ends, steps, self.tableau)[..., n : n + s * n, 0].reshape(*shape, s, n)
-        rest = ends._replace(slope=np.zeros_like(ends.slope))
-        cost = full_slope(points._replace(slope=jacobian[..., n, :, None]), rest, steps, self.tableau)[..., 0]
-        inner = cost[..., n : n + s * n]
-        direct = np.concatenate([cost[..., :n], cost[..., n + s * n :]], axis=2)
-        gradient = direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner)
-        shares = parts.before[..., 0], parts.after[..., 0], values[..., :n], multipliers, own
-        left = inner.reshape(*shape, s, n), frames, condensed.points, condensed.ends, (factors, swaps, maps)
-        blocks = parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, np.sum(values[..., n], axis=2)
-        return Blocks(*blocks, Inner(*shares, *left))
+        alone = ends._replace(slope=both[1][..., None])
+        whole = full_slope(points._replace(slope=slope[..., None]), alone, steps, self.tableau)[..., 0]
+        none = ends._replace(slope=np.zeros_like(both[1])[..., None])
+        cost = full_slope(points._replace(slope=jacobian[..., n, :, None]), none, steps, self.tableau)[..., 0]
+        gradient, inner = self._condensed(cost, maps)
+        shares = parts.before[..., 0], parts.after[..., 0], values[..., :n], multipliers, self._condensed(whole, maps)[1]
+        inner = Inner(*shares, inner, frames, condensed.points, condensed.ends, (factors, swaps, maps))
+        costs = np.sum(values[..., n], axis=2)
+        blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, costs, inner)
+        if held is None:
+            return blocks
+        return blocks._replace(slope=self._condensed(whole, maps)[0], held=held, pushed=parts.slope)
+
+    def _at_points(self, unknowns: GaussUnknowns, data: Data, slacks: Slacks | None) -> Arrays:
+        """The functions of the points with their derivatives."""
+        xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
+        weights = (data.steps[:, :, None] * self.tableau.weights)[..., None]
+        at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
+        pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
+        return at_points(self._point, 3, *at, data.parameters[:, None, None], pull)
+
+    def _condensed(self, full: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A slope by all unknowns of the steps as one by those that are left, and its part by the velocities."""
+        n, s = self.manifold.dimension, self.stages
+        inner = full[..., n : n + s * n]
+        direct = np.concatenate([full[..., :n], full[..., n + s * n :]], axis=2)
+        return direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner), inner.reshape(*full.shape[:2], s, n)
 
     def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
         """The unknowns moved by fractions of the steps of the condensed system."""
-        steps, multipliers, part = step
-        inner, whole = blocks.inner, self.whole(blocks, steps, multipliers, data)
+        steps, part, inner, whole = step.steps, step.fraction, blocks.inner, step.inner
         some = part[:, None, None]
         centres, turns = at_points(self._centre, 2, unknowns.centres, some * steps[..., : self.manifold.dimension])
         velocities = np.einsum("bkac,bkic->bkia", turns, unknowns.velocities + some[..., None] * whole[0])
@@ -131,14 +158,32 @@ class Collocation:
         costates = np.einsum("bkine,bkin->bkie", inner.frames, inner.multipliers + some[..., None] * whole[1])
         return GaussUnknowns(centres, velocities, controls, costates)
 
-    def whole(self, blocks: Blocks, steps: np.ndarray, multipliers: np.ndarray, data: Data) -> tuple[np.ndarray, np.ndarray]:
+    def whole(self, blocks: Blocks, step: Moves, data: Data, slacks: Slacks | None) -> tuple[np.ndarray, np.ndarray]:
         """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
-        inner = blocks.inner
+        inner, points = blocks.inner, blocks.inner.points
+        if slacks is not None:
+            push = slacks.barrier[:, None, None, None, None]
+            points = points._replace(slope=points.slope[..., :1] + push * points.slope[..., 1:])
         table = np.ascontiguousarray(data.steps).ravel(), self.tableau.matrix, self.tableau.weights
         factors, swaps, maps = (a.reshape(-1, *a.shape[2:]) for a in inner.kept)
-        condensed = Condensed(inner.points, inner.ends, table, (factors, swaps, maps))
-        found = expand(condensed, steps[..., None], multipliers[..., None])
+        condensed = Condensed(points, inner.ends, table, (factors, swaps, maps))
+        found = expand(condensed, step.steps[..., None], step.multipliers[..., None])
         return found.dnu[..., 0], found.dlambda[..., 0]
+
+    def at_each(self, moves: Moves, data: Data) -> np.ndarray:
+        """The steps of the unknowns ``(dx, dxi, dnu, du)`` of each point, shape (B, N, s, 3 n + m)."""
+        n, velocities = self.manifold.dimension, moves.inner[0]
+        centres = np.broadcast_to(moves.steps[:, :, None, :n], velocities.shape)
+        xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, velocities)
+        controls = moves.steps[:, :, n:].reshape(*velocities.shape[:3], -1)
+        return np.concatenate([centres, xi, velocities, controls], axis=3)
+
+    def sizes(self, units: Units) -> np.ndarray:
+        """Units of the unknowns of each point that an inequality depends on, shape (B, 1, s, 3 n + m)."""
+        n, s = self.manifold.dimension, self.stages
+        controls = units.unknowns[:, n:].reshape(len(units.unknowns), s, -1)
+        nodes = np.repeat(units.nodes[:, None], s, axis=1)
+        return np.concatenate([nodes, nodes, np.zeros_like(nodes), controls], axis=2)[:, None]
 
     def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> AtStages:
         """States, controls and costates at the points, (B, N s, ...)."""
@@ -164,7 +209,7 @@ class Collocation:
         return tuple(map(self.state.flat, ends))
 
     def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Array, ...]:
-        xi, nu, control, costate, weight, parameters = given
+        xi, nu, control, costate, weight, parameters, pull = given
         n, u = self.manifold.dimension, self.control.point(control)
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         here = self.state.point(x)
@@ -175,9 +220,10 @@ class Collocation:
         turn = default_retraction(self.controls)
         moved = turn.chart(u, turn.frame(u), z[3 * n :])
         defect = weight[0] * vec.components(e, vec.subtract(velocity, bound.velocity(q, moved)))
-        cost = weight[0] * bound.cost_rate(q, moved)
+        cost, limits = weight[0] * bound.cost_rate(q, moved), bound.inequalities(q, moved)
         multipliers = vec.components(e, self.state.point(costate))
-        return cost + multipliers @ defect, jnp.append(defect, cost), self.state.flat_frame(e), multipliers
+        lagrangian = cost + multipliers @ defect + weight[0] * pull @ limits
+        return lagrangian, jnp.concatenate([defect, cost[None], limits]), self.state.flat_frame(e), multipliers
 
     def _both_of(self, z: Array, x: Array, eta: Array, *nodes: Array) -> tuple[Array, Array]:
         q0, q1, p0, p1 = map(self.state.point, nodes)

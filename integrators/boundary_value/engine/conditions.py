@@ -4,7 +4,9 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from . import inequalities as bounds
 from .elimination import BlockSystem, eliminate, is_strict_minimum
+from .inequalities import Slacks, Turn
 from .scaling import SHARE, Units, natural_units, unscaled
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
@@ -16,6 +18,7 @@ class Iterate(NamedTuple):
 
     unknowns: Any
     costates: np.ndarray
+    slacks: Slacks | None = None  # of the inequalities, if there are any
 
 
 class Assembled(NamedTuple):
@@ -37,8 +40,16 @@ class Step(NamedTuple):
 
     unknowns: np.ndarray
     multipliers: np.ndarray
-    strict: np.ndarray  # positive definite on the null space of the constraints
+    strict: np.ndarray  # positive definite on the null space of the constraints, beyond rounding
+    convex: np.ndarray  # the inertia is that of one that is
     finite: np.ndarray
+    inner: Any = None  # of what was condensed
+    turn: Turn | None = None  # of the slacks
+
+    @property
+    def reach(self) -> np.ndarray | float:
+        """The share of the step that the inequalities let it go."""
+        return 1.0 if self.turn is None else self.turn.reach
 
 
 class Residuals(NamedTuple):
@@ -46,11 +57,21 @@ class Residuals(NamedTuple):
 
     gap: np.ndarray
     stationarity: np.ndarray
+    violation: np.ndarray  # of the inequalities with their slacks and excesses
+    excess: np.ndarray  # the largest
+    complementarity: np.ndarray  # largest product of slack and multiplier
+    centring: np.ndarray  # largest difference of it from the barrier
+
+    @property
+    def final(self) -> np.ndarray:
+        """The largest residual of the problem itself."""
+        worst = np.maximum(self.excess, np.maximum(self.violation, self.complementarity))
+        return np.maximum(np.maximum(self.gap, self.stationarity), worst)
 
     @property
     def largest(self) -> np.ndarray:
-        """The larger of both."""
-        return np.maximum(self.gap, self.stationarity)
+        """The largest residual of the problem with its barrier."""
+        return np.maximum(np.maximum(self.gap, self.stationarity), np.maximum(self.violation, self.centring))
 
 
 class Ends(NamedTuple):
@@ -79,25 +100,36 @@ class _Sizes(NamedTuple):
 
 @final
 class Conditions:
-    """The conditions of a batch of trajectories; ``units`` are those of the first iterates that are measured."""
+    """The conditions of a batch of trajectories.
 
-    def __init__(self, transcription: Any, nodes: Nodes, ends: Ends, data: Data, units: Units | None = None) -> None:
-        self.transcription, self.at_nodes, self.ends, self.data, self.units = transcription, nodes, ends, data, units
+    ``units``, and ``limits``, the units of inequalities, shape (B, c), are those of the iterates that it began with.
+    """
+
+    def __init__(
+        self,
+        transcription: Any,
+        nodes: Nodes,
+        ends: Ends,
+        data: Data,
+        units: Units | None = None,
+        limits: np.ndarray | None = None,
+    ) -> None:
+        self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
+        self.units, self.limits = units, limits
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
         if len(members) == len(self.data.steps):
             return self
         ends = Ends(self.ends.start[members], self.ends.end[members], *self.ends[2:])
-        data = Data(*(leaf[members] for leaf in self.data))
-        units = None if self.units is None else Units(*(leaf[members] for leaf in self.units))
-        return Conditions(self.transcription, self.at_nodes, ends, data, units)
+        data, units = Data(*_some(self.data, members)), self.units and Units(*_some(self.units, members))
+        return Conditions(self.transcription, self.at_nodes, ends, data, units, *_some([self.limits], members))
 
     @property
     def measured(self) -> Units:
         """The units, once they are measured."""
         if self.units is None:
-            raise RuntimeError("the conditions have no units yet; call measure with the first iterates")
+            raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
 
     def assemble(self, iterate: Iterate) -> Assembled:
@@ -114,80 +146,213 @@ class Conditions:
             values[:, -1] *= self.ends.end_coordinates
         costates = np.einsum("bkne,bkn->bke", frames, coordinates)
         costates[:, -1] -= terminal.derivative
-        blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data)
+        blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
         last = blocks.right[:, -1]
         blocks.hessian[:, -1] += last.mT @ terminal.curvature @ last
         blocks.gradient[:, -1] += np.einsum("bn,bnz->bz", terminal.slope, last)
         if blocks.inner is not None:  # what the condensed velocities move the end by, the terminal cost's slope is moved with
-            blocks.slope[:, -1] += np.einsum("bnz,bnj,bj->bz", last, terminal.curvature, blocks.inner.after[:, -1])
+            pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
+            pushed[:, -1] += np.einsum("bnz,bnj,bj->bz", last, terminal.curvature, blocks.inner.after[:, -1])
         cost = np.sum(blocks.costs, axis=1) + terminal.value
         distance = np.max(np.abs(gaps), axis=1)
         return Assembled(blocks, gap, frames, coordinates, nodes, costates, terminal, cost, distance)
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
-        """The iterate moved by fractions of steps."""
-        part = fraction[:, None, None]
+        """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
+        part = fraction * step.reach
         multipliers = self._of_nodes(assembled, step)
-        moves = Moves(step.unknowns, multipliers, fraction)
+        moves = Moves(step.unknowns, multipliers, part, step.inner)
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
-        costates = np.einsum("bkne,bkn->bke", assembled.frames, assembled.coordinates + part * multipliers)
+        covectors = assembled.coordinates + part[:, None, None] * multipliers
+        costates = np.einsum("bkne,bkn->bke", assembled.frames, covectors)
         costates[:, -1] -= assembled.terminal.derivative
-        return Iterate(unknowns, costates)
+        slacks = iterate.slacks
+        if slacks is not None and step.turn is not None:
+            slacks = bounds.moved(slacks, step.turn, fraction)
+        return Iterate(unknowns, costates, slacks)
 
-    def measure(self, iterate: Iterate, assembled: Assembled) -> None:
-        """Take the units from these iterates."""
-        sizes = self._sizes(iterate, assembled)
-        self.units = natural_units(self._system(assembled), assembled.blocks.gradient, sizes.along(sizes.spreads), sizes.controls)
+    def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
+        """The first iterate with its system; takes the units from it."""
+        if not self.transcription.inequalities:
+            assembled = self.assemble(guess)
+            self.units = self._natural(guess, assembled)
+            return guess, assembled
+        shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
+        none = Slacks(np.ones(shape), np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.zeros(shape[0]))
+        first = guess._replace(slacks=none)
+        assembled = self.assemble(first)
+        self.units = self._natural(first, assembled)
+        self.limits, held = self._limits(assembled), assembled.blocks.held
+        inside = held.values < -bounds.INSIDE * self._units_of_limits
+        price = np.where(inside, np.inf, bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits)
+        begun = guess._replace(slacks=bounds.central(held, bounds.FIRST * self._rate, price))
+        return begun, self.assemble(begun)
+
+    def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
+        """Units from an iterate."""
+        sizes, blocks = self._sizes(iterate, assembled), assembled.blocks
+        controls = sizes.controls
+        if blocks.held is not None:
+            # Where the cost is not curved in the controls, the distances to their bounds measure them.
+            n = assembled.gap.shape[2]
+            curved = np.all(np.sum(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1)[:, n:] > 0, axis=1)
+            controls = np.where(curved[:, None], controls, np.maximum(controls, self._room(assembled)))
+        fallback = np.concatenate([sizes.along(sizes.values), controls], axis=1)
+        spreads = sizes.along(sizes.spreads)
+        return natural_units(self._system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
+
+    def _room(self, assembled: Assembled) -> np.ndarray:
+        """How far the controls can go before an inequality holds them, shape (B, s m)."""
+        held, m = assembled.blocks.held, self.transcription.controls.dimension
+        slopes = np.abs(held.jacobian[..., -m:]) * (held.weights > 0)[..., None] if m else np.zeros((*held.values.shape, 0))
+        with np.errstate(all="ignore"):
+            way = np.where(slopes > 0, np.abs(held.values)[..., None] / slopes, 0.0)
+        way = np.max(way, axis=1)
+        room = np.min(np.where(way > 0, way, np.inf), axis=2, initial=np.inf)
+        return np.where(np.isfinite(room), room, 0.0).reshape(len(room), -1)
+
+    def _limits(self, assembled: Assembled) -> np.ndarray:
+        """Units of the inequalities: what the unknowns change them by, shape (B, c)."""
+        slopes = np.abs(assembled.blocks.held.jacobian) * self.transcription.sizes(self.measured)[:, :, :, None]
+        size = np.max(np.sum(slopes, axis=4), axis=(1, 2))
+        return np.where((size > 0) & np.isfinite(size), size, 1.0)
+
+    @property
+    def _rate(self) -> np.ndarray:
+        """The unit of the cost per unit of time."""
+        return self.measured.cost / np.mean(self.data.steps, axis=1)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
-        return Residuals(self._gap(assembled, self._sizes(iterate, assembled)), self._stationarity(assembled))
+        gap, stationarity = self._gap(assembled, self._sizes(iterate, assembled)), self._stationarity(assembled)
+        held, slacks = assembled.blocks.held, iterate.slacks
+        if held is None or slacks is None:
+            return Residuals(gap, stationarity, *np.zeros((4, len(gap))))
+        asked = held.weights > 0
+        parts = np.abs(held.missing(slacks)), slacks.excess
+        missed = (np.max(np.where(asked, a / self._units_of_limits, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
+        largest, off = bounds.products(slacks, asked)
+        return Residuals(gap, stationarity, *missed, largest / self._rate, off / self._rate)
 
-    def infeasibility(self, assembled: Assembled) -> np.ndarray:
-        """Sum of what all nodes lack."""
-        inner, missing = assembled.blocks.inner, np.sum(np.abs(assembled.gap) / self.measured.nodes[:, None], axis=(1, 2))
-        if inner is None:
-            return missing
-        return missing + np.sum(np.abs(inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
+    @property
+    def _units_of_limits(self) -> np.ndarray:
+        return np.ones(1) if self.limits is None else self.limits[:, None, None]
 
-    def held(self, assembled: Assembled) -> np.ndarray:
-        """The multipliers on the gap."""
-        inner, held = assembled.blocks.inner, np.sum(assembled.coordinates * assembled.gap, axis=(1, 2))
-        if inner is not None:
-            held += np.sum(inner.multipliers * inner.defect, axis=(1, 2, 3))
-        return held / self.measured.cost
+    def lowered(
+        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
+    ) -> tuple[Iterate, Residuals, np.ndarray]:
+        """The iterate with a lower barrier, or a higher price of excesses, where its problem is solved; and where that is."""
+        slacks, rate, held = iterate.slacks, self._rate, assembled.blocks.held
+        if slacks is None or held is None:
+            return iterate, residuals, np.zeros(len(rate), bool)
+        last, asked = bounds.LAST * tolerance, held.weights > 0
+        off, changed, cheap = residuals.centring, np.zeros(len(rate), bool), np.zeros(len(rate), bool)
+        while True:
+            error = np.maximum(np.maximum(residuals.gap, residuals.stationarity), np.maximum(residuals.violation, off))
+            barrier = slacks.barrier / rate
+            solved = (error <= bounds.SOLVED * barrier) & (barrier > last) & ~cheap
+            if not np.any(solved):
+                break
+            slacks, raised = bounds.dearer(held, slacks, solved, rate[:, None, None, None] / self._units_of_limits)
+            cheap, changed = cheap | raised, changed | solved
+            less = np.maximum(last, np.minimum(bounds.LESS * barrier, barrier**bounds.FASTER))
+            slacks = slacks._replace(barrier=np.where(solved & ~raised, less, barrier) * rate)
+            off = bounds.products(slacks, asked)[1] / rate
+        return iterate._replace(slacks=slacks), residuals._replace(centring=off), changed
 
-    def relative_cost(self, assembled: Assembled) -> np.ndarray:
-        """The cost in its unit."""
-        return assembled.cost / self.measured.cost
+    def softened(self, iterate: Iterate, assembled: Assembled, where: np.ndarray) -> Iterate:
+        """The iterate with all inequalities elastic in some members."""
+        slacks, held = iterate.slacks, assembled.blocks.held
+        if slacks is None or held is None:
+            return iterate
+        price = bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits
+        price = np.where(where[:, None, None, None], np.minimum(slacks.price, price), slacks.price)
+        barrier = np.where(where, np.maximum(slacks.barrier, bounds.AGAIN * self._rate), slacks.barrier)
+        fresh = bounds.central(held, barrier, price)
+        kept = [np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True)]
+        return iterate._replace(slacks=Slacks(*kept))
 
-    def promise(self, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the cost and of the multipliers on the gap, to first order, by whole steps."""
-        ahead = np.sum(assembled.blocks.gradient * step.unknowns, axis=(1, 2))
+    def barrier(self, iterate: Iterate) -> np.ndarray:
+        """The barrier relative to the unit of the cost rate, zero without inequalities."""
+        return np.zeros(len(self.data.steps)) if iterate.slacks is None else iterate.slacks.barrier / self._rate
+
+    def is_hard(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+        """Whether a member has inequalities that are not elastic."""
+        held = assembled.blocks.held
+        if held is None or iterate.slacks is None:
+            return np.zeros(len(assembled.gap), bool)
+        return np.any((held.weights > 0) & ~iterate.slacks.elastic, axis=(1, 2, 3))
+
+    def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+        """Sum of what all nodes, points and inequalities lack."""
+        blocks, missing = assembled.blocks, np.sum(np.abs(assembled.gap) / self.measured.nodes[:, None], axis=(1, 2))
+        if blocks.inner is not None:
+            missing = missing + np.sum(np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
+        if blocks.held is not None and iterate.slacks is not None:
+            share = blocks.held.weights / np.mean(self.data.steps, axis=1)[:, None, None, None]
+            off = share * np.abs(blocks.held.missing(iterate.slacks)) / self._units_of_limits
+            missing = missing + np.sum(off, axis=(1, 2, 3))
+        return missing
+
+    def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
+        """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
+        blocks, held = assembled.blocks, np.sum(assembled.coordinates * assembled.gap, axis=(1, 2))
+        cost = np.array(assembled.cost)
+        if blocks.inner is not None:
+            held += np.sum(blocks.inner.multipliers * blocks.inner.defect, axis=(1, 2, 3))
+        if blocks.held is not None and iterate.slacks is not None:
+            slacks, weights = iterate.slacks, blocks.held.weights
+            cost += bounds.potential(slacks, weights, self._units_of_limits)
+            held += np.sum(weights * slacks.multipliers * blocks.held.missing(slacks), axis=(1, 2, 3))
+        return cost / self.measured.cost, held / self.measured.cost
+
+    def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
+        blocks = assembled.blocks
+        ahead = np.sum(blocks.gradient * step.unknowns, axis=(1, 2))
         turned = np.sum(step.multipliers * assembled.gap, axis=(1, 2))
-        inner = assembled.blocks.inner
+        inner = blocks.inner
         if inner is not None:
             ahead += np.sum(assembled.terminal.slope * inner.after[:, -1], axis=1)
-            moved = step.unknowns, self._of_nodes(assembled, step)
-            velocities, multipliers = self.transcription.whole(assembled.blocks, *moved, self.data)
+            velocities, multipliers = step.inner
             direct = inner.kept[2][..., : step.unknowns.shape[2]]
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
             ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
             turned += np.sum(multipliers * inner.defect, axis=(1, 2, 3))
+        if blocks.held is not None and step.turn is not None and iterate.slacks is not None:
+            slacks, weights = iterate.slacks, blocks.held.weights
+            ahead += bounds.potential_slope(slacks, step.turn, weights)
+            dual = step.turn.dual * np.sum(weights * step.turn.multipliers * blocks.held.missing(slacks), axis=(1, 2, 3))
+            return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
         return ahead / self.measured.cost, turned / self.measured.cost
 
-    def eliminate(self, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
+    def eliminate(self, iterate: Iterate, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
-        d = self.measured.unknowns
-        diagonal = np.max(np.abs(np.diagonal(assembled.blocks.hessian, axis1=2, axis2=3)), axis=1)
-        diagonal = diagonal * d * d / self.measured.cost[:, None]  # typical curvature of each coordinate, the unit of the shift
-        floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
-        scales = np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
-        found = eliminate(self._system(assembled), self.measured, shift, scales)
+        found = eliminate(self._system(iterate, assembled), self.measured, shift, self._scales(assembled))
         steps, multipliers = (columns[..., 0] for columns in unscaled(found, self.measured))
         finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
-        strict = is_strict_minimum(found, multipliers[0].size)
-        return Step(steps, multipliers, strict, finite), found.curvature, found.size
+        count = multipliers[0].size
+        step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, finite)
+        blocks = assembled.blocks
+        if blocks.inner is not None or blocks.held is not None:
+            moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
+            if blocks.inner is not None:
+                moves = moves._replace(inner=self.transcription.whole(blocks, moves, self.data, iterate.slacks))
+            turn = None
+            if blocks.held is not None and iterate.slacks is not None:
+                turn = bounds.turned(blocks.held, iterate.slacks, self.transcription.at_each(moves, self.data))
+            step = step._replace(inner=moves.inner, turn=turn)
+        return step, found.curvature, found.size
+
+    def _scales(self, assembled: Assembled) -> np.ndarray:
+        """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all coordinates."""
+        d = self.measured.unknowns
+        if assembled.blocks.held is not None:
+            return np.ones(d.shape)
+        diagonal = np.max(np.abs(np.diagonal(assembled.blocks.hessian, axis1=2, axis2=3)), axis=1)
+        diagonal = diagonal * d * d / self.measured.cost[:, None]
+        floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
+        return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
     def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
         """Steps of the covectors at the nodes: of the multipliers, and at the last of the terminal cost's slope, which moves."""
@@ -218,16 +383,17 @@ class Conditions:
         nodes = np.concatenate([first, finishes[:, :-1], last], axis=1)
         return nodes, np.concatenate([begins, last], axis=1) - before
 
-    def _system(self, assembled: Assembled) -> BlockSystem:
+    def _system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
         blocks, count = assembled.blocks, len(assembled.gap)
         fixed = (np.broadcast_to(m, (count, m.size)) for m in (self.ends.start_coordinates, self.ends.end_coordinates))
-        gap = assembled.gap
+        gap, slope = assembled.gap, blocks.slope
+        if blocks.pushed is not None and iterate.slacks is not None:
+            slope = blocks.pushed[..., 0] + iterate.slacks.barrier[:, None, None] * blocks.pushed[..., 1]
         if blocks.inner is not None:
             gap = np.array(gap)
             gap[:, :-1] += blocks.inner.before
             gap[:, 1:] -= blocks.inner.after
-        rows = blocks.slope[..., None], gap[..., None]
-        return BlockSystem(blocks.hessian, blocks.left, blocks.right, *rows, *fixed)
+        return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
     def _sizes(self, iterate: Iterate, assembled: Assembled) -> _Sizes:
         nodes = assembled.nodes
@@ -261,8 +427,11 @@ class Conditions:
         starts = np.einsum("bknz,bkn->bkz", blocks.left, assembled.coordinates[:, :-1])
         ends = np.einsum("bknz,bkn->bkz", blocks.right, assembled.coordinates[:, 1:])
         parts = d * np.max(np.abs(blocks.gradient) + np.abs(starts) + np.abs(ends), axis=1)
-        curvature = d * d * np.max(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1)
-        largest = np.maximum(np.max(parts, axis=1), np.max(curvature, axis=1))
+        if blocks.held is None:
+            curvature = np.max(d * d * np.max(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1), axis=1)
+        else:  # that of the barrier has no bound
+            curvature = self.measured.cost
+        largest = np.maximum(np.max(parts, axis=1), curvature)
         scale = np.maximum(parts, SHARE * largest[:, None])
         found = np.max(np.max(np.abs(blocks.slope), axis=1) * d / np.where(scale > 0, scale, 1.0), axis=1)
         inner = blocks.inner
@@ -273,3 +442,8 @@ class Conditions:
         scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
         slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
         return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))
+
+
+def _some(leaves: Any, members: np.ndarray) -> list[np.ndarray | None]:
+    """Some members of arrays, where there are any."""
+    return [None if leaf is None else leaf[members] for leaf in leaves]

@@ -26,8 +26,10 @@ SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 RAISE, LOWER = 10.0, 4.0
+STIFF, SLOW = 1e2, 1e-6  # a shift, or a share of a step, at which hard inequalities are made elastic
 FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
 CURVATURE = 1e-9
+CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
 
 
 class Iteration(NamedTuple):
@@ -41,6 +43,8 @@ class Iteration(NamedTuple):
     shift: np.ndarray  # of the Hessian's diagonal, relative to it
     fraction: np.ndarray  # of the step that was tried
     accepted: np.ndarray
+    violation: np.ndarray  # of the inequalities, relative
+    barrier: np.ndarray  # relative to the unit of the cost rate; zero without inequalities
 
 
 class _State(NamedTuple):
@@ -132,19 +136,19 @@ class _Search:
     def begun(self, guess: Iterate) -> _State:
         """The state at the guess, with a first step."""
         conditions = self.conditions
-        assembled = conditions.assemble(guess)
-        conditions.measure(guess, assembled)
+        guess, assembled = conditions.begin(guess)
         residuals = conditions.residuals(guess, assembled)
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
-        infeasibility = conditions.infeasibility(assembled)
+        infeasibility = conditions.infeasibility(guess, assembled)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
-        step, shift, descends = self.regularised(assembled, zero, np.ones(count, bool))
+        linear = np.full(count, guess.slacks is None)
+        step, shift, descends = self.regularised(guess, assembled, zero, linear)
         numbers = np.maximum(infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
-        promise = descends, *conditions.promise(assembled, step)
+        promise = descends, *conditions.promise(guess, assembled, step)
         self.trials = 1
         state = _State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
-        arrived = residuals.largest <= self.tolerance
+        arrived = residuals.final <= self.tolerance
         return self.settled(state._replace(best=residuals.largest), arrived)
 
     def next(self, state: _State) -> _State:
@@ -155,25 +159,52 @@ class _Search:
         found = conditions.residuals(trial, assembled)
         state, good, again = self.judged(conditions, state, trial, assembled, found)
         self.trials += 1
+        state, lowered = self.lowered(conditions, state)
+        again |= lowered
         residual = state.residuals.largest
-        arrived = residual <= self.tolerance
+        arrived = state.residuals.final <= self.tolerance
         if not np.any(again):
             return state
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
-        step, shift, descends = self.regularised(state.assembled, np.where(arrived, 0.0, state.shift), keep, conditions)
-        promise, turned = conditions.promise(state.assembled, step)
+        shift = np.where(arrived, 0.0, state.shift)
+        step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
+        promise, turned = conditions.promise(state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
+
+    def lowered(self, conditions: Conditions, state: _State) -> tuple[_State, np.ndarray]:
+        """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are short.
+
+        What was reached counts no more there.
+        """
+        iterate, residuals, changed = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
+        stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= SLOW)
+        stuck &= conditions.is_hard(iterate, state.assembled)
+        if np.any(stuck):
+            iterate, changed = conditions.softened(iterate, state.assembled, stuck), changed | stuck
+            state = state._replace(shift=np.where(stuck, 0.0, state.shift))
+            residuals = conditions.residuals(iterate, state.assembled)
+        if not np.any(changed):
+            return state, changed
+        funnel = np.maximum(conditions.infeasibility(iterate, state.assembled), 1.0)
+        state = state._replace(
+            iterate=iterate,
+            residuals=residuals,
+            funnel=np.where(changed, funnel, state.funnel),
+            best=np.where(changed, residuals.largest, state.best),
+            fraction=np.where(changed, 1.0, state.fraction),
+        )
+        return state, changed
 
     def judged(
         self, conditions: Conditions, state: _State, trial: Iterate, assembled: Assembled, found: Residuals
     ) -> tuple[_State, np.ndarray, np.ndarray]:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed again."""
-        probe = (self.trials == 1) & ~state.descends
+        probe = (self.trials == 1) & ~state.descends & (trial.slacks is None)
         residual = found.largest
-        infeasibility = conditions.infeasibility(assembled)
-        improves, narrowed = _funnelled(conditions, state, assembled, infeasibility)
+        infeasibility = conditions.infeasibility(trial, assembled)
+        improves, narrowed = _funnelled(conditions, state, (trial, assembled), infeasibility)
         record = residual <= np.maximum(RECORD * state.best, self.tolerance)
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
@@ -193,15 +224,20 @@ class _Search:
         return state, good, good | short | probe
 
     def regularised(
-        self, assembled: Assembled, shift: np.ndarray, keep: np.ndarray, conditions: Conditions | None = None
+        self,
+        iterate: Iterate,
+        assembled: Assembled,
+        shift: np.ndarray,
+        keep: np.ndarray,
+        conditions: Conditions | None = None,
     ) -> tuple[Step, np.ndarray, np.ndarray]:
         """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is positive.
 
         Where ``keep`` the shift that came is used as it is.
         """
         conditions = conditions or self.conditions
-        step, curvature, size = conditions.eliminate(assembled, shift)
-        descends = curvature >= CURVATURE * size
+        step, curvature, size = conditions.eliminate(iterate, assembled, shift)
+        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX))
         while True:
             going = ~(descends | keep) & (shift < LARGEST_SHIFT)
             if not np.any(going):
@@ -209,9 +245,10 @@ class _Search:
             shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
             places = np.flatnonzero(going)
             part = conditions if len(places) == len(going) else conditions.of(places)
-            again, curvature, size = part.eliminate(taken(assembled, places), shift[places])
+            again, curvature, size = part.eliminate(*taken((iterate, assembled), places), shift[places])
             step = put(step, places, again)
-            descends[places] = curvature >= CURVATURE * size
+            convex = again.convex | (shift[places] >= CONVEX)
+            descends[places] = (curvature >= CURVATURE * size) & convex
 
     def settled(self, state: _State, arrived: np.ndarray, conditions: Conditions | None = None) -> _State:
         """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted there.
@@ -227,7 +264,7 @@ class _Search:
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
         # The step that is known is made if more than rounding is left: it costs an evaluation and mends half of the digits.
-        exact = state.isolated | (state.residuals.largest <= EXACT * np.finfo(float).eps)
+        exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
     def elsewhere(self, state: _State) -> np.ndarray:
@@ -243,7 +280,10 @@ class _Search:
         """Show the state to the callback; where that returns something true, stop."""
         if self.callback is None:
             return
-        seen = state.residuals.gap, state.residuals.stationarity, state.shift, state.fraction, accepted
+        residuals, length = state.residuals, state.fraction * state.step.reach
+        barrier = self.conditions.of(state.member).barrier(state.iterate)
+        seen = residuals.gap, residuals.stationarity, state.shift, length, accepted
+        seen = *seen, np.maximum(residuals.violation, residuals.excess), barrier
         self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 
     def leave(self, state: _State, finished: np.ndarray) -> _State | None:
@@ -300,15 +340,15 @@ def _solvable(state: _State) -> np.ndarray:
 
 
 def _funnelled(
-    conditions: Conditions, state: _State, assembled: Assembled, infeasibility: np.ndarray
+    conditions: Conditions, state: _State, trial: tuple[Iterate, Assembled], infeasibility: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Whether the trial is accepted inside the funnel, and the funnel after it."""
-    before = conditions.infeasibility(state.assembled)
-    held = conditions.held(state.assembled) + state.fraction * state.turned
-    promised = -state.fraction * (state.promised - held)
+    before = conditions.infeasibility(state.iterate, state.assembled)
+    (cost, held), (reached, kept) = conditions.merit(state.iterate, state.assembled), conditions.merit(*trial)
+    held = held + state.fraction * state.turned
+    promised = -state.fraction * (state.promised - state.step.reach * held)
     cheaper = promised >= SWITCH * before**2
-    lagrangian = conditions.relative_cost(assembled) + conditions.held(assembled)
-    decreases = lagrangian <= conditions.relative_cost(state.assembled) + held - ARMIJO * promised
+    decreases = reached + kept <= cost + held - ARMIJO * promised
     inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= NARROWER * state.funnel)
     return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
 

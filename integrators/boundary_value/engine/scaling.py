@@ -34,10 +34,11 @@ def natural_units(
     gradient: Float[np.ndarray, "B N z"],
     states: Float[np.ndarray, "B n"],
     controls: Float[np.ndarray, "B m"],
+    values: Float[np.ndarray, "B z"] | float = 1.0,
 ) -> Units:
     """Units from the linearised trajectories, their displacements in the states and the sizes of their controls.
 
-    ``gradient``: of the cost alone; ``m`` counts all controls of a step.
+    ``gradient``: of the cost alone; ``m`` counts all controls of a step; ``values``: sizes of coordinates that nothing moves.
     """
     count, n = system.left.shape[1:3]
     curvature = np.abs(np.diagonal(system.hessian, axis1=2, axis2=3)).sum(axis=1)
@@ -51,7 +52,8 @@ def natural_units(
         order = np.sort(np.where(asked > 0, asked, np.inf), axis=1)
         middle = np.maximum(np.sum(asked > 0, axis=1) - 1, 0) // 2
         asked = np.where(asked * np.finfo(float).eps ** NOISE <= np.take_along_axis(order, middle[:, None], 1), asked, 0.0)
-        unknowns = _or_one(np.maximum(own, asked.max(axis=1)[:, None] * reach))
+        unknowns = np.maximum(own, asked.max(axis=1)[:, None] * reach)
+        unknowns = _or_one(np.where(unknowns > 0, unknowns, values))
         cost = np.max(np.maximum(curvature * unknowns**2, slope * unknowns), axis=1) / count
     return Units(unknowns, unknowns[:, :n], _or_one(cost))
 

@@ -157,23 +157,30 @@ class _OneStageColumns:
     def __init__(self, steps: OneStage, evaluator: Evaluator) -> None:
         self.steps = steps
         e, u, k = steps.state.size, steps.control.size, steps.parameter.size
-        self._row = evaluator.derivatives(self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k)
+        self._row = evaluator.derivatives(self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities)
 
     def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
         data, (x, u), z, n = conditions.data, iterate.unknowns, self.steps.dimension, self.steps.manifold.dimension
         nodes, costates = assembled.nodes, assembled.costates
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
-        given = data.steps[:, :, None], data.parameters[:, None]
+        blocks, slacks = assembled.blocks, iterate.slacks
+        pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
+        given = data.steps[:, :, None], data.parameters[:, None], pull
         hessian, gradient, jacobian, values = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
-        blocks = assembled.blocks
-        _require_unchanged((values[:, :, -1], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
-        _require_unchanged((hessian[:, :-1, :z, :z], blocks.hessian[:, :-1]))
+        _require_unchanged((values[:, :, 2 * n], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
+        own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
+        if slacks is not None:
+            stiff = blocks.held.weights[:, :, 0] * slacks.multipliers[:, :, 0] / slacks.slacks[:, :, 0]
+            limits = jacobian[:, :, 2 * n + 1 :]
+            pushed = limits[..., :z].mT @ (stiff[..., None] * limits)
+            own, mixed = own + pushed[..., :z], mixed + pushed[..., z:]
+        _require_unchanged((own[:, :-1], blocks.hessian[:, :-1]))
         ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
-        return Columns(hessian[:, :, :z, z:], *ends, gradient[:, :, z:])
+        return Columns(mixed, *ends, gradient[:, :, z:])
 
     def _row_of(self, d: Array, *given: Array) -> tuple[Array, Array]:
-        z, (*at, h, parameters) = self.steps.dimension, given
-        return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :])
+        z, (*at, h, parameters, pull) = self.steps.dimension, given
+        return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :], pull)
 
 
 @final
@@ -184,7 +191,7 @@ class _CollocationColumns:
         self.steps = steps
         e, u, k, n = steps.state.size, steps.control.size, steps.parameter.size, steps.manifold.dimension
         self.dimension = 3 * n + steps.controls.dimension
-        self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k)
+        self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k, steps.inequalities)
 
     def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
         data, unknowns, inner = conditions.data, iterate.unknowns, assembled.blocks.inner
@@ -193,8 +200,14 @@ class _CollocationColumns:
         turned = np.einsum("ij,bkja->bkia", table.matrix, unknowns.velocities)  # derivative of xi by h
         weights = (h[:, :, None] * table.weights)[..., None]
         at = unknowns.centres[:, :, None], h[:, :, None, None] * turned, unknowns.velocities, unknowns.controls
-        found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None])
+        slacks = iterate.slacks
+        pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
+        found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
         hessian, gradient, jacobian, values = found[:4]
+        if slacks is not None:  # a slack that changes changes its multiplier, which pulls
+            stiff = assembled.blocks.held.weights * slacks.multipliers / slacks.slacks
+            limits = jacobian[..., n + 1 :, :]
+            hessian = hessian + limits.mT @ (stiff[..., None] * limits)
         _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (jacobian[..., :n, :q], inner.points.constraints))
         _require_unchanged((np.sum(values[..., n], axis=2), assembled.blocks.costs))
         far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
@@ -221,5 +234,5 @@ class _CollocationColumns:
         return Columns(parts.slope, begin, finish, whole)
 
     def _point_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
-        *at, parameters = given
-        return self.steps._point_of(z[: self.dimension], *at, parameters + z[self.dimension :])[:2]
+        *at, parameters, pull = given
+        return self.steps._point_of(z[: self.dimension], *at, parameters + z[self.dimension :], pull)[:2]

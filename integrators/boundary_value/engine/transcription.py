@@ -14,7 +14,9 @@ from ....retractions import DiscretizationMap
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from .evaluator import Arrays, Evaluator
+from .inequalities import Held, Slacks, raised
 from .layout import Layout, parameter_layout
+from .scaling import Units
 
 
 class Data(NamedTuple):
@@ -22,6 +24,11 @@ class Data(NamedTuple):
 
     steps: np.ndarray  # lengths, shape (B, N)
     parameters: np.ndarray  # shape (B, P)
+    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, s, c); None: everywhere
+
+    def held(self, inequalities: int, stages: int) -> np.ndarray:
+        """``asked`` with all its axes, or with length 1 along them."""
+        return np.ones((1, 1, stages, inequalities)) if self.asked is None else self.asked
 
 
 class Known(NamedTuple):
@@ -48,6 +55,8 @@ class Blocks(NamedTuple):
     gradient: np.ndarray  # (B, N, z): of the cost alone
     costs: np.ndarray  # (B, N)
     inner: Any = None  # what was condensed, if anything was
+    held: Held | None = None  # the inequalities, if there are any; then the Hessian has their share
+    pushed: np.ndarray | None = None  # (B, N, z, 2): the slope with the share of the inequalities, the second times the barrier
 
 
 class Moves(NamedTuple):
@@ -56,6 +65,7 @@ class Moves(NamedTuple):
     steps: np.ndarray
     multipliers: np.ndarray
     fraction: np.ndarray
+    inner: Any = None  # the steps of what was condensed
 
 
 class Terminal(NamedTuple):
@@ -97,8 +107,9 @@ class OneStage:
         sizes = self.state.size, self.control.size
         given = 1, self.parameter.size
         nodes = (self.state.size,) * 4
+        self.inequalities = len(problem.with_parameters(parameters).inequality_names)
         self._ends = evaluator.values(self._ends_of, *sizes, *given)
-        self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given)
+        self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
         self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given)
 
@@ -111,15 +122,33 @@ class OneStage:
         """Beginnings and ends of the steps, shape (B, N, E)."""
         return at_points(self._ends, 2, unknowns.centres, unknowns.controls[:, :, 0], *_given(data))
 
-    def blocks(self, unknowns: Unknowns, nodes: np.ndarray, costates: np.ndarray, data: Data) -> Blocks:
+    def blocks(
+        self, unknowns: Unknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
+    ) -> Blocks:
         """The blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
-        found = at_points(self._row, 2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data))
+        pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
+        found = at_points(self._row, 2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data), pull)
         hessian, slope, jacobian, values = found
         n = self.manifold.dimension
-        left, right, gradient = np.split(jacobian, [n, 2 * n], axis=2)
+        left, right, gradient, limits = np.split(jacobian, [n, 2 * n, 2 * n + 1], axis=2)
         left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
-        return Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, -1])
+        blocks = Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, 2 * n])
+        if slacks is None:
+            return blocks
+        weights = data.steps[:, :, None, None] * data.held(self.inequalities, 1)
+        held = Held(values[:, :, None, 2 * n + 1 :], limits[:, :, None], weights)
+        stiff, pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
+        return blocks._replace(hessian=stiff[:, :, 0], held=held, pushed=pushed[:, :, 0])
+
+    def at_each(self, moves: Moves, data: Data) -> np.ndarray:
+        """The steps of the unknowns of each point, shape (B, N, 1, z)."""
+        del data
+        return moves.steps[:, :, None]
+
+    def sizes(self, units: Units) -> np.ndarray:
+        """Units of the unknowns of each point, shape (B, 1, 1, z)."""
+        return units.unknowns[:, None, None]
 
     def begin(
         self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
@@ -131,7 +160,7 @@ class OneStage:
     def move(self, unknowns: Unknowns, blocks: Blocks, step: Moves, data: Data) -> Unknowns:
         """The unknowns moved by fractions of steps in their charts."""
         del blocks
-        steps, _, part = step
+        steps, part = step.steps, step.fraction
         some = part[:, None, None] * steps
         x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])
@@ -148,13 +177,14 @@ class OneStage:
 
     def _row_of(self, d: Array, x: Array, u: Array, *given: Array) -> tuple[Array, Array]:
         q0, q1, p0, p1 = map(self.state.point, given[:4])
-        stage, y = self.stage(*given[4:]), (self.state.point(x), self.control.point(u))
+        stage, y = self.stage(*given[4:6]), (self.state.point(x), self.control.point(u))
         moved = stage.move(y, stage.frame(y), d)
         begin, finish = stage.ends(moved)
-        cost = stage.cost(moved)
+        cost, limits = stage.cost(moved), stage.problem.inequalities(*moved)
         e0, e1 = self.manifold.basis(q0), self.manifold.basis(q1)
-        values = vec.components(e0, begin), vec.components(e1, finish), cost[None]
-        return cost + vec.pairing(p0, begin) - vec.pairing(p1, finish), jnp.concatenate(values)
+        values = vec.components(e0, begin), vec.components(e1, finish), cost[None], limits
+        lagrangian = cost + vec.pairing(p0, begin) - vec.pairing(p1, finish) + given[4][0] * given[6] @ limits
+        return lagrangian, jnp.concatenate(values)
 
     def _moved(self, x: Array, u: Array, d: Array, h: Array, parameters: Array) -> tuple[Array, Array]:
         stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
