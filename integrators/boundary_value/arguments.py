@@ -83,7 +83,7 @@ def check_problem(problem: Any, method: Any) -> None:
         raise InvalidInputError(
             f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
         )
-    problem.require_treated("solve")
+    problem.require_treated("solve", "control bounds", "constraints")
     problem.check_discretization(method)
 
 
