@@ -185,7 +185,9 @@ class Conditions:
         self.limits, held = self._limits(assembled), assembled.blocks.held
         inside = held.values < -bounds.INSIDE * self._units_of_limits
         price = np.where(inside, np.inf, bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits)
-        begun = guess._replace(slacks=bounds.central(held, bounds.FIRST * self._rate, price))
+        elastic = np.any((held.weights > 0) & ~inside, axis=(1, 2, 3))
+        barrier = np.where(elastic, np.maximum(bounds.FIRST, bounds.SHARE * bounds.PRICE), bounds.FIRST) * self._rate
+        begun = guess._replace(slacks=bounds.central(held, barrier, price))
         return begun, self.assemble(begun)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
@@ -229,8 +231,10 @@ class Conditions:
         if held is None or slacks is None:
             return Residuals(gap, stationarity, *np.zeros((4, len(gap))))
         asked = held.weights > 0
+        values = np.max(np.where(asked, np.abs(held.values), 0.0), axis=(1, 2), keepdims=True)
+        unit = np.maximum(self._units_of_limits, VALUE * values)
         parts = np.abs(held.missing(slacks)), slacks.excess
-        missed = (np.max(np.where(asked, a / self._units_of_limits, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
+        missed = (np.max(np.where(asked, a / unit, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
         largest, off = bounds.products(slacks, asked)
         return Residuals(gap, stationarity, *missed, largest / self._rate, off / self._rate)
 
@@ -267,7 +271,7 @@ class Conditions:
             return iterate
         price = bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits
         price = np.where(where[:, None, None, None], np.minimum(slacks.price, price), slacks.price)
-        barrier = np.where(where, np.maximum(slacks.barrier, bounds.AGAIN * self._rate), slacks.barrier)
+        barrier = np.where(where, np.maximum(slacks.barrier, bounds.SHARE * bounds.PRICE * self._rate), slacks.barrier)
         fresh = bounds.central(held, barrier, price)
         kept = [np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True)]
         return iterate._replace(slacks=Slacks(*kept))
