@@ -34,7 +34,17 @@ def polar_factor(a: Frame) -> Frame:
         return _real_polar_factor(a)
     n, p = a.shape
     y = _real_polar_factor(jnp.block([[a.real, -a.imag], [a.imag, a.real]]))
-    return y[:n, :p] + 1j * y[n:, :p]
+    return made_orthonormal(y[:n, :p] + 1j * y[n:, :p])
+
+
+def made_orthonormal(y: Frame) -> Frame:
+    """A frame that is orthonormal to half of its digits, after a step of Newton and Schulz to all of them; NaN for others.
+
+    Functions of a large matrix with small eigenvalues, as of a rotation in a plane, lose as many digits as it has.
+    """
+    defect = y.conj().T @ y - jnp.eye(y.shape[1], dtype=y.dtype)
+    seen = jnp.max(jnp.abs(jax.lax.stop_gradient(defect))) <= float(jnp.finfo(y.dtype).eps ** 0.5)
+    return jnp.where(seen, y - y @ defect / 2, jnp.nan)
 
 
 @jax.custom_jvp

@@ -34,7 +34,7 @@ _ROTATIONS = _MatrixFunctions(
     rotations.cayley,
     rotations.cayley_inverse,
 )
-_UNITARY = _MatrixFunctions(unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective)
+_UNITARY = _MatrixFunctions(unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective, unitary.cayley)
 _RIGID = _MatrixFunctions(
     rigid_motions.exponential,
     rigid_motions.logarithm,

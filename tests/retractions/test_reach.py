@@ -17,7 +17,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.frames import qr_factor
 from retrax.manifolds.numerics.matrices import exponential
 from retrax.retractions import Exponential, Midpoint, Retraction, SPDLogEuclidean, StiefelCanonicalExponential
-from retrax.retractions.groups.functions import unitary
+from retrax.retractions.groups.functions import rotations, unitary
 from retrax.testing.numerics import compiled
 
 from tests.support.cases import RETRACTIONS, reach
@@ -129,6 +129,38 @@ def test_the_logarithm_is_exact_whichever_way_angles_lie(kind):
     inside, error = _logarithms(kind)(jax.random.split(jax.random.key(3), 5), jnp.asarray(angles))
     assert np.all(inside)
     assert np.max(error) < 1e-13
+
+
+@lru_cache
+def _defects(kind: str):
+    """How far Cayley transforms and polar factors of ``I + a`` are from unitary, ``a`` with given angles in random planes."""
+    make = rotations if kind == "SO" else unitary
+
+    def facts(key: jax.Array, angles: jax.Array) -> jax.Array:
+        if kind == "U":
+            draws = jax.random.normal(key, (2, angles.size, angles.size))
+            q = qr_factor(draws[0] + 1j * draws[1])
+            a = (q * (1j * angles)) @ q.conj().T
+        else:
+            q, turn = qr_factor(jax.random.normal(key, (2 * angles.size,) * 2)), jnp.array([[0.0, -1.0], [1.0, 0.0]])
+            a = q @ jnp.kron(jnp.diag(angles), turn) @ q.T
+        a = (a - a.conj().T) / 2
+        return jnp.stack([jnp.max(jnp.abs(y.conj().T @ y - jnp.eye(y.shape[0]))) for y in (make.cayley(a), make.polar(a))])
+
+    return compiled(jax.vmap(jax.vmap(facts, (0, None)), (None, 0)))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("kind", ["SO", "U"])
+def test_turns_in_one_plane_are_unitary_however_long(kind, precision):
+    with PRECISIONS[precision]():
+        eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)
+        lengths = np.geomspace(1.0, 0.01 / eps, 20)
+        # The other plane turns as far, or less and less, and not at all at last.
+        angles = np.array([(t, t * other) for t in lengths for other in (1.0, 1e-2, 1e-4, 1e-8, 1e-16, 0.0)])
+        defects = _defects(kind)(jax.random.split(jax.random.key(3), 5), jnp.asarray(angles))
+    assert np.all((defects <= UNITS * eps) | np.isnan(defects))
+    assert not np.any(np.isnan(defects[angles[:, 0] < 1 / (8 * eps**0.5)]))
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

@@ -270,6 +270,12 @@ def through_the_centre(x, y):
     return y / (x @ y) - x
 
 
+def straight_beyond(x, y):
+    """The inverse of the projection; of points behind the horizon, the vector to them, which is not tangent and leads there."""
+    height = x @ y
+    return jnp.where(height > 0, y / jnp.where(height > 0, height, 1.0), y) - x
+
+
 def held(function):
     """A function of two points without its derivative by the first."""
     return lambda x, y: function(jax.lax.stop_gradient(x), y)
@@ -335,6 +341,9 @@ MUTANTS: dict[str, Mutant] = {
         check_retraction, MutantInverse(saturated, EXPONENTIAL.preimage, jnp.pi)
     ),
     "an inverse of points outside the image": Mutant(check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)),
+    "an inverse of points outside the image that is not tangent": Mutant(
+        check_retraction, MutantInverse(PROJECTION, straight_beyond, jnp.inf)
+    ),
     "an inverse without its derivative by the base point": Mutant(
         check_retraction, MutantInverse(EXPONENTIAL, held(EXPONENTIAL.preimage), jnp.pi)
     ),

@@ -72,7 +72,7 @@ def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
 def cayley(omega: Matrix) -> Matrix:
     """Cayley transform ``(I - omega/2)^-1 (I + omega/2)`` of a skew matrix."""
     if omega.shape[0] > 3:
-        return general.cayley(omega)
+        return unitary.cayley(omega)
     eye = jnp.eye(omega.shape[0], dtype=omega.dtype)
     return eye + (omega + omega @ omega / 2) / (1 + squared_angle(omega) / 4)
 

@@ -13,7 +13,7 @@ from ....manifolds.numerics.matrices import exponential as matrix_exponential
 from ....manifolds.numerics.matrices import triangular_factor
 from ....manifolds.numerics.newton import tolerance
 from ...rounding import EDGE, keeps_half_the_digits
-from .general import gregory
+from . import general
 
 Matrix = Shaped[Array, "n n"]
 
@@ -123,7 +123,12 @@ def logarithm_by_roots(a: Matrix) -> Matrix:
     """Principal logarithm by repeated square roots until the angles are below ``pi/8``, then Gregory's series."""
     for _ in range(_HALVINGS):
         a = polar(a)
-    return 2.0**_HALVINGS * gregory(a)
+    return 2.0**_HALVINGS * general.gregory(a)
+
+
+def cayley(a: Matrix) -> Matrix:
+    """Cayley transform of a skew-Hermitian matrix, unitary to rounding where the matrix is large and singular too."""
+    return frames.made_orthonormal(general.cayley(a))
 
 
 def polar(a: Matrix) -> Matrix:

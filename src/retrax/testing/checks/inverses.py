@@ -67,7 +67,7 @@ def inverse_is_tangent(facts: RetractionFacts) -> Comparison:
 
 @fact
 def inverse_is_NaN_outside_the_image(facts: RetractionFacts) -> Comparison:
-    """``R_x^-1(y)`` of any point ``y``, far from ``x`` too, leads to ``y`` or has entries that are NaN."""
+    """``R_x^-1(y)`` of any point ``y``, far from ``x`` too, is tangent and leads to ``y``, or has entries that are NaN."""
     f = facts.inverses_of_far_points()
 
     def hint(k: int) -> str:

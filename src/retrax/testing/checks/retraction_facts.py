@@ -101,7 +101,7 @@ class RetractionFacts(Facts):
         return {"value": value, "back": preimage(x, value), "to y": to_y, "there": move(x, to_y)}
 
     def inverses_of_far_points(self) -> Batch:
-        """By how much the inverse of a point that may be outside the image misses it; 0 where it is NaN."""
+        """By how much the tangential part of the inverse of a point that may have none misses it; 0 where it is NaN."""
         return self.measure(self._leave, "zero")
 
     def _leave(self, sample: Sample) -> Sample:
@@ -109,7 +109,8 @@ class RetractionFacts(Facts):
         far = [-x, *(site.x for site in self.sites), *(self._edge.move(x, s * beyond) for s in BEYOND)]
         far = [y for y in far if self.violation(y)[1] <= precision().half * (1 + np.max(np.abs(y)))]
         found = [self._edge.preimage(x, y) for y in far]
-        misses = [self._miss(x, y, v) for y, v in zip(far, found, strict=True)]
+        # What leads to y from outside the tangent space, as y - x, is no inverse.
+        misses = [self._miss(x, y, sample["frame"].T @ (sample["frame"] @ v)) for y, v in zip(far, found, strict=True)]
         worst = int(np.argmax(misses))
         return {"missed": misses[worst], "far": far[worst], "to far": found[worst]}
 
