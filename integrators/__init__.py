@@ -25,6 +25,7 @@ from .boundary_value import (
     solve,
 )
 from .dirac import DiracIntegrator, DiracSystem
+from .free import Free
 from .initial_value import (
     KAHAN_LI_6,
     KAHAN_LI_8,
@@ -76,6 +77,7 @@ __all__ = [
     "DiracIntegrator",
     "DiracSystem",
     "DiscretizationError",
+    "Free",
     "GaussStage",
     "GeodesicRetraction",
     "Guess",

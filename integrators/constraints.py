@@ -15,6 +15,9 @@ from ..manifolds.numerics.ambient import Ambient, is_traced
 from .functions import real_vector
 
 LOWER, UPPER = "control_bounds lower", "control_bounds upper"
+HORIZON_LOWER, HORIZON_UPPER = "horizon lower", "horizon upper"
+PARAMETERS_LOWER, PARAMETERS_UPPER = "parameters lower", "parameters upper"
+TAKEN = LOWER, UPPER, HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER
 NO_BOUND = "-numpy.inf or numpy.inf where there is no bound"
 Constraint = Callable[..., Any]
 
@@ -50,6 +53,11 @@ class Inequalities(eqx.Module):
     def any(self) -> bool:
         """Whether there is one."""
         return bool(self.functions) or any(self.bounded.values())
+
+    @property
+    def along(self) -> bool:
+        """Whether there is one that holds along the whole trajectory."""
+        return any(self.bounded.values()) or not self.at_first.issuperset(self.names)
 
     def values(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
         """All of them at a state and a control: bounds from below, from above, then the functions in their order."""
@@ -173,8 +181,8 @@ def _checked_constraints(given: Any) -> dict[str, Constraint]:
     for name, function in given.items():
         if not isinstance(name, str) or not name.strip():
             raise InvalidInputError(f'constraints must have names that are words, got {name!r}; try {{"name": function}}')
-        if name in (LOWER, UPPER):
-            raise InvalidInputError(f"constraints have the name {name!r}, which the bounds of the controls have; try another one")
+        if name in TAKEN:
+            raise InvalidInputError(f"constraints have the name {name!r}, which bounds have; try another one")
         if not callable(function):
             raise InvalidInputError(f"{constraint_words(name)} must be a function of a state and a control, got {function!r:.80}")
     return dict(given)

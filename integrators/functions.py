@@ -1,11 +1,12 @@
 """Functions that users write: the number that they return, and whether they are called while JAX is transforming the caller."""
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from inspect import unwrap
 from traceback import walk_tb
 from types import CodeType, FunctionType, MethodType
-from typing import Any
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -84,10 +85,21 @@ def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
     return f"{codes[frames[called[-1]][0].f_code]}, line {line} of {frame.f_code.co_filename}"
 
 
+@final
+class Bound:
+    """A function of its first arguments, with a value for the last one."""
+
+    def __init__(self, function: Callable, value: Any) -> None:
+        self.function, self.value = function, value
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.function(*arguments, self.value)
+
+
 def _code(function: Any) -> CodeType | None:
     """The code that runs where this is called, if it is written in Python."""
-    while isinstance(function, partial):
-        function = function.func
+    while isinstance(function, partial | Bound):
+        function = function.func if isinstance(function, partial) else function.function
     if not isinstance(function, FunctionType | MethodType):
         function = getattr(function, "__call__", function)  # noqa: B004  what is called, not whether something can be
     return getattr(unwrap(getattr(function, "__func__", function)), "__code__", None)

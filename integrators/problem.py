@@ -19,7 +19,7 @@ from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
 from .costs import is_steep, require_cost
-from .functions import in_precision, real_number
+from .functions import Bound, in_precision, real_number
 from .options import known_options, require_arguments, takes_more
 from .probing import (
     CURVATURES,
@@ -138,7 +138,7 @@ class OptimalControlProblem(eqx.Module):
         """The problem whose functions have the time, behind which they take nothing more; itself if they take no time."""
         if not self.time_dependent:
             return self
-        return self._changed(lambda f, kind: (lambda *arguments: f(*arguments, t)) if kind else f, False)
+        return self._changed(lambda f, kind: Bound(f, t) if kind else f, False)
 
     def _changed(self, change: Callable[[Callable, int], Callable], time_dependent: bool) -> "OptimalControlProblem":
         """The problem with other functions, made of these and their kinds."""
@@ -380,4 +380,4 @@ def _bound(function: Any, count: int, parameters: Any) -> Any:
     """The function of its first arguments, with the parameters where it takes them."""
     if function is None or not takes_more(function, count):
         return function
-    return lambda *arguments: function(*arguments, parameters)
+    return Bound(function, parameters)

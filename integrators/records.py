@@ -32,6 +32,10 @@ class Along(NamedTuple):
     optional: bool = False
 
 
+class Values(NamedTuple):
+    """Annotation of numbers and arrays of them, in nested tuples and dictionaries; None fits too."""
+
+
 class _Context(NamedTuple):
     """All values, and the lengths of the axes, each as it was met first."""
 
@@ -212,11 +216,25 @@ def _fitted(name: str, value: Any, hint: Any, context: _Context) -> Any:
             raise InvalidInputError(f"{name} is {_words(value)}, expected values by their names")
         each = arguments[1] if kind is dict else Annotated[Any, arguments[1]]
         return {key: _fitted(f"{name}: {key}", part, each, context) for key, part in value.items()}
+    if kind is Annotated and isinstance(arguments[1], Values):
+        _require_numbers(name, value)
+        return value
     if kind is Annotated:
         _require_along(name, value, arguments[1], context)
     elif type(value.item() if isinstance(value, np.generic) else value) is not hint:
         raise InvalidInputError(f"{name} is {_words(value)}, expected a value of type {hint.__name__}")
     return value
+
+
+def _require_numbers(name: str, tree: Any) -> None:
+    """Raise unless these are numbers and arrays in nested tuples and in dictionaries with words as keys, or None."""
+    if isinstance(tree, tuple | dict):
+        if not all(isinstance(key, str) for key in tree if isinstance(tree, dict)):
+            raise InvalidInputError(f"{name} has a key that is no word")
+        for part in tree.values() if isinstance(tree, dict) else tree:
+            _require_numbers(name, part)
+    elif tree is not None and np.asarray(tree).dtype.kind not in "biuf":
+        raise InvalidInputError(f"{name} is {_words(tree)}, expected real numbers and arrays in tuples and dictionaries")
 
 
 def _require_along(name: str, tree: Any, along: Along, context: _Context) -> None:

@@ -32,6 +32,11 @@ def structure_of(parameters: Any) -> Any:
     return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
 
 
+def copied(parameters: Any) -> Any:
+    """Parameters as arrays of their own, for a record."""
+    return jax.tree.map(np.array, parameters)
+
+
 def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
     """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
     if problem.takes_parameters and parameters is None:
@@ -83,7 +88,7 @@ def check_problem(problem: Any, method: Any) -> None:
         raise InvalidInputError(
             f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
         )
-    problem.require_treated("solve", "control bounds", "constraints")
+    problem.require_treated("solve", "control bounds", "constraints", "an explicit time")
     problem.check_discretization(method)
 
 

@@ -13,6 +13,7 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Produc
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
 from ..compilation import call_compiled
+from ..free import guessed, is_free
 from ..problem import resting_control
 
 
@@ -36,7 +37,7 @@ class _Given(NamedTuple):
     def described(self) -> Part:
         """The part without its point."""
         leaves = len(jax.tree.leaves(self.manifold.ambient))
-        return Part(self.name, self.given is not None, leaves, self.manifold.dimension)
+        return Part(self.name, not (self.given is None or is_free(self.given)), leaves, self.manifold.dimension)
 
 
 @final
@@ -74,7 +75,7 @@ class NodeCondition(eqx.Module):
 def require_ends_on(manifold: Manifold, start: Any, end: Any) -> None:
     """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
     parts = [part for name, given in (("start", start), ("end", end)) for part in _parts(manifold, given, name)]
-    _require_membership([part for part in parts if part.given is not None])
+    _require_membership([part for part in parts if part.given is not None and not is_free(part.given)])
 
 
 def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) -> tuple[NodeCondition, NodeCondition]:
@@ -106,7 +107,9 @@ def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
         theirs = other if isinstance(other, tuple | list) else (other,) * count
         if len(mine) == len(theirs) == count:
             return tuple(_merge(m, a, b) for m, a, b in zip(manifold.factors, mine, theirs, strict=True))
-    return other if given is None else given
+    if given is None or (is_free(given) and not (other is None or is_free(other))):
+        return guessed(other)
+    return guessed(given)
 
 
 def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:
@@ -115,7 +118,7 @@ def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:
         for i, (factor, part) in enumerate(zip(manifold.factors, given, strict=True)):
             yield from _parts(factor, part, f"{name}, factor {i}")
         return
-    wrong = "" if given is None else manifold.describe_mismatch(given, "a point")
+    wrong = "" if given is None else manifold.describe_mismatch(guessed(given), "a point")
     if wrong:
         hint = "; give one entry for each factor, None where it is free" if isinstance(manifold, Product) else ""
         raise NotOnManifoldError(f"{name}: {wrong}{hint}")

@@ -9,6 +9,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError, Manifold, Product
 from ...manifolds.numerics.ambient import is_finite_number
+from ..free import Free, guessed
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
@@ -72,6 +73,7 @@ def _lengths_of(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
         return []
     if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
         return [length for pair in zip(manifold.factors, given, strict=True) for length in _lengths_of(*pair)]
+    given = guessed(given)
     return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
 
 
@@ -81,7 +83,9 @@ def _member_of(manifold: Manifold, given: Any, k: int) -> Any:
         return None
     if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
         return tuple(_member_of(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if _is_batch(manifold, given) else given
+    if not _is_batch(manifold, guessed(given)):
+        return given
+    return given.member(k) if isinstance(given, Free) else jax.tree.map(lambda leaf: np.asarray(leaf)[k], given)
 
 
 def _is_batch(manifold: Manifold, given: Any) -> bool:

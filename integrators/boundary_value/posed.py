@@ -27,6 +27,7 @@ class Traced(NamedTuple):
     steps: OneStage | Collocation
     nodes: Nodes
     diagnosis: Diagnosis
+    example: OptimalControlProblem  # with some of these parameters
 
 
 class Posed(NamedTuple):
@@ -52,14 +53,15 @@ class Posing:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
         if key not in self._found:
-            self.problem.with_parameters(parameters).require_values()
+            example = self.problem.with_parameters(parameters)
+            example.require_values()
             given = self.problem, parameters, self.evaluator
             if isinstance(self.method, Gauss) and self.method.stages > 1:
                 steps: Any = Collocation(self.problem, self.method, *given[1:])
             else:
                 method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
                 steps = OneStage(self.problem, method, *given[1:])
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given))
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), example)
         return self._found[key]
 
     def posed(self, members: list[Member], conditions: list[tuple[NodeCondition, NodeCondition]]) -> Posed:

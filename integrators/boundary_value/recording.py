@@ -35,7 +35,7 @@ class Recording:
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data)
         diagnostics = traced.diagnosis((nodes, costates), stages, data.parameters)
         results = outcomes(found, options.tolerance, options.max_iterations)
-        multipliers = self._multipliers(found)
+        multipliers = _multipliers(traced.example, found)
         for k, result in enumerate(results):
             own: Any = jax.tree.map(lambda leaf, k=k: leaf[k], diagnostics)
             require_tangent_dynamics(self.problem, float(own.normal))
@@ -62,10 +62,11 @@ class Recording:
                 multipliers={name: rows[k] for name, rows in multipliers.items()},
             )
 
-    def _multipliers(self, found: Found) -> dict[str, np.ndarray]:
-        """Multipliers of the inequalities at the stages, by their names."""
-        slacks = found.iterate.slacks
-        if slacks is None:
-            return {}
-        rows = slacks.multipliers
-        return self.problem.by_constraint(rows.reshape(len(rows), -1, rows.shape[3]))
+
+def _multipliers(problem: OptimalControlProblem, found: Found) -> dict[str, np.ndarray]:
+    """Multipliers of the inequalities at the stages, by their names."""
+    slacks = found.iterate.slacks
+    if slacks is None:
+        return {}
+    rows = slacks.multipliers
+    return problem.by_constraint(rows.reshape(len(rows), -1, rows.shape[3]))

@@ -5,6 +5,7 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...manifolds import InvalidInputError
 from ..problem import OptimalControlProblem, resting_control
 from ..singular import Classification, classify
 from .arguments import structure_of
@@ -16,7 +17,9 @@ from .members import Member
 class Regularity:
     """The classification of a problem with the parameters that it was last asked for."""
 
-    def __init__(self) -> None:
+    def __init__(self, refusal: str = "") -> None:
+        """``refusal``: words for a singular problem, where that is not to be solved."""
+        self.refusal = refusal
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
     def classification(
@@ -29,10 +32,12 @@ class Regularity:
         if key not in self._classes or self._classes[key][0] != values:
             known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
             regular = problem.check(known, resting_control(problem.controls))
+            # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
+            regular = regular or problem.limits.along
+            if not regular and self.refusal:
+                raise InvalidInputError(self.refusal)
             problem.require_cost(known, last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
-            # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
-            regular = regular or problem.limits.any
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 

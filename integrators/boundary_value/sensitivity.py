@@ -33,14 +33,15 @@ class Sensitivity:
     """Derivatives of an extremal ``y`` by what it was computed for, ``dy = -K^-1 dF`` with its KKT system ``F(y) = 0``.
 
     ``start``, ``end``: by the coordinates of the ends in the bases ``manifold.basis(start)`` and ``manifold.basis(end)``, leading
-    axis n, zero for those that are free. ``horizon``: with the lengths of the steps in proportion. ``parameters``: in the
-    structure of the parameters, a ``Derivative`` for each array, with its axes leading; None where there are none. The
-    derivative of the cost is that of the Lagrangian (envelope theorem): ``start.cost = -p_0`` in coordinates.
+    axis n, zero for those that are free. ``horizon``: with the lengths of the steps in proportion; None where that is free.
+    ``parameters``: in the structure of the parameters, a ``Derivative`` for each array, with its axes leading; None where there
+    are none, and where one is free. The derivative of the cost is that of the Lagrangian (envelope theorem): ``start.cost`` is
+    ``-p_0`` in coordinates.
     """
 
     start: Derivative
     end: Derivative
-    horizon: Derivative
+    horizon: Derivative | None
     parameters: Any
 
     @classmethod

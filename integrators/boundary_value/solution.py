@@ -11,7 +11,7 @@ import numpy as np
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import default_tolerance
 from ...retractions import Retraction
-from ..records import Along, RecordFile, not_finite, shapes
+from ..records import Along, RecordFile, Values, not_finite, shapes
 from .engine.diagnosis import Diagnostics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
@@ -110,9 +110,10 @@ class Solution:
     ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
     ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
     factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how the
-    computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
-    ``multipliers`` of the inequalities by their names, at the stages, are not negative, and per unit of time: the Hamiltonian
-    ``<p, X> - F - nu g`` is stationary in the controls, and ``nu g = 0``.
+    computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem. ``parameters`` are
+    those of the problem's functions, as given or found, and None if there are none. ``multipliers`` of the inequalities by their
+    names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X> - F - nu g`` is stationary in the
+    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -133,11 +134,17 @@ class Solution:
     statistics: Statistics
     singular: SingularArc | None = None
     multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
+    parameters: Annotated[Any, Values()] = None
     interpolant: Interpolant | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         for array in _arrays(vars(self)):
             array.setflags(write=False)
+
+    @property
+    def horizon(self) -> float:
+        """The time T from the first node to the last, as given or found."""
+        return float(self.times[-1] - self.times[0])
 
     @property
     def steps(self) -> int:
@@ -192,6 +199,7 @@ class Solution:
         """
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "interpolant"}
         values["geometry"] = None if self.interpolant is None else self.interpolant.text
+        values["parameters"] = _in_tuples(self.parameters)
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 
 
@@ -246,11 +254,18 @@ class Solutions(Sequence[Solution]):
         return f"Solutions({counts}, {span}{self[0].steps} steps each)"
 
 
+def _in_tuples(value: Any) -> Any:
+    """Nested lists and tuples as tuples."""
+    if isinstance(value, dict):
+        return {key: _in_tuples(part) for key, part in value.items()}
+    return tuple(map(_in_tuples, value)) if isinstance(value, tuple | list) else value
+
+
 def _arrays(value: Any) -> Iterator[np.ndarray]:
     """The arrays in nested tuples and dictionaries."""
     if isinstance(value, np.ndarray):
         yield value
-    elif isinstance(value, tuple | dict):
+    elif isinstance(value, tuple | list | dict):
         for part in value.values() if isinstance(value, dict) else value:
             yield from _arrays(part)
 

@@ -10,18 +10,20 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import working_precision
-from ...manifolds.numerics.reading import one_reading
+from ...manifolds.numerics.reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Method, Options, check_method, check_problem, checked_options, fractions_of, structure_of
+from .arguments import Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
 from .end_points import NodeCondition, require_ends_on
 from .engine.evaluator import chosen
 from .engine.layout import parameter_layout
 from .engine.newton import Found, Iteration, newton, taken
 from .engine.sensitivity import Sensitivities
+from .formulated import SINGULAR, Formulated
+from .formulation import Formulation, is_formulated
 from .guess import Guess
 from .interpolation import Interpolant
 from .members import Member, members_of
@@ -58,7 +60,7 @@ class Solver:
     """
 
     @known_options
-    def __init__(self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: str = "automatic") -> None:
+    def __init__(self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic") -> None:
         require_concrete("Solver", problem)
         check_problem(problem, method)
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
@@ -67,12 +69,26 @@ class Solver:
         interpolant = Interpolant(method.retraction, problem.controls)
         self._mesh = Mesh(self.fractions, self._posing.stages, interpolant)
         self._recording = Recording(problem, self._posing.stages, interpolant)
+        self._formulated = Formulated(problem, method, self._mesh, self._inner)
         self._regularity = Regularity()
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
-        if not problem.takes_parameters:
-            with one_reading():
+        if not problem.takes_parameters and not is_reading():
+            self._read()
+
+    def _read(self) -> None:
+        """Trace the functions as they are now."""
+        with one_reading():
+            if self.problem.time_dependent:
+                self._formulated.of(1.0, None)[1]._read()
+            else:
                 self._posing.traced(None)
+
+    def _inner(self, formulation: Formulation) -> "Solver":
+        """A solver of the problem in another formulation."""
+        solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
+        solver._regularity.refusal = SINGULAR
+        return solver
 
     @property
     def steps(self) -> int:
@@ -119,6 +135,11 @@ class Solver:
         ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters)
+        if is_formulated(self.problem, horizon, parameters):
+            asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
+            choice = {"classification": classification, "integrator": integrator}
+            with one_reading():
+                return self._formulated.solve((start, end, horizon, guess, parameters), throw, **asked, **choice)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
@@ -158,6 +179,10 @@ class Solver:
         are free for all. Nothing is raised for a member that is not solved: read ``success``. Regular problems only.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
+        if is_formulated(self.problem, horizons, parameters):
+            asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
+            with one_reading():
+                return self._formulated.solve_many((starts, ends, horizons, guesses, parameters), **asked)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
@@ -181,6 +206,9 @@ class Solver:
         made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a family, or its ends
         are conjugate, and it has no derivatives.
         """
+        formulated = self._formulated.sensitivity(solution)
+        if formulated is not None:
+            return formulated
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
                 f"sensitivity takes a solution with success of a regular problem that this solver found, got {solution!r:.80}; "
@@ -223,6 +251,7 @@ class Solver:
             found = newton(posed.conditions, posed.guess, *options)
             seconds = tracing, time.perf_counter() - began - tracing
             solutions = list(self._recording.records(posed.traced, posed.conditions.data, found, options, seconds))
+        solutions = [replace(each, parameters=copied(m.parameters)) for each, m in zip(solutions, members, strict=True)]
         for k, (solution, member) in enumerate(zip(solutions, members, strict=True)):
             self._kept[solution] = _Kept(posed, found, k, member.parameters)
         return solutions

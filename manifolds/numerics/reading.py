@@ -50,6 +50,11 @@ def one_reading() -> Iterator[Reading]:
         _current.reset(token)
 
 
+def is_reading() -> bool:
+    """Whether a reading goes on."""
+    return _current.get() is not None
+
+
 def reads_once(function: Callable[P, R]) -> Callable[P, R]:
     """A public function during whose call a user's functions do not change: each is read once in it, and again in the next."""
 

@@ -2,5 +2,6 @@
 
 from . import integrators, manifolds, problems, retractions
 from ._version import __version__
+from .integrators import Free
 
-__all__ = ["__version__", "integrators", "manifolds", "problems", "retractions"]
+__all__ = ["Free", "__version__", "integrators", "manifolds", "problems", "retractions"]

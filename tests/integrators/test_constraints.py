@@ -147,7 +147,7 @@ def test_constraints_belong_to_what_makes_two_problems_equal():
         ({"constraints": [effort]}, r"constraints must be a dictionary"),
         ({"constraints": {1: effort}}, r"constraints must have names that are words, got 1"),
         ({"constraints": {" ": effort}}, r"constraints must have names that are words, got ' '"),
-        ({"constraints": {"control_bounds lower": effort}}, r"which the bounds of the controls have; try another"),
+        ({"constraints": {"control_bounds lower": effort}}, r"which bounds have; try another"),
         ({"constraints": {"cone": 1.0}}, r"constraints\['cone'\] must be a function of a state and a control, got 1.0"),
         ({"constraints": {"cone": lambda q: 0}}, r"constraints\['cone'\] must be a function of \(q, u\).*got one of \(q\)$"),
         ({"constraints": {"cone": lambda q, u, t: 0}}, r"constraints\['cone'\] must be .*got one of \(q, u, t\)"),

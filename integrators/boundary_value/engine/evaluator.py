@@ -196,8 +196,10 @@ class Automatic(Evaluator):
             return XlaEvaluator(str(error))._made(function, sizes, first)
 
 
-def chosen(evaluator: str) -> Evaluator:
+def chosen(evaluator: str | Evaluator) -> Evaluator:
     """The evaluator with a name, ``"automatic"``, ``"tape"`` or ``"xla"``; raises ``InvalidInputError`` for another one."""
+    if isinstance(evaluator, Evaluator):
+        return evaluator
     kinds = {"automatic": Automatic, "tape": TapeEvaluator, "xla": lambda: XlaEvaluator("it was asked for")}
     if evaluator not in kinds:
         raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, kinds))}, got {evaluator!r}")

@@ -1,0 +1,80 @@
+"""What is free: a horizon, a parameter or a part of an end, with a guess and bounds."""
+
+from typing import Any, final
+
+import numpy as np
+
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.ambient import is_traced
+
+
+@final
+class Free:
+    """A quantity to be found by the optimisation, near ``guess`` and between ``lower`` and ``upper``.
+
+    As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or ``end``,
+    an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or arrays of the shape
+    of the guess, infinite where there is none. A horizon is positive in any case.
+    """
+
+    __slots__ = ("guess", "lower", "upper")
+    guess: Any
+    lower: Any
+    upper: Any
+
+    def __init__(self, guess: Any, lower: Any = -np.inf, upper: Any = np.inf) -> None:
+        values = {"guess": guess, "lower": lower, "upper": upper}
+        arrays = {name: _real(name, value) for name, value in values.items()}
+        shape = arrays["guess"].shape
+        for name, array in arrays.items():
+            if array.shape not in ((), shape):
+                raise InvalidInputError(f"Free: {name} has shape {array.shape}, expected that of the guess, {shape}, or a number")
+            object.__setattr__(self, name, array if array.shape else float(array))
+        if not np.all(np.isfinite(arrays["guess"])):
+            raise InvalidInputError(f"Free: guess must be finite, got {guess!r:.80}")
+        if not np.all(arrays["lower"] < arrays["upper"]):
+            raise InvalidInputError(f"Free: lower must be less than upper, got {lower!r:.80} and {upper!r:.80}")
+        if not np.all((arrays["lower"] <= arrays["guess"]) & (arrays["guess"] <= arrays["upper"])):
+            raise InvalidInputError(
+                f"Free: guess must lie between lower and upper, got {guess!r:.80}, {lower!r:.80}, {upper!r:.80}"
+            )
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        raise AttributeError(f"Free is frozen; make a new one to change {name}")
+
+    def __repr__(self) -> str:
+        return f"Free({self.guess!r}, lower={self.lower!r}, upper={self.upper!r})"
+
+    def member(self, k: int) -> "Free":
+        """Number ``k`` of a batch, of which every array has one more leading axis."""
+        return Free(*(value if np.ndim(value) == 0 else value[k] for value in (self.guess, self.lower, self.upper)))
+
+    @property
+    def bounded(self) -> bool:
+        """Whether there is a bound."""
+        return bool(np.any(np.isfinite(self.lower)) or np.any(np.isfinite(self.upper)))
+
+
+def is_free(value: Any) -> bool:
+    """Whether this is a ``Free``."""
+    return isinstance(value, Free)
+
+
+def guessed(value: Any) -> Any:
+    """The guess of what may be free."""
+    return value.guess if isinstance(value, Free) else value
+
+
+def _real(name: str, value: Any) -> np.ndarray:
+    """An array of real numbers, none of them NaN, that cannot be written to."""
+    if is_traced(value):
+        raise InvalidInputError(f"Free: {name} is traced by JAX, expected numbers; solve runs outside jit, vmap and grad")
+    try:
+        array = np.asarray(value)
+    except ValueError as error:
+        raise InvalidInputError(f"Free: {name} must be a number or an array, got {value!r:.80}") from error
+    if array.dtype.kind not in "fiu" or np.any(np.isnan(array)):
+        raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {value!r:.80}")
+    array = np.array(array, float)
+    array.setflags(write=False)
+    return array
