@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
 
+import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
@@ -17,6 +18,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import Method, Options, check_method, check_problem, checked_options, fractions_of, structure_of
+from .differentiable import Extremal, Given, extremal_of
 from .end_points import NodeCondition, require_ends_on
 from .engine.evaluator import chosen
 from .engine.layout import parameter_layout
@@ -197,6 +199,33 @@ class Solver:
         require_isolated(columns, solution)
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
+
+    @known_options
+    def extremal(
+        self,
+        start: Any,
+        end: Any,
+        horizon: Any,
+        guess: Guess | Solution | None = None,
+        parameters: Any = None,
+        tolerance: float | None = None,
+        max_iterations: int = 100,
+    ) -> Extremal:
+        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but ``guess``.
+
+        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives, those of
+        ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the tangent spaces; the
+        derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what ``solve`` and ``sensitivity`` raise.
+        """
+
+        def solved(given: Given) -> Solution:
+            require_concrete("extremal", given)
+            values = jax.tree.map(np.asarray, given)
+            options = {"tolerance": tolerance, "max_iterations": max_iterations}
+            return self.solve(values.start, values.end, float(values.horizon), guess, values.parameters, **options)
+
+        given = Given(start, end, horizon, parameters)
+        return extremal_of(self.problem.manifold, given, solved, self.sensitivity)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
         """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""
