@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...manifolds import Manifold
+from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
+from ..functions import is_transformed
 from .sensitivity import Derivative, Sensitivity
 from .solution import Solution
 
@@ -41,24 +42,38 @@ def extremal_of(
 
     @jax.custom_jvp
     def extremal(given: Given) -> Extremal:
-        return _arrays(solved(given))
+        return _arrays(solved(_values(given)))
 
     def with_tangent(primals: tuple[Given], tangents: tuple[Given]) -> tuple[Extremal, Extremal]:
-        solution = solved(*primals)
-        return _arrays(solution), _pushed(manifold, solution, sensitivity(solution), *tangents)
+        with jax.core.eval_context():  # else JAX would record the solver too, for the tangents
+            solution = solved(_values(*primals))
+            derivatives = sensitivity(solution)
+        return _arrays(solution), _pushed(manifold, solution, derivatives, *tangents)
 
     extremal.defjvp(with_tangent)
-    return extremal(_numbers(manifold, given))
+    return extremal(_numbers(given))
 
 
-def _numbers(manifold: Manifold, given: Given) -> Given:
+def _numbers(given: Given) -> Given:
     """All as arrays of floating-point numbers, because whole numbers have no derivatives."""
     real = jnp.zeros(()).dtype
 
-    def point(end: Any) -> Any:
-        return jax.tree.map(lambda a: jnp.asarray(a, jnp.promote_types(jnp.result_type(a), real)), end)
+    def number(a: Any) -> Any:
+        if not vec.is_traced(a) and np.asarray(a).dtype.kind not in "fciub":
+            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {a!r:.60}")
+        return jnp.asarray(a, jnp.promote_types(jnp.result_type(a), real))
 
-    return Given(*map(point, given))
+    return jax.tree.map(number, given)
+
+
+def _values(given: Given) -> Given:
+    """In NumPy; raises where only JAX could know them."""
+    if is_transformed(given):
+        raise InvalidInputError(
+            "extremal is called with values that JAX is tracing, as under jit and vmap and for second derivatives, expected "
+            "numbers; it has first derivatives, outside jit and vmap: try differences of those"
+        )
+    return jax.tree.map(np.asarray, given)
 
 
 def _arrays(solution: Solution) -> Extremal:
@@ -73,13 +88,14 @@ def _pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Gi
     if tangent.parameters is not None:
         derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: isinstance(leaf, Derivative))
         pairs += zip(jax.tree.leaves(tangent.parameters), derivatives, strict=True)
-    found = []
-    for name in Extremal._fields:
-        parts = [
-            jax.tree.map(lambda leaf, v=v: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), getattr(own, name)) for v, own in pairs
-        ]
-        found.append(jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts))
-    return Extremal(*found)
+    parts = [_along(v, own) for v, own in pairs]
+    return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
+
+
+def _along(v: Any, by: Derivative) -> Extremal:
+    """A derivative by an array times a change of it."""
+    own = Extremal(*(getattr(by, name) for name in Extremal._fields))
+    return jax.tree.map(lambda leaf: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), own)
 
 
 def _filled(tangent: Any, point: Any) -> Any:

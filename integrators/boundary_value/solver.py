@@ -6,7 +6,6 @@ from dataclasses import replace
 from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
 
-import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
@@ -219,13 +218,10 @@ class Solver:
         """
 
         def solved(given: Given) -> Solution:
-            require_concrete("extremal", given)
-            values = jax.tree.map(np.asarray, given)
             options = {"tolerance": tolerance, "max_iterations": max_iterations}
-            return self.solve(values.start, values.end, float(values.horizon), guess, values.parameters, **options)
+            return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
 
-        given = Given(start, end, horizon, parameters)
-        return extremal_of(self.problem.manifold, given, solved, self.sensitivity)
+        return extremal_of(self.problem.manifold, Given(start, end, horizon, parameters), solved, self.sensitivity)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
         """Whether it is a strict minimum, along which ``d2H/du2`` is invertible."""
