@@ -1,5 +1,6 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
+from .differentiable import Extremal
 from .guess import Guess, default_guess
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
@@ -11,6 +12,7 @@ __all__ = [
     "Checks",
     "Derivative",
     "DiscretizationError",
+    "Extremal",
     "Guess",
     "Sensitivity",
     "SingularArc",

@@ -17,6 +17,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
+from .differentiable import Extremal, Given, extremal_of
 from .end_points import NodeCondition, require_ends_on
 from .engine.evaluator import chosen
 from .engine.layout import parameter_layout
@@ -225,6 +226,30 @@ class Solver:
         require_isolated(columns, solution)
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
+
+    @known_options
+    def extremal(
+        self,
+        start: Any,
+        end: Any,
+        horizon: Any,
+        guess: Guess | Solution | None = None,
+        parameters: Any = None,
+        tolerance: float | None = None,
+        max_iterations: int = 100,
+    ) -> Extremal:
+        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but ``guess``.
+
+        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives, those of
+        ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the tangent spaces; the
+        derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what ``solve`` and ``sensitivity`` raise.
+        """
+
+        def solved(given: Given) -> Solution:
+            options = {"tolerance": tolerance, "max_iterations": max_iterations}
+            return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
+
+        return extremal_of(self.problem.manifold, Given(start, end, horizon, parameters), solved, self.sensitivity)
 
     def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
         """Whether it is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities the latter is not asked."""

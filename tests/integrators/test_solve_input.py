@@ -182,11 +182,6 @@ def test_a_guess_has_the_shapes_of_the_stages(guess, words):
         slew(guess=guess)
 
 
-def test_a_solution_in_another_number_of_steps_is_no_guess():
-    with pytest.raises(InvalidInputError, match=r"guess: states must have shapes \(4, 3, 3\), got \(3, 3, 3\)"):
-        slew(guess=slew(), steps=4)
-
-
 def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
     """NumPy's integers count steps, an integer matrix is the identity, a list holds the factors of a product."""
     expected = slew()

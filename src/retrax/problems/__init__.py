@@ -1,5 +1,7 @@
-"""Problems with known answers, for examples, tests and comparisons."""
+"""Problems with known answers, for examples, tests and comparisons: ``get("betts").solve()``."""
 
+from . import attitude, flat, flight, geodesics, machines, quantum, vehicles  # noqa: F401 -- fill the library
+from .record import KnownProblem, all, get, names
 from .singular import SINGULAR, KnownClassification
 
-__all__ = ["SINGULAR", "KnownClassification"]
+__all__ = ["SINGULAR", "KnownClassification", "KnownProblem", "all", "get", "names"]

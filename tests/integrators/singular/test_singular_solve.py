@@ -73,6 +73,23 @@ def test_aly_chan_is_a_sine_to_order_two():
 
 
 @pytest.mark.slow
+def test_a_singular_extremal_is_a_curve_between_its_nodes_and_a_guess_for_another_mesh():
+    """Of order two with states and costates, piecewise constant with controls."""
+    times = np.linspace(0.0, np.pi / 2, 101)
+    curves = [aly_chan(n)(times) for n in (8, 16)]
+    assert order([norm(c.states[0][:, 0] - np.sin(times)) for c in curves]) == pytest.approx(2.0, abs=0.1)
+    assert (
+        order([norm(c.costates[0] - c.states[1]) for c in curves]) > 1.9
+        or norm(curves[1].costates[0] - curves[1].states[1]) < 1e-13
+    )
+    assert order([norm(c.controls[:, 0] + np.sin(times)) for c in curves]) == pytest.approx(1.0, abs=0.1)
+    ends = (ZERO, None), (ONE, None)
+    fine = solve(ALY_CHAN, MIDPOINT, *ends, np.pi / 2, 16, guess=aly_chan(8), classification=classified(ALY_CHAN))
+    assert fine.success
+    assert fine.cost == pytest.approx(aly_chan(16).cost, abs=1e-12)
+
+
+@pytest.mark.slow
 def test_a_singular_solution_reports_what_was_checked(tmp_path):
     solution = aly_chan(8)
     arc = solution.singular

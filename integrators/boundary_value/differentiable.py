@@ -1,0 +1,106 @@
+"""An extremal as a function of what it is computed for, which JAX differentiates in both modes."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...manifolds import InvalidInputError, Manifold
+from ...manifolds.numerics import ambient as vec
+from ..functions import is_transformed
+from .sensitivity import Derivative, Sensitivity
+from .solution import Solution
+
+
+class Extremal(NamedTuple):
+    """The arrays of a ``Solution`` that have derivatives, as JAX arrays."""
+
+    cost: Any
+    states: Any
+    costates: Any
+    controls: Any
+
+
+class Given(NamedTuple):
+    """What an extremal is a function of; ``None`` where an end is free, and for no parameters."""
+
+    start: Any
+    end: Any
+    horizon: Any
+    parameters: Any
+
+
+def extremal_of(
+    manifold: Manifold, given: Given, solved: Callable[[Given], Solution], sensitivity: Callable[[Solution], Sensitivity]
+) -> Extremal:
+    """The extremal that ``solved`` finds, with the derivatives of the implicit function theorem.
+
+    Forward mode multiplies by the columns of ``sensitivity``, and reverse mode is its transpose.
+    """
+
+    @jax.custom_jvp
+    def extremal(given: Given) -> Extremal:
+        return _arrays(solved(_values(given)))
+
+    def with_tangent(primals: tuple[Given], tangents: tuple[Given]) -> tuple[Extremal, Extremal]:
+        with jax.core.eval_context():  # else JAX would record the solver too, for the tangents
+            solution = solved(_values(*primals))
+            derivatives = sensitivity(solution)
+        return _arrays(solution), _pushed(manifold, solution, derivatives, *tangents)
+
+    extremal.defjvp(with_tangent)
+    return extremal(_numbers(given))
+
+
+def _numbers(given: Given) -> Given:
+    """All as arrays of floating-point numbers, because whole numbers have no derivatives."""
+    real = jnp.zeros(()).dtype
+
+    def number(a: Any) -> Any:
+        if not vec.is_traced(a) and np.asarray(a).dtype.kind not in "fciub":
+            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {a!r:.60}")
+        return jnp.asarray(a, jnp.promote_types(jnp.result_type(a), real))
+
+    return jax.tree.map(number, given)
+
+
+def _values(given: Given) -> Given:
+    """In NumPy; raises where only JAX could know them."""
+    if is_transformed(given):
+        raise InvalidInputError(
+            "extremal is called with values that JAX is tracing, as under jit and vmap and for second derivatives, expected "
+            "numbers; it has first derivatives, outside jit and vmap: try differences of those"
+        )
+    return jax.tree.map(np.asarray, given)
+
+
+def _arrays(solution: Solution) -> Extremal:
+    return Extremal(*(jax.tree.map(jnp.asarray, getattr(solution, name)) for name in Extremal._fields))
+
+
+def _pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
+    """The derivative of the extremal along a tangent, to which it is linear."""
+    first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], solution.states) for k in (0, -1))
+    ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
+    pairs = [*zip(ends, (by.start, by.end), strict=True), (tangent.horizon, by.horizon)]
+    if tangent.parameters is not None:
+        derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: isinstance(leaf, Derivative))
+        pairs += zip(jax.tree.leaves(tangent.parameters), derivatives, strict=True)
+    parts = [_along(v, own) for v, own in pairs]
+    return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
+
+
+def _along(v: Any, by: Derivative) -> Extremal:
+    """A derivative by an array times a change of it."""
+    own = Extremal(*(getattr(by, name) for name in Extremal._fields))
+    return jax.tree.map(lambda leaf: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), own)
+
+
+def _filled(tangent: Any, point: Any) -> Any:
+    """A tangent of an end, zero where that is free."""
+    if isinstance(point, tuple):
+        given = (None,) * len(point) if tangent is None else tangent
+        return tuple(_filled(v, q) for v, q in zip(given, point, strict=True))
+    return np.zeros_like(point) if tangent is None else tangent

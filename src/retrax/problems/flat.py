@@ -1,0 +1,392 @@
+"""Problems in R^n that every solver is shown with."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.optimize import brentq
+
+from ..integrators import Free, OptimalControlProblem
+from ..manifolds import Euclidean
+from .attitude import BETTS
+from .geodesics import energy
+from .record import KnownProblem, known
+
+BRYSON = "A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975"
+COPS = "E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, ANL/MCS-TM-273, 2004"
+LINE, PLANE = Euclidean(1), Euclidean(2)
+MOTION = {"x": "position", "v": "velocity"}
+
+
+def double_integrator(q: Array, u: Array) -> Array:
+    """``x' = v``, ``v' = u``."""
+    return jnp.stack([q[1], u[0]])
+
+
+def time(_: Any, __: Array) -> float:
+    """The running cost 1: least time."""
+    return 1.0
+
+
+@known
+def regulator() -> KnownProblem:
+    """The scalar regulator."""
+    return KnownProblem(
+        name="regulator",
+        title="the scalar linear-quadratic regulator",
+        problem=OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (q @ q + u @ u) / 2, 1),
+        start=np.ones(1),
+        end=None,
+        horizon=1.0,
+        states={"x": "1"},
+        controls={"u": "1"},
+        source=f"{BRYSON}, chapter 5",
+        optimum=float(np.tanh(1.0) / 2),
+        digits=12,
+        origin="closed form: u = -tanh(1 - t) x",
+        formula="tanh(T) / 2",
+    )
+
+
+@known
+def least_effort() -> KnownProblem:
+    """The double integrator from rest to rest."""
+    return KnownProblem(
+        name="least-effort",
+        title="the double integrator from rest to rest with least effort",
+        problem=OptimalControlProblem(PLANE, double_integrator, energy, 1),
+        start=np.zeros(2),
+        end=np.array([1.0, 0.0]),
+        horizon=1.0,
+        steps=5,
+        states=MOTION,
+        controls={"u": "acceleration"},
+        source=f"{BRYSON}, section 5.2",
+        optimum=6.0,
+        digits=12,
+        origin="closed form: u = 6 - 12 t",
+        formula="6 d^2 / T^3",
+    )
+
+
+@known
+def least_time() -> KnownProblem:
+    """The double integrator from rest to rest in least time."""
+    return KnownProblem(
+        name="least-time",
+        title="the double integrator from rest to rest in least time",
+        problem=OptimalControlProblem(PLANE, double_integrator, time, 1, control_bounds=(-1.0, 1.0)),
+        start=np.zeros(2),
+        end=np.array([1.0, 0.0]),
+        horizon=Free(3.0, lower=0.1),
+        states=MOTION,
+        controls={"u": "acceleration"},
+        source=f"{BRYSON}, section 3.9",
+        optimum=2.0,
+        digits=12,
+        origin="closed form: u = 1 until half-time, then -1",
+        formula="2 sqrt(d)",
+    )
+
+
+@known
+def turnpike() -> KnownProblem:
+    """Bang, singular, bang."""
+    return KnownProblem(
+        name="turnpike",
+        title="to a singular arc and away from it",
+        problem=OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1.0, 1.0)),
+        start=np.ones(1),
+        end=np.array([0.5]),
+        horizon=2.0,
+        states={"x": "1"},
+        controls={"u": "1"},
+        source="E. Trelat, E. Zuazua, The turnpike property in finite-dimensional nonlinear optimal control, J. Differential "
+        "Equations 258, 2015, 81-114",
+        optimum=3 / 8,
+        digits=12,
+        origin="closed form: u = -1, 0, 1 with switches at 1 and 3/2",
+        formula="3 / 8",
+        error=1e-6,
+    )
+
+
+@known
+def aly_chan() -> KnownProblem:
+    """Aly and Chan's problem, singular all along."""
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return jnp.stack([q[1], u[0], (q[1] ** 2 - q[0] ** 2) / 2])
+
+    return KnownProblem(
+        name="aly-chan",
+        title="a control that is singular all along",
+        problem=OptimalControlProblem(
+            Euclidean(3), dynamics, lambda q, u: 0.0 * q[0], 1, terminal_cost=lambda q: q[2], control_bounds=(-1.0, 1.0)
+        ),
+        start=np.array([0.0, 1.0, 0.0]),
+        end=None,
+        horizon=np.pi / 2,
+        states={"x1": "1", "x2": "1", "x3": "cost so far"},
+        controls={"u": "1"},
+        source="G. M. Aly, W. C. Chan, Application of a modified quasilinearization technique to totally singular optimal control "
+        "problems, Internat. J. Control 17, 1973, 809-815",
+        optimum=0.0,
+        digits=12,
+        origin="closed form: u = -sin t",
+        formula="0",
+        error=1e-6,
+    )
+
+
+@known
+def bryson_denham() -> KnownProblem:
+    """A state inequality of second order."""
+    limit = 1 / 9
+    return KnownProblem(
+        name="bryson-denham",
+        title="the double integrator below a ceiling",
+        problem=OptimalControlProblem(
+            PLANE, double_integrator, energy, 1, constraints={"ceiling": lambda q, u: q[0] - limit}
+        ),
+        start=np.array([0.0, 1.0]),
+        end=np.array([0.0, -1.0]),
+        horizon=1.0,
+        steps=60,
+        states=MOTION,
+        controls={"u": "acceleration"},
+        source="A. E. Bryson, W. F. Denham, S. E. Dreyfus, Optimal programming problems with inequality constraints I, AIAA J. 1, "
+        "1963, 2544-2550",
+        optimum=4 / (9 * limit),
+        digits=12,
+        origin="closed form, on the ceiling from 1/3 to 2/3",
+        formula="4 / (9 l)",
+        error=1e-5,
+    )
+
+
+@known
+def van_der_pol() -> KnownProblem:
+    """The oscillator of van der Pol, with limits."""
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return jnp.stack([(1 - q[1] ** 2) * q[0] - q[1] + u[0], q[0]])
+
+    return KnownProblem(
+        name="van-der-pol",
+        title="van der Pol's oscillator with a limited control and a limited state",
+        problem=OptimalControlProblem(
+            PLANE,
+            dynamics,
+            lambda q, u: q @ q + u @ u,
+            1,
+            control_bounds=(-1.0, 1.0),
+            constraints={"x1": lambda q, u: -0.25 - q[0]},
+        ),
+        start=np.array([0.0, 1.0]),
+        end=None,
+        horizon=10.0,
+        steps=60,
+        states={"x1": "1", "x2": "1"},
+        controls={"u": "1"},
+        source="J. Andersson, J. Gillis, G. Horn, J. Rawlings, M. Diehl, CasADi: a software framework for nonlinear optimization and "
+        "optimal control, Math. Prog. Comp. 11, 2019, 1-36, section 6",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-5,
+    )
+
+
+@known
+def fuller() -> KnownProblem:
+    """Fuller's problem: the optimal control switches infinitely often before it comes to rest."""
+    return KnownProblem(
+        name="fuller",
+        title="infinitely many switches in finite time",
+        problem=OptimalControlProblem(PLANE, double_integrator, lambda q, u: q[0] ** 2 / 2, 1, control_bounds=(-1.0, 1.0)),
+        start=np.array([0.0, 1.0]),
+        end=np.zeros(2),
+        horizon=5.0,
+        steps=60,
+        states=MOTION,
+        controls={"u": "acceleration"},
+        source="A. T. Fuller, Study of an optimum non-linear control system, J. Electronics and Control 15, 1963, 63-71",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-4,
+    )
+
+
+@known
+def catalyst_mixing() -> KnownProblem:
+    """Two catalysts along a tubular reactor: bang, singular, bang."""
+
+    def dynamics(q: Array, u: Array) -> Array:
+        a, b = u[0] * (10 * q[1] - q[0]), (1 - u[0]) * q[1]
+        return jnp.stack([a, -a - b])
+
+    return KnownProblem(
+        name="catalyst-mixing",
+        title="the best mixture of two catalysts along a reactor",
+        problem=OptimalControlProblem(
+            PLANE, dynamics, lambda q, u: 0.0 * q[0], 1, terminal_cost=lambda q: q[0] + q[1] - 1, control_bounds=(0.0, 1.0)
+        ),
+        start=np.array([1.0, 0.0]),
+        end=None,
+        horizon=1.0,
+        steps=60,
+        states={"x1": "fraction of the first substance", "x2": "of the second"},
+        controls={"u": "fraction of the first catalyst"},
+        source=f"{COPS}, 14; R. Jackson, Optimization of chemical reactions, J. Optim. Theory Appl. 2, 1968",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-5,
+    )
+
+
+@known
+def brachistochrone() -> KnownProblem:
+    """The curve of quickest descent, a cycloid."""
+    gravity, (across, down) = 9.80665, (10.0, 5.0)
+
+    def dynamics(q: Any, u: Array) -> Any:
+        _, v = q
+        return v[0] * jnp.stack([jnp.sin(u[0]), jnp.cos(u[0])]), gravity * jnp.cos(u[0])[None]
+
+    turn = brentq(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - across / down, 0.1, 6.0, xtol=1e-15)
+    slope = np.arctan2(across, down)
+    return KnownProblem(
+        name="brachistochrone",
+        title="the curve of quickest descent, 10 m aside and 5 m down",
+        problem=OptimalControlProblem(PLANE * LINE, dynamics, time, 1),
+        start=(np.zeros(2), np.zeros(1)),
+        end=(np.array([across, down]), None),
+        horizon=Free(2.0, lower=0.1),
+        path=lambda s: ((np.outer(s**2, [across, down]), 10 * s[:, None]), np.full((len(s), 1), slope)),
+        states={"x": "aside, m", "y": "down, m", "v": "speed, m/s"},
+        controls={"a": "angle of the path from the vertical, rad"},
+        time="s",
+        cost="s",
+        source="Johann Bernoulli, Acta Eruditorum, 1696; data of R. Falck and others, dymos, J. Open Source Softw. 6, 2021, 2809",
+        optimum=float(turn * np.sqrt(down / (1 - np.cos(turn)) / gravity)),
+        digits=12,
+        origin="closed form: a cycloid",
+        formula="a sqrt(r / g) with x = r (a - sin a), y = r (1 - cos a)",
+        error=1e-7,
+    )
+
+
+@known
+def rayleigh() -> KnownProblem:
+    """Rayleigh's oscillator."""
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return jnp.stack([q[1], -q[0] + q[1] * (1.4 - 0.14 * q[1] ** 2) + 4 * u[0]])
+
+    return KnownProblem(
+        name="rayleigh",
+        title="a tunnel diode oscillator is brought to rest",
+        problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u + q[0] ** 2, 1),
+        start=np.array([-5.0, -5.0]),
+        end=np.zeros(2),
+        horizon=2.5,
+        states={"x": "current", "v": "its rate"},
+        controls={"u": "voltage"},
+        source=f"D. H. Jacobson, D. Q. Mayne, Differential Dynamic Programming, 1970; {BETTS}, example 4.11",
+        optimum=29.37608,
+        digits=7,
+        origin="published as 29.376079656",
+    )
+
+
+@known
+def hypersensitive() -> KnownProblem:
+    """A short arc at each end of a long rest."""
+    half = np.geomspace(1e-4, 1.0, 40)
+    return KnownProblem(
+        name="hypersensitive",
+        title="two short arcs with a long rest between them",
+        problem=OptimalControlProblem(LINE, lambda q, u: u - q**3, lambda q, u: (q @ q + u @ u) / 2, 1),
+        start=np.ones(1),
+        end=np.array([1.5]),
+        horizon=10_000.0,
+        steps=np.concatenate([half, half[::-1]]),
+        states={"x": "1"},
+        controls={"u": "1"},
+        source="A. V. Rao, K. D. Mease, Dichotomic basis approach to solving hyper-sensitive optimal control problems, Automatica 35, "
+        f"1999, 633-642; {BETTS}, example 4.4",
+        optimum=3.3620563,
+        digits=8,
+        origin="published as 3.36206",
+        error=1e-6,
+    )
+
+
+@known
+def hanging_chain() -> KnownProblem:
+    """A chain between two nails hangs with least potential energy."""
+    length, (low, high) = 4.0, (1.0, 3.0)
+    scale = brentq(lambda a: 2 * a * np.sinh(1 / (2 * a)) - np.sqrt(length**2 - (high - low) ** 2), 0.05, 5.0, xtol=1e-15)
+    middle = 0.5 - scale * np.arctanh((high - low) / length)
+    shift = low - scale * np.cosh(middle / scale)
+
+    def moment(x: float) -> float:
+        s = (x - middle) / scale
+        return scale**2 * (s / 2 + np.sinh(2 * s) / 4) + shift * scale * np.sinh(s)
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return jnp.stack([u[0], jnp.sqrt(1 + u[0] ** 2)])
+
+    def path(s: np.ndarray) -> tuple[Any, Any]:
+        slope = 4 * (high - low + 2) * (s - 0.25)
+        return np.stack([low + np.cumsum(slope) / len(s), length * s], axis=1), slope[:, None]
+
+    return KnownProblem(
+        name="hanging-chain",
+        title="a chain of length 4 between two nails",
+        problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: q[0] * jnp.sqrt(1 + u[0] ** 2), 1),
+        start=np.array([low, 0.0]),
+        end=np.array([high, length]),
+        horizon=1.0,
+        steps=40,
+        path=path,
+        states={"x": "height", "s": "length so far"},
+        controls={"u": "slope"},
+        source=f"{COPS}, 4",
+        optimum=float(moment(1.0) - moment(0.0)),
+        digits=12,
+        origin="closed form: a catenary",
+        formula="int x sqrt(1 + x'^2), x = c + a cosh((t - b) / a)",
+        error=1e-7,
+    )
+
+
+@known
+def fishing() -> KnownProblem:
+    """Predators and prey are fished towards their balance: bang, singular, bang."""
+
+    def dynamics(q: Array, u: Array) -> Array:
+        x, y = q
+        return jnp.stack([x - x * y - 0.4 * x * u[0], -y + x * y - 0.2 * y * u[0]])
+
+    return KnownProblem(
+        name="fishing",
+        title="predators and prey are fished towards their balance",
+        problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: (q - 1) @ (q - 1), 1, control_bounds=(0.0, 1.0)),
+        start=np.array([0.5, 0.7]),
+        end=None,
+        horizon=12.0,
+        steps=60,
+        states={"x": "prey", "y": "predators"},
+        controls={"u": "fishing"},
+        source="S. Sager, H. G. Bock, M. Diehl, G. Reinelt, J. P. Schloder, Numerical methods for optimal control with binary control "
+        "functions applied to a Lotka-Volterra type fishing problem, Lecture Notes in Economics 563, 2006, 269-289",
+        optimum=1.34408,
+        digits=6,
+        origin="published as 1.34408, of the relaxed problem",
+        error=1e-4,
+    )

@@ -1,0 +1,272 @@
+"""Machines with inertia: pendulums, a cart, a quadrotor, a spacecraft that docks, a robot arm."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.spatial.transform import Rotation
+
+from ..integrators import Free, OptimalControlProblem
+from ..manifolds import SE, Euclidean, Sphere, TangentBundle
+from .attitude import INERTIA as SATELLITE
+from .attitude import cayley
+from .geodesics import energy
+from .record import KnownProblem, known
+
+RIGID = SE(3) * Euclidean(6)
+UP = np.array([0.0, 0.0, 1.0])
+MOTION = {"g": "pose, body to inertial frame, m", "w": "angular velocity, rad/s, body frame", "v": "velocity, m/s, body frame"}
+
+
+def rigid_motion(mass: float, inertia: np.ndarray, q: Any, force: Any, torque: Any) -> Any:
+    """``g' = g hat(w, v)``, ``J w' + w x J w = torque``, ``m (v' + w x v) = force``, all in the body frame."""
+    pose, twist = q
+    w, v = twist[:3], twist[3:]
+    turning = (torque - jnp.cross(w, inertia * w)) / inertia
+    return pose @ SE(3).hat(twist), jnp.concatenate([turning, force / mass - jnp.cross(w, v)])
+
+
+def pose(vector: Any, position: Any) -> np.ndarray:
+    """The pose of a rotation vector and a position."""
+    out = np.eye(4)
+    out[:3, :3], out[:3, 3] = Rotation.from_rotvec(vector).as_matrix(), position
+    return out
+
+
+@known
+def spherical_pendulum() -> KnownProblem:
+    """A spherical pendulum swings up with least force."""
+    sphere = Sphere(2)
+
+    def dynamics(z: Any, u: Array) -> Any:
+        q, v = z
+        return v, sphere.projection(q, u - UP) - (v @ v) * q
+
+    return KnownProblem(
+        name="spherical-pendulum",
+        title="a spherical pendulum swings up in time 3 with least force, TS^2",
+        problem=OptimalControlProblem(TangentBundle(sphere), dynamics, energy, 3),
+        start=(np.array([np.sin(0.5), 0.0, -np.cos(0.5)]), np.array([0.0, 0.5, 0.0])),
+        end=(UP, np.zeros(3)),
+        horizon=3.0,
+        states={"q": "direction of the rod", "v": "its velocity"},
+        controls={"u": "force over weight; its part along the rod costs and does nothing"},
+        source="unit mass, length and gravity; T. Lee, M. Leok, N. H. McClamroch, Global Formulations of Lagrangian and Hamiltonian "
+        "Dynamics on Manifolds, Springer 2018, section 4.1",
+        optimum=2.1226524395,
+        digits=10,
+        origin="limit of the discrete optima as the steps shrink; the least of the extremals that are known",
+    )
+
+
+@known
+def pendulum() -> KnownProblem:
+    """A pendulum on the circle swings up with least torque."""
+
+    def dynamics(z: Any, u: Array) -> Any:
+        (c, s), w = z
+        return w[0] * jnp.stack([-s, c]), u - s
+
+    return KnownProblem(
+        name="pendulum",
+        title="a pendulum swings up in time 5 with least torque, S^1 x R",
+        problem=OptimalControlProblem(Sphere(1) * Euclidean(1), dynamics, energy, 1),
+        start=(np.array([1.0, 0.0]), np.zeros(1)),
+        end=(np.array([-1.0, 0.0]), np.zeros(1)),
+        horizon=5.0,
+        states={"c, s": "cosine and sine of the angle from hanging", "w": "its rate"},
+        controls={"u": "torque over m g l"},
+        time="sqrt(l/g)",
+        source="K. J. Astrom, K. Furuta, Swinging up a pendulum by energy control, Automatica 36, 2000, 287-295",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def cart_pole() -> KnownProblem:
+    """A pole on a cart swings up with least force."""
+    cart, bob, length, gravity = 1.0, 0.3, 0.5, 9.81
+
+    def dynamics(z: Array, u: Array) -> Array:
+        s, c, w = jnp.sin(z[1]), jnp.cos(z[1]), z[3]
+        inertia = cart + bob * s * s
+        pull = bob * length * w * w * s
+        acceleration = (u[0] + pull + bob * gravity * s * c) / inertia
+        turning = -(u[0] * c + pull * c + (cart + bob) * gravity * s) / (length * inertia)
+        return jnp.stack([z[2], w, acceleration, turning])
+
+    return KnownProblem(
+        name="cart-pole",
+        title="a pole on a cart swings up in 2 s and 1 m aside with least force",
+        problem=OptimalControlProblem(Euclidean(4), dynamics, lambda z, u: u @ u, 1, control_bounds=(-20.0, 20.0)),
+        start=np.zeros(4),
+        end=np.array([1.0, np.pi, 0.0, 0.0]),
+        horizon=2.0,
+        steps=30,
+        states={"x": "cart, m", "a": "angle from hanging, rad", "v": "cart, m/s", "w": "pole, rad/s"},
+        controls={"u": "force on the cart, N"},
+        time="s",
+        cost="N^2 s",
+        source="M. Kelly, An introduction to trajectory optimization: how to do your own direct collocation, SIAM Review 59, 2017, "
+        "849-904, section 6 and appendix E",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def acrobot() -> KnownProblem:
+    """Two links with a torque at the elbow only swing up."""
+
+    def dynamics(z: Any, u: Array) -> Any:
+        (c1, s1), (c2, s2), w = z
+        rates = w[0] * jnp.stack([-s1, c1]), w[1] * jnp.stack([-s2, c2])
+        cosine, sine = c1 * c2 + s1 * s2, s2 * c1 - c2 * s1  # of the angle at the elbow
+        a, b, c = 4 / 3, 1 / 3, cosine / 2
+        first = sine / 2 * w[1] ** 2 - 3 / 2 * 9.81 * s1 - u[0]
+        second = -sine / 2 * w[0] ** 2 - 9.81 / 2 * s2 + u[0]
+        return *rates, jnp.stack([b * first - c * second, a * second - c * first]) / (a * b - c * c)
+
+    down, up = np.array([1.0, 0.0]), np.array([-1.0, 0.0])
+    return KnownProblem(
+        name="acrobot",
+        title="two links with a torque at the elbow swing up in 4 s, S^1 x S^1 x R^2",
+        problem=OptimalControlProblem(Sphere(1) * Sphere(1) * Euclidean(2), dynamics, energy, 1),
+        start=(down, down, np.zeros(2)),
+        end=(up, up, np.zeros(2)),
+        horizon=4.0,
+        steps=50,
+        states={"c1, s1": "direction of link 1 from hanging", "c2, s2": "of link 2", "w": "their rates, rad/s"},
+        controls={"u": "torque at the elbow, N m"},
+        time="s",
+        cost="N^2 m^2 s",
+        source="two uniform rods of 1 kg and 1 m; M. W. Spong, The swing up control problem for the acrobot, IEEE Control Systems 15, "
+        "1995, 49-55",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def quadrotor() -> KnownProblem:
+    """A quadrotor flies from hover to hover and turns on the way."""
+    mass, inertia, gravity = 4.34, np.array([0.0820, 0.0845, 0.1377]), 9.81
+
+    def dynamics(q: Any, u: Array) -> Any:
+        force = u[0] * UP - mass * gravity * q[0][2, :3]
+        return rigid_motion(mass, inertia, q, force, u[1:])
+
+    def cost(_: Any, u: Array) -> Array:
+        return ((u[0] - mass * gravity) ** 2 / 100 + u[1:] @ u[1:]) / 2
+
+    return KnownProblem(
+        name="quadrotor",
+        title="a quadrotor from hover to hover, 3 m aside and 1 m up, turned by 90 degrees, in 2 s, SE(3)",
+        problem=OptimalControlProblem(RIGID, dynamics, cost, 4),
+        start=(np.eye(4), np.zeros(6)),
+        end=(pose([0, 0, np.pi / 2], [3.0, 0.0, 1.0]), np.zeros(6)),
+        horizon=2.0,
+        method=cayley(RIGID),
+        states=MOTION,
+        controls={"f": "thrust along body axis 3, N", "M": "moment, N m, body frame"},
+        time="s",
+        source="vehicle of T. Lee, M. Leok, N. H. McClamroch, Geometric tracking control of a quadrotor UAV on SE(3), CDC 2010, "
+        "5420-5425, with body axis 3 upward",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def docking() -> KnownProblem:
+    """A spacecraft moves by 10 m and turns by 90 degrees from rest to rest: both motions at once, as if each were alone."""
+    mass, horizon, shift = 500.0, 60.0, np.array([8.0, 6.0, 0.0])
+    problem = OptimalControlProblem(
+        RIGID, lambda q, u: rigid_motion(mass, SATELLITE, q, u[:3], u[3:]), lambda q, u: (u[:3] @ u[:3] + u[3:] @ u[3:]) / 2, 6
+    )
+    return KnownProblem(
+        name="docking",
+        title="a spacecraft moves by 10 m and turns by 90 degrees in 60 s, SE(3)",
+        problem=problem,
+        start=(np.eye(4), np.zeros(6)),
+        end=(pose([0, 0, np.pi / 2], shift), np.zeros(6)),
+        horizon=horizon,
+        method=cayley(RIGID),
+        states=MOTION,
+        controls={"f": "force, N, body frame", "M": "torque, N m, body frame; forces cost as torques at 1 m"},
+        time="s",
+        cost="N^2 s",
+        source="spacecraft of J. T. Betts, Practical Methods for Optimal Control, section 6.8, with 500 kg",
+        optimum=float(6 * (mass**2 * (shift @ shift) + (SATELLITE[2] * np.pi / 2) ** 2) / horizon**3),
+        digits=12,
+        origin="closed form: the length of the force is the same in both frames, the turn is about a principal axis",
+        formula="6 (m^2 d^2 + J_3^2 a^2) / T^3",
+    )
+
+
+@known
+def docking_corridor() -> KnownProblem:
+    """The approach within a cone in front of the port, with limited forces."""
+    mass, width = 500.0, np.tan(np.deg2rad(20))
+
+    def corridor(q: Any, _: Array) -> Array:
+        x, y, z = q[0][0, 3], q[0][1, 3], q[0][2, 3]
+        return (y * y + z * z) - (width * (x + 0.1)) ** 2
+
+    def dynamics(q: Any, u: Array) -> Any:
+        return rigid_motion(mass, SATELLITE, q, u[:3], u[3:])
+
+    return KnownProblem(
+        name="docking-corridor",
+        title="docking from the side, within 20 degrees of the axis of the port, SE(3)",
+        problem=OptimalControlProblem(RIGID, dynamics, energy, 6, control_bounds=(-10.0, 10.0), constraints={"corridor": corridor}),
+        start=(pose([0, 0, -np.pi / 2], [10.0, 3.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])),
+        end=(np.eye(4), np.zeros(6)),
+        horizon=60.0,
+        steps=40,
+        method=cayley(RIGID),
+        states=MOTION,
+        controls={"f": "force, N, body frame", "M": "torque, N m, body frame"},
+        time="s",
+        cost="N^2 s",
+        source="U. Lee, M. Mesbahi, Optimal power descent guidance with 6-DoF line of sight constraints via unit dual quaternions, "
+        "AIAA 2015-0319",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-5,
+    )
+
+
+@known
+def robot_arm() -> KnownProblem:
+    """An arm that extends, turns and lifts, in least time."""
+
+    def dynamics(z: Array, u: Array) -> Array:
+        rho, phi = z[0], z[2]
+        lift = ((5 - rho) ** 3 + rho**3) / 3
+        return jnp.concatenate([z[3:], jnp.stack([u[0] / 5, u[1] / (lift * jnp.sin(phi) ** 2), u[2] / lift])])
+
+    rest = np.zeros(3)
+    return KnownProblem(
+        name="robot-arm",
+        title="a robot arm turns by 120 degrees in least time",
+        problem=OptimalControlProblem(Euclidean(6), dynamics, lambda z, u: 1.0, 3, control_bounds=(-1.0, 1.0)),
+        start=np.concatenate([[4.5, 0.0, np.pi / 4], rest]),
+        end=np.concatenate([[4.5, 2 * np.pi / 3, np.pi / 4], rest]),
+        horizon=Free(9.0, lower=1.0),
+        steps=60,
+        states={"r": "length", "a": "turn, rad", "b": "lift, rad", "r', a', b'": "their rates"},
+        controls={"u": "forces and torques, scaled"},
+        source="E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, ANL/MCS-TM-273, 2004, 8",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-4,
+    )

@@ -1,0 +1,102 @@
+"""What the library knows of a problem, and the library itself: problems by name."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+
+from ..integrators import Guess, OptimalControlProblem, Solution, solve
+from ..manifolds import InvalidInputError
+from ..retractions import DiscretizationMap, Gauss, default_retraction
+
+Path = Callable[[np.ndarray], tuple[Any, Any]]
+
+
+@final
+@dataclass(frozen=True, eq=False, kw_only=True)
+class KnownProblem:
+    """An optimal control problem with its data, where it comes from, and what is known of its optimum.
+
+    ``start``, ``end``, ``horizon`` and ``steps`` are those of ``solve``; ``method`` is ``Gauss(3, default_retraction(manifold))``
+    where it is None. ``path`` makes the default guess: states and controls, with the points along the leading axis, at an array
+    of fractions of the horizon; None where that of ``solve`` does. ``states`` and ``controls`` say by symbol what the entries
+    are, with units and frames; ``time`` and ``cost`` are units.
+
+    ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and ``origin`` says
+    how. ``formula``: the optimum in closed form. ``error``: how near to the optimum the method comes with these steps, relative
+    to it, or absolutely where it is zero.
+    """
+
+    name: str
+    title: str
+    problem: OptimalControlProblem
+    start: Any
+    end: Any
+    horizon: Any
+    states: dict[str, str]
+    controls: dict[str, str]
+    source: str
+    optimum: float
+    digits: int
+    origin: str
+    formula: str = ""
+    time: str = "1"
+    cost: str = "1"
+    steps: Any = 20
+    method: Gauss | DiscretizationMap | None = None
+    path: Path | None = None
+    error: float = 1e-8
+
+    @property
+    def discretization(self) -> Gauss | DiscretizationMap:
+        """The method: that of the record, or Gauss's of order 6 in the default retraction of the manifold."""
+        return self.method or Gauss(3, default_retraction(self.problem.manifold))
+
+    @property
+    def guess(self) -> Guess | None:
+        """The default guess at the stages of the steps, None where it is that of ``solve``."""
+        if self.path is None:
+            return None
+        lengths = np.full(self.steps, 1 / self.steps) if np.ndim(self.steps) == 0 else self.steps / np.sum(self.steps)
+        begins, method = np.cumsum(lengths) - lengths, self.discretization
+        nodes = method.nodes if isinstance(method, Gauss) else np.array([method.theta])
+        return Guess(*self.path((begins[:, None] + lengths[:, None] * nodes).ravel()))
+
+    def solve(self, **options: Any) -> Solution:
+        """Solve the problem from its default guess; ``options`` are those of ``solve``, and take the place of the record's."""
+        given = {"discretization": self.discretization, "steps": self.steps, "guess": self.guess, **options}
+        return solve(self.problem, start=self.start, end=self.end, horizon=self.horizon, **given)
+
+    def distance(self, cost: float) -> float:
+        """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better one."""
+        return (cost - self.optimum) / (abs(self.optimum) or 1.0)
+
+    def __repr__(self) -> str:
+        return f"KnownProblem({self.name!r}: {self.title}; optimum {self.optimum:.{max(self.digits, 1)}g})"
+
+
+_LIBRARY: dict[str, Callable[[], KnownProblem]] = {}
+
+
+def known(make: Callable[[], KnownProblem]) -> Callable[[], KnownProblem]:
+    """Add a function that makes a problem to the library, by its name with hyphens."""
+    _LIBRARY[make.__name__.replace("_", "-")] = make
+    return make
+
+
+def get(name: str) -> KnownProblem:
+    """The problem of a name. Raises ``InvalidInputError`` for a name that no problem has."""
+    if name not in _LIBRARY:
+        raise InvalidInputError(f"no problem has the name {name!r}; the names are {', '.join(sorted(_LIBRARY))}")
+    return _LIBRARY[name]()
+
+
+def names() -> tuple[str, ...]:
+    """The names of all problems, by subject."""
+    return tuple(_LIBRARY)
+
+
+def all() -> tuple[KnownProblem, ...]:  # noqa: A001 -- retrax.problems.all() reads as it should
+    """All problems, by subject."""
+    return tuple(make() for make in _LIBRARY.values())

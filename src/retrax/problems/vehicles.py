@@ -1,0 +1,263 @@
+"""Vehicles that roll, steer and bend: nonholonomic systems, elastica, shortest paths, winds and obstacles."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from scipy.spatial.transform import Rotation
+
+from ..integrators import Free, OptimalControlProblem
+from ..manifolds import SE, SO, Euclidean, Sphere, hat
+from .attitude import cayley
+from .geodesics import energy
+from .record import KnownProblem, known
+
+PLANE = SE(2)
+POSE = {"g": "pose, body to plane: heading and position, unit of length"}
+
+
+def planar(x: float, y: float, heading: float) -> np.ndarray:
+    """A pose in the plane."""
+    c, s = np.cos(heading), np.sin(heading)
+    return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
+
+
+def steered(q: Array, u: Array) -> Array:
+    """Unit speed along the first body axis, turning at the rate ``u``."""
+    return q @ PLANE.hat(jnp.stack([u[0], 1 + 0 * u[0], 0 * u[0]]))
+
+
+@known
+def elastica() -> KnownProblem:
+    """Euler's elastica: a rod of length 2 from (0, 0) along x to (1, 1) along y."""
+    return KnownProblem(
+        name="elastica",
+        title="Euler's elastica of length 2 around a corner, SE(2)",
+        problem=OptimalControlProblem(PLANE, steered, energy, 1),
+        start=np.eye(3),
+        end=planar(1.0, 1.0, np.pi / 2),
+        horizon=2.0,
+        method=cayley(PLANE),
+        states=POSE,
+        controls={"k": "curvature"},
+        source="Yu. L. Sachkov, Maxwell strata in the Euler elastic problem, J. Dyn. Control Syst. 14, 2008, 169-234",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def rod() -> KnownProblem:
+    """Kirchhoff's rod: bending and torsion of a rod of length 2 between two clamps in space."""
+    group, stiffness = SE(3), np.array([1.0, 1.0, 0.5])
+    end = np.eye(4)
+    end[:3, :3] = Rotation.from_rotvec([0.4, np.pi / 2, 0.3]).as_matrix()
+    end[:3, 3] = [1.0, 0.3, 1.0]
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return q @ group.hat(jnp.concatenate([u, np.array([0.0, 0.0, 1.0])]))
+
+    return KnownProblem(
+        name="rod",
+        title="Kirchhoff's elastic rod of length 2 between two clamps, SE(3)",
+        problem=OptimalControlProblem(group, dynamics, lambda q, u: u @ (stiffness * u) / 2, 3),
+        start=np.eye(4),
+        end=end,
+        horizon=2.0,
+        method=cayley(group),
+        states={"g": "pose of the cross-section, body to space"},
+        controls={"k1": "curvature about body axis 1", "k2": "about body axis 2", "t": "torsion"},
+        source="J. Biggs, W. Holderbaum, V. Jurdjevic, Singularities of optimal control problems on some 6-D Lie groups, "
+        "IEEE Trans. Autom. Control 52, 2007, 1027-1038",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def dubins() -> KnownProblem:
+    """Dubins's car: turn, straight, turn."""
+    return KnownProblem(
+        name="dubins",
+        title="Dubins's car to (4, 1), turned by 180 degrees",
+        problem=OptimalControlProblem(PLANE, steered, lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
+        start=np.eye(3),
+        end=planar(4.0, 1.0, np.pi * 0.9),
+        horizon=Free(7.0, lower=1.0),
+        steps=60,
+        method=cayley(PLANE),
+        states=POSE,
+        controls={"k": "curvature"},
+        source="L. E. Dubins, On curves of minimal length with a constraint on average curvature, Amer. J. Math. 79, 1957, 497-516",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-4,
+    )
+
+
+@known
+def parking() -> KnownProblem:
+    """Parallel parking: one length sideways with a car whose front wheels steer."""
+    space = PLANE * Euclidean(1)
+
+    def dynamics(q: Any, u: Array) -> Any:
+        pose, steering = q
+        return pose @ PLANE.hat(jnp.stack([u[0] * jnp.tan(steering[0]), u[0], 0 * u[0]])), u[1:]
+
+    def path(s: np.ndarray) -> tuple[Any, Any]:
+        states = np.stack([planar(0.0, y, 0.0) for y in s]), np.zeros((len(s), 1))
+        return states, np.stack([2 * np.cos(2 * np.pi * s), 2 * np.sin(2 * np.pi * s)], axis=1)
+
+    return KnownProblem(
+        name="parking",
+        title="a car parks one length sideways with least effort, SE(2) x R",
+        problem=OptimalControlProblem(space, dynamics, energy, 2),
+        start=(np.eye(3), np.zeros(1)),
+        end=(planar(0.0, 1.0, 0.0), np.zeros(1)),
+        horizon=1.0,
+        steps=40,
+        method=cayley(space),
+        path=path,
+        states={**POSE, "s": "angle of the front wheels, rad"},
+        controls={"v": "speed of the rear axle", "r": "rate of the angle of the front wheels, rad"},
+        source="R. M. Murray, S. S. Sastry, Nonholonomic motion planning: steering using sinusoids, IEEE Trans. Autom. Control 38, "
+        "1993, 700-716",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def rolling_ball() -> KnownProblem:
+    """The plate-ball problem: a ball rolls without slipping to another place and the same attitude."""
+    space = Euclidean(2) * SO(3)
+
+    def dynamics(q: Any, u: Array) -> Any:
+        return u, hat(jnp.stack([-u[1], u[0], 0 * u[0]])) @ q[1]
+
+    def path(s: np.ndarray) -> tuple[Any, Any]:
+        states = np.outer(s, [1.0, 0.0]), np.tile(np.eye(3), (len(s), 1, 1))
+        return states, np.stack([np.cos(2 * np.pi * s), np.sin(2 * np.pi * s)], axis=1) * 4
+
+    return KnownProblem(
+        name="rolling-ball",
+        title="a ball rolls by its radius and is turned as before, R^2 x SO(3)",
+        problem=OptimalControlProblem(space, dynamics, energy, 2),
+        start=(np.zeros(2), np.eye(3)),
+        end=(np.array([1.0, 0.0]), np.eye(3)),
+        horizon=1.0,
+        steps=40,
+        method=cayley(space),
+        path=path,
+        states={"x": "centre over the radius", "R": "attitude, body to space"},
+        controls={"u": "velocity of the centre over the radius"},
+        source="V. Jurdjevic, The geometry of the plate-ball problem, Arch. Rational Mech. Anal. 124, 1993, 305-328",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+    )
+
+
+@known
+def zermelo() -> KnownProblem:
+    """Zermelo's problem in a linear current, the heading on a circle."""
+
+    def path(s: np.ndarray) -> tuple[Any, Any]:
+        angle = np.deg2rad(105 + 135 * s)
+        return np.outer(1 - s, [3.66, -1.86]), np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+    return KnownProblem(
+        name="zermelo",
+        title="Zermelo's ship in a linear current, least time",
+        problem=OptimalControlProblem(
+            Euclidean(2), lambda q, u: jnp.stack([u[0] - q[1], u[1]]), lambda q, u: 1.0, Sphere(1)
+        ),
+        start=np.array([3.66, -1.86]),
+        end=np.zeros(2),
+        horizon=Free(5.0, lower=0.1),
+        path=path,
+        states={"x": "along the current, unit h", "y": "across the current, unit h"},
+        controls={"u": "heading, unit vector"},
+        time="h/V",
+        cost="h/V",
+        source="A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, section 2.7, problem 1",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        error=1e-7,
+    )
+
+
+@known
+def zermelo_sphere() -> KnownProblem:
+    """Zermelo's problem on the sphere in a wind that turns about the poles: a great circle in the air that moves along."""
+    sphere, wind = Sphere(2), 0.5
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return sphere.projection(q, u) + wind * jnp.stack([-q[1], q[0], 0 * q[0]])
+
+    return KnownProblem(
+        name="zermelo-sphere",
+        title="least time on the sphere at unit airspeed, in a wind that turns about the poles",
+        problem=OptimalControlProblem(
+            sphere, dynamics, lambda q, u: 1 + (q @ u) ** 2 / 2, 3, constraints={"airspeed": lambda q, u: u @ u - 1}
+        ),
+        start=np.array([1.0, 0.0, 0.0]),
+        end=np.array([0.0, 0.6, 0.8]),
+        horizon=Free(1.5, lower=0.1),
+        states={"q": "position"},
+        controls={"u": "velocity in the air; its normal part does nothing and costs"},
+        source="E. Zermelo, Uber das Navigationsproblem bei ruhender oder veranderlicher Windverteilung, ZAMM 11, 1931, 114-124; "
+        "D. Bao, C. Robles, Z. Shen, Zermelo navigation on Riemannian manifolds, J. Differential Geom. 66, 2004, 377-435",
+        optimum=float("nan"),
+        digits=0,
+        origin="",
+        formula="T = arccos <q0, exp(-w T E3) q1>",
+        error=1e-6,
+    )
+
+
+@known
+def sphere_obstacle() -> KnownProblem:
+    """Around a cap of the sphere: great circles that touch it, joined by a part of its edge."""
+    sphere, angle, radius = Sphere(2), 2.0, 0.5
+    centre = np.array([0.0, np.sin(0.1), np.cos(0.1)])
+    start, end = (np.array([np.sin(a), 0.0, np.cos(a)]) for a in (-angle / 2, angle / 2))
+
+    def length() -> float:
+        away = np.arccos(start @ centre)
+        tangent = np.arccos(np.cos(away) / np.cos(radius))
+        seen = np.arccos(np.tan(radius) / np.tan(away))
+        east, north = np.cross(centre, start), start - (start @ centre) * centre
+        across = np.arccos((end - (end @ centre) * centre) @ north / (np.linalg.norm(east) * np.linalg.norm(north)))
+        return float(2 * tangent + np.sin(radius) * (across - 2 * seen))
+
+    return KnownProblem(
+        name="sphere-obstacle",
+        title="around a cap of radius 0.5 on the sphere",
+        problem=OptimalControlProblem(
+            sphere,
+            lambda q, u: sphere.projection(q, u),
+            energy,
+            3,
+            constraints={"cap": lambda q, u: q @ centre - np.cos(radius)},
+        ),
+        start=start,
+        end=end,
+        horizon=1.0,
+        steps=60,
+        states={"q": "point of S^2"},
+        controls={"u": "velocity, its normal part costs and does nothing"},
+        source="R. Bonalli, A. Bylard, A. Cauligi, T. Lew, M. Pavone, Trajectory optimization on manifolds: a theoretically-guaranteed "
+        "embedded sequential convex programming approach, RSS 2019",
+        optimum=length() ** 2 / 2,
+        digits=12,
+        origin="closed form",
+        formula="L^2 / (2 T), L the length of two tangents and the arc between",
+        error=1e-5,
+    )
