@@ -244,25 +244,44 @@ class Conditions:
 
     def lowered(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
-    ) -> tuple[Iterate, Residuals, np.ndarray]:
-        """The iterate with a lower barrier, or a higher price of excesses, where its problem is solved; and where that is."""
+    ) -> tuple[Iterate, np.ndarray, np.ndarray]:
+        """The iterate with a lower barrier where its problem is solved; where that is; and where excesses are too cheap.
+
+        There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
+        """
         slacks, rate, held = iterate.slacks, self._rate, assembled.blocks.held
+        none = np.zeros(len(rate), bool)
         if slacks is None or held is None:
-            return iterate, residuals, np.zeros(len(rate), bool)
-        last, asked = bounds.LAST * tolerance, held.weights > 0
-        off, changed, cheap = residuals.centring, np.zeros(len(rate), bool), np.zeros(len(rate), bool)
+            return iterate, none, none
+        last, asked, begun, off = bounds.LAST * tolerance, held.weights > 0, slacks.barrier, residuals.centring
+        cheap = bounds.is_cheap(slacks, rate[:, None, None, None] / self._units_of_limits)
+        cheap &= self._is_solved(residuals, off, slacks.barrier / rate)
         while True:
-            error = np.maximum(np.maximum(residuals.gap, residuals.stationarity), np.maximum(residuals.violation, off))
             barrier = slacks.barrier / rate
-            solved = (error <= bounds.SOLVED * barrier) & (barrier > last) & ~cheap
+            solved = self._is_solved(residuals, off, barrier) & (barrier > last) & ~cheap
             if not np.any(solved):
                 break
-            slacks, raised = bounds.dearer(held, slacks, solved, rate[:, None, None, None] / self._units_of_limits)
-            cheap, changed = cheap | raised, changed | solved
             less = np.maximum(last, np.minimum(bounds.LESS * barrier, barrier**bounds.FASTER))
-            slacks = slacks._replace(barrier=np.where(solved & ~raised, less, barrier) * rate)
+            slacks = slacks._replace(barrier=np.where(solved, less, barrier) * rate)
             off = bounds.products(slacks, asked)[1] / rate
-        return iterate._replace(slacks=slacks), residuals._replace(centring=off), changed
+        changed = slacks.barrier != begun
+        iterate = iterate._replace(slacks=slacks)
+        return (self._scaled(iterate, np.where(cheap, bounds.DEARER, 1.0)) if np.any(cheap) else iterate), changed, cheap
+
+    def _is_solved(self, residuals: Residuals, off: np.ndarray, barrier: np.ndarray) -> np.ndarray:
+        """Whether the problem with a barrier is solved to a few times that."""
+        error = np.maximum(np.maximum(residuals.gap, residuals.stationarity), np.maximum(residuals.violation, off))
+        return error <= bounds.SOLVED * barrier
+
+    def _scaled(self, iterate: Iterate, factor: np.ndarray) -> Iterate:
+        """The iterate of a problem whose cost counts less: all multipliers, prices and barriers times factors."""
+        slacks, times = iterate.slacks, factor[:, None, None, None]
+        scaled = times * slacks.multipliers, slacks.excess, times * slacks.price, factor * slacks.barrier
+        slacks = Slacks(slacks.slacks, *scaled)
+        unknowns = iterate.unknowns
+        if hasattr(unknowns, "costates"):
+            unknowns = unknowns._replace(costates=times * unknowns.costates)
+        return Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks)
 
     def softened(self, iterate: Iterate, assembled: Assembled, where: np.ndarray) -> Iterate:
         """The iterate with all inequalities elastic in some members."""

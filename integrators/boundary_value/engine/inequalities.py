@@ -20,7 +20,7 @@ INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is 
 FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
 LAST = 0.1  # of the tolerance: the last barrier, relative
-PRICE, DEARER, DEAREST = 1e2, 10.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
+PRICE, DEARER, DEAREST = 100, 10, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
 SHARE = 1e-2  # of the price, the first barrier of elastic inequalities: then their excesses are central
 
@@ -97,18 +97,11 @@ def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
     return Slacks(slacks, nu, excess, np.where(asked & elastic, price, np.inf), barrier)
 
 
-def dearer(held: Held, slacks: Slacks, where: np.ndarray, unit: np.ndarray) -> tuple[Slacks, np.ndarray]:
-    """Slacks with a higher price of the excesses whose multipliers come near to it, in some members; and in which.
-
-    ``unit``: of the prices.
-    """
+def is_cheap(slacks: Slacks, unit: np.ndarray) -> np.ndarray:
+    """Whether multipliers come near to the price of an excess, shape (B,). ``unit``: of the prices."""
     price = np.where(slacks.elastic, slacks.price, 1.0)
-    low = where[:, None, None, None] & slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * unit)
-    if not np.any(low):
-        return slacks, np.zeros(len(where), bool)
-    fresh = central(held, slacks.barrier, np.where(low, DEARER * price, slacks.price))
-    kept = [np.where(low, a, b) for a, b in zip(fresh[:4], slacks[:4], strict=True)]
-    return Slacks(*kept, slacks.barrier), np.any(low, axis=(1, 2, 3))
+    low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * unit)
+    return np.any(low, axis=(1, 2, 3))
 
 
 def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -> tuple[np.ndarray, np.ndarray]:

@@ -178,15 +178,18 @@ class _Search:
 
         What was reached counts no more there.
         """
-        iterate, residuals, changed = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
+        iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= SLOW)
         stuck &= conditions.is_hard(iterate, state.assembled)
         if np.any(stuck):
-            iterate, changed = conditions.softened(iterate, state.assembled, stuck), changed | stuck
+            iterate = conditions.softened(iterate, state.assembled, stuck)
             state = state._replace(shift=np.where(stuck, 0.0, state.shift))
-            residuals = conditions.residuals(iterate, state.assembled)
+        if np.any(stuck | cheap):
+            state = state._replace(assembled=conditions.assemble(iterate))
+        changed = changed | stuck | cheap
         if not np.any(changed):
             return state, changed
+        residuals = conditions.residuals(iterate, state.assembled)
         funnel = np.maximum(conditions.infeasibility(iterate, state.assembled), 1.0)
         state = state._replace(
             iterate=iterate,
@@ -237,7 +240,8 @@ class _Search:
         """
         conditions = conditions or self.conditions
         step, curvature, size = conditions.eliminate(iterate, assembled, shift)
-        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX))
+        loose = np.full(len(shift), iterate.slacks is None)
+        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
         while True:
             going = ~(descends | keep) & (shift < LARGEST_SHIFT)
             if not np.any(going):
@@ -247,7 +251,7 @@ class _Search:
             part = conditions if len(places) == len(going) else conditions.of(places)
             again, curvature, size = part.eliminate(*taken((iterate, assembled), places), shift[places])
             step = put(step, places, again)
-            convex = again.convex | (shift[places] >= CONVEX)
+            convex = again.convex | (shift[places] >= CONVEX) | loose[places]
             descends[places] = (curvature >= CURVATURE * size) & convex
 
     def settled(self, state: _State, arrived: np.ndarray, conditions: Conditions | None = None) -> _State:
