@@ -20,7 +20,7 @@ INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is 
 FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
 LAST = 0.1  # of the tolerance: the last barrier, relative
-PRICE, DEARER, DEAREST = 100, 10, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
+PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
 SHARE = 1e-2  # of the price, the first barrier of elastic inequalities: then their excesses are central
 
