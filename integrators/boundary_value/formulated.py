@@ -13,7 +13,7 @@ from ..problem import OptimalControlProblem
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
-from .members import Member, members_of
+from .members import Asked, MemberReader, Members
 from .resampling import Mesh
 from .sensitivity import Sensitivity
 from .solution import Solution, Solutions
@@ -32,6 +32,7 @@ class Formulated:
 
     def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, make: Callable[[Formulation], Any]) -> None:
         self.problem, self.method, self.mesh, self._make = problem, method, mesh, make
+        self._reader = MemberReader(problem, mesh)
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
@@ -50,22 +51,20 @@ class Formulated:
         start, end, horizon, guess, parameters = given
         if is_free(horizon):
             checked_horizon(horizon)
-        member = Member.checked(self.problem, self.mesh, (start, end, guessed(horizon), guess, _guesses(parameters)))
-        member.conditions(self.problem)
+        members = self._reader.one(Asked(start, end, guessed(horizon), guess, _guesses(parameters)))
         formulation, solver = self.of(horizon, parameters)
         constants = formulation.guesses(horizon, parameters)
-        ends = formulation.start(start, constants), formulation.end(end, np.array([member.horizon]))
-        given_guess = self._guess(formulation, member, constants)
+        ends = formulation.start(start, constants), formulation.end(end, members.horizons)
+        given_guess = self._guess(formulation, members, 0, constants)
         own = formulation.parameters(horizon, parameters)
-        found = solver.solve(*ends, member.horizon, given_guess, own, throw=False, **options)
+        found = solver.solve(*ends, float(members.horizons[0]), given_guess, own, throw=False, **options)
         solution = self._kept(formulation, solver, found, parameters)
         return solution.require_success() if throw else solution
 
     def solve_many(self, given: Given, **options: Any) -> Solutions:
         """The extremals of a batch."""
         starts, ends, horizons, guesses, parameters = given
-        plain = starts, ends, guessed(horizons), guesses, _guesses(parameters)
-        members = list(members_of(self.problem, self.mesh, *plain))
+        members = self._reader.many(Asked(starts, ends, guessed(horizons), guesses, _guesses(parameters)))
         asked = [(_member(horizons, k), _member(parameters, k)) for k in range(len(members))]
         for horizon, _ in asked:
             if is_free(horizon):
@@ -74,13 +73,13 @@ class Formulated:
             raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
         formulation, solver = self.of(*asked[0])
         constants = np.stack([formulation.guesses(*each) for each in asked])
-        times = np.array([[member.horizon] for member in members])
+        times = members.horizons[:, None]
         own = [formulation.parameters(*each) for each in asked]
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *own) if formulation.takes else None
-        own_guesses = [self._guess(formulation, member, c) for member, c in zip(members, constants, strict=True)]
+        own_guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
         between = formulation.start(starts, constants), formulation.end(ends, times)
-        found = solver.solve_many(*between, times[:, 0], own_guesses if members[0].guess else None, stacked, **options)
-        return Solutions([self._kept(formulation, solver, one, each[1]) for one, each in zip(found, asked, strict=True)])
+        found = solver.solve_many(*between, times[:, 0], None if members.guess is None else own_guesses, stacked, **options)
+        return Solutions.of([self._kept(formulation, solver, one, each[1]) for one, each in zip(found, asked, strict=True)])
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
         """Derivatives of a solution that was found here; None for any other."""
@@ -89,10 +88,9 @@ class Formulated:
         formulation, solver, found = self._found[solution]
         return formulation.sensitivity(solver.sensitivity(found))
 
-    def _guess(self, formulation: Formulation, member: Member, constants: np.ndarray) -> Guess | None:
-        if member.guess is None:
-            return None
-        return formulation.guess(member.guess, constants, self.mesh.times(member.horizon))
+    def _guess(self, formulation: Formulation, members: Members, k: int, constants: np.ndarray) -> Guess | None:
+        guess = members.guess_of(k)
+        return None if guess is None else formulation.guess(guess, constants, self.mesh.times(float(members.horizons[k])))
 
     def _kept(self, formulation: Formulation, solver: Any, found: Solution, parameters: Any) -> Solution:
         solution = formulation.solution(found, parameters, self.mesh.interpolant)

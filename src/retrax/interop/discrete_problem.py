@@ -14,7 +14,7 @@ import numpy as np
 from ..integrators import Guess, OptimalControlProblem, default_guess
 from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
 from ..integrators.boundary_value.end_points import NodeCondition, boundary_conditions, require_ends_on
-from ..integrators.boundary_value.guess import checked_guess
+from ..integrators.boundary_value.given_guess import checked_guess
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -78,7 +78,7 @@ def posed(
     require_ends_on(problem.manifold, *ends)
     if guess is None:
         guess = default_guess(problem, method, *ends, steps)
-    conditions = boundary_conditions(problem.manifold, *ends, True)
+    conditions = boundary_conditions(problem.manifold, *ends)
     return _discrete(Transcription(bound, method), conditions, float(horizon) * fractions, guess)
 
 
