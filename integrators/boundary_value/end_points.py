@@ -1,6 +1,6 @@
 """The ends of trajectories: points that are prescribed, free, or prescribed in some factors of a product."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
@@ -48,11 +48,6 @@ class NodeCondition(eqx.Module):
         """Which arrays of the point are prescribed."""
         return tuple(part.fixed for part in self.parts for _ in range(part.leaves))
 
-    @property
-    def fixed_coordinates(self) -> tuple[bool, ...]:
-        """Which coordinates in the basis of the tangent space are prescribed."""
-        return tuple(part.fixed for part in self.parts for _ in range(part.dimension))
-
     def node(self, reached: Ambient) -> Ambient:
         """The node: prescribed where fixed, the reached end of the stage where free."""
         wanted, structure = jax.tree.flatten(self.point)
@@ -61,25 +56,38 @@ class NodeCondition(eqx.Module):
 
     def mask(self) -> Array:
         """1 for every fixed coordinate, 0 for every free one."""
-        return jnp.asarray(self.fixed_coordinates, float)
+        return jnp.asarray(_of_parts([part.fixed for part in self.parts], self.parts, "dimension"), float)
 
 
 class Prescribed(NamedTuple):
     """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else 0.
 
-    ``guessed``: the entries of parts that are free with a guess.
+    ``known``: which entries are prescribed, or free and guessed.
     """
 
     parts: tuple[Part, ...]
     entries: np.ndarray
     coordinates: np.ndarray
-    guessed: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, parts: tuple[Part, ...], known: Sequence[bool]) -> "Prescribed":
+        """What these parts prescribe, of which some are known."""
+        fixed = [part.fixed for part in parts]
+        coordinates = _of_parts(fixed, parts, "dimension").astype(float)
+        return cls(parts, _of_parts(fixed, parts, "entries"), coordinates, _of_parts(known, parts, "entries"))
+
+
+def _of_parts(marks: Sequence[bool], parts: tuple[Part, ...], what: str) -> np.ndarray:
+    """The mark of each part for all of its entries or coordinates."""
+    return np.repeat(marks, [getattr(part, what) for part in parts])
 
 
 class EndPoints(NamedTuple):
     """Ends of trajectories as flat points, shape (B, E), or (1, E) for all, and what is prescribed of each.
 
-    What is free at one end is as at the other, or as guessed; entries that are free at both without a guess are ``unknown``.
+    What is free at one end is as at the other where that is prescribed, else as it is guessed with ``Free``; the entries of
+    which neither end says anything are ``unknown``.
     """
 
     start: np.ndarray
@@ -91,10 +99,15 @@ class EndPoints(NamedTuple):
         """The ends with entries of these flat points where they are unknown."""
         return self._replace(start=np.where(self.unknown, first, self.start), end=np.where(self.unknown, last, self.end))
 
+    def require_known(self, start: Any) -> None:
+        """Raise if a factor is free at both ends, so that there is nothing to guess it from; ``start`` is as it was given."""
+        if np.any(self.unknown):
+            raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
+
 
 @final
 class EndReader:
-    """Reads points of a manifold in which ``None`` marks what is free, or batches of them."""
+    """Reads points of a manifold in which ``None`` or a ``Free`` guess marks what is free, or batches of them."""
 
     def __init__(self, manifold: Manifold) -> None:
         self.manifold, self.layout, self.dimension = manifold, Layout.of(manifold), manifold.dimension
@@ -109,10 +122,17 @@ class EndReader:
     def ends(self, start: Any, end: Any, batched: bool) -> EndPoints:
         """Both ends. Raises ``NotOnManifoldError`` for a part of another structure than a point, with entries not finite."""
         (first, start_rows), (last, end_rows) = (self._read(*at, batched) for at in ((start, "start"), (end, "end")))
-        own = first.entries | (first.guessed & ~last.entries), last.entries | (last.guessed & ~first.entries)
-        known = first.entries | first.guessed, last.entries | last.guessed
+        own = first.entries | (first.known & ~last.entries), last.entries | (last.known & ~first.entries)
         rows = np.where(own[0], start_rows, end_rows), np.where(own[1], end_rows, start_rows)
-        return EndPoints(*rows, (first, last), ~(known[0] | known[1]))
+        return EndPoints(*rows, (first, last), ~(first.known | last.known))
+
+    def point(self, given: Any) -> np.ndarray:
+        """A flat point, nothing of which is free. Raises ``NotOnManifoldError`` for what is none."""
+        ends = self.ends(given, None, batched=False)
+        if not np.all(ends.prescribed[0].entries):
+            raise NotOnManifoldError(f"start: a part of {given!r:.80} is free, expected a point of {self.manifold}")
+        self.require_on_manifold(given, None)
+        return ends.start[0]
 
     def lengths(self, given: Any) -> list[tuple[int, ...]]:
         """Lengths of the leading axes that points have in addition."""
@@ -120,8 +140,7 @@ class EndReader:
             return []
         if self._is_split(given):
             return [length for factor, part in zip(self.factors, given, strict=True) for length in factor.lengths(part)]
-        given = guessed(given)
-        return [np.shape(jax.tree.leaves(given)[0])[:1]] if self._is_batch(given) else []
+        return [np.shape(jax.tree.leaves(guessed(given))[0])[:1]] if self._is_batch(guessed(given)) else []
 
     def member(self, given: Any, k: int) -> Any:
         """Member ``k`` of what may be a batch of points."""
@@ -136,7 +155,7 @@ class EndReader:
     def require_on_manifold(self, start: Any, end: Any) -> None:
         """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
         parts = [given for name, at in (("start", start), ("end", end)) for given in self._parts(at, name)]
-        _require_membership([(name, reader.manifold, x) for name, reader, x in parts if not (x is None or is_free(x))])
+        _require_membership([(name, reader.manifold, point) for name, reader, point in parts if _is_prescribed(point)])
 
     def condition(self, row: np.ndarray, parts: tuple[Part, ...]) -> NodeCondition:
         """The condition on a node from a flat point."""
@@ -151,7 +170,7 @@ class EndReader:
         return [np.ndim(leaf) for leaf in jax.tree.leaves(given)] == [len(shape) + 1 for shape in self.layout.shapes]
 
     def _parts(self, given: Any, name: str) -> Iterator[tuple[str, "EndReader", Any]]:
-        """Names of the parts of a point, readers of them, and what is given, None where it is free."""
+        """Names of the parts of a point, readers of them, and what is given, None or a guess where it is free."""
         if self._is_split(given):
             for i, (factor, part) in enumerate(zip(self.factors, given, strict=True)):
                 yield from factor._parts(part, f"{name}, factor {i}")
@@ -159,21 +178,22 @@ class EndReader:
             yield name, self, given
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
-        """What is prescribed of an end, and its flat points, with zeros where it is free."""
+        """What is prescribed of an end, and its flat points, with zeros where nothing is known."""
         found = list(self._parts(given, name))
-        rows = [reader._rows(point, title, batched) for title, reader, point in found]
-        key = tuple((title, not (point is None or is_free(point)), is_free(point)) for title, _, point in found)
+        rows = [reader._rows(guessed(point), title, batched) for title, reader, point in found]
+        key = tuple((title, _is_prescribed(point), point is not None) for title, _, point in found)
         if key not in self._prescribed:
-            self._prescribed[key] = _prescribed(key, [reader for _, reader, _ in found])
+            own = ((len(reader.layout.shapes), reader.layout.size, reader.dimension) for _, reader, _ in found)
+            parts = tuple(Part(*of[:2], *counts) for of, counts in zip(key, own, strict=True))
+            self._prescribed[key] = Prescribed.of(parts, [known for _, _, known in key])
         count = max(map(len, rows))
         rows = rows if count == 1 else [np.broadcast_to(part, (count, part.shape[1])) for part in rows]
         return self._prescribed[key], np.concatenate(rows, axis=1)
 
     def _rows(self, given: Any, name: str, batched: bool) -> np.ndarray:
-        """Flat points of what is given for a part, after a check of its structure; zeros if it is free."""
+        """Flat points of what is given for a part, after a check of its structure; zeros for None."""
         if given is None:
             return np.zeros((1, self.layout.size))
-        given = guessed(given)
         axes = int(batched and self._is_batch(given))
         if not self.layout.holds(given, axes):
             hint = "; give one entry for each factor, None where it is free" if self.factors else ""
@@ -185,38 +205,8 @@ class EndReader:
         return rows if axes else rows[None]
 
 
-def require_ends_on(manifold: Manifold, start: Any, end: Any) -> None:
-    """Raise ``NotOnManifoldError`` if a prescribed part of an end is none of its manifold's points."""
-    reader = EndReader(manifold)
-    reader.ends(start, end, batched=False)
-    reader.require_on_manifold(start, end)
-
-
-def boundary_conditions(manifold: Manifold, start: Any, end: Any) -> tuple[NodeCondition, NodeCondition]:
-    """Conditions at both ends of one trajectory, at rest where they are unknown."""
-    reader = EndReader(manifold)
-    ends = reader.ends(start, end, batched=False)
-    if np.any(ends.unknown):
-        ends = ends.completed(reader.at_rest, reader.at_rest)
-    first, last = ends.prescribed
-    return reader.condition(ends.start[0], first.parts), reader.condition(ends.end[0], last.parts)
-
-
-def require_known(ends: EndPoints, start: Any) -> None:
-    """Raise if a factor is free at both ends, so that there is nothing to guess it from."""
-    if np.any(ends.unknown):
-        raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
-
-
-def _prescribed(key: tuple[tuple[str, bool, bool], ...], readers: list[EndReader]) -> Prescribed:
-    """What is prescribed where parts have names, and are fixed, or guessed, or neither."""
-    named = zip(key, readers, strict=True)
-    parts = [Part(name, fixed, len(r.layout.shapes), r.layout.size, r.dimension) for (name, fixed, _), r in named]
-    fixed, sizes = [part.fixed for part in parts], [part.entries for part in parts]
-    coordinates = np.repeat(fixed, [part.dimension for part in parts]).astype(float)
-    return Prescribed(
-        tuple(parts), np.repeat(fixed, sizes), coordinates, np.repeat([is_guessed for *_, is_guessed in key], sizes)
-    )
+def _is_prescribed(given: Any) -> bool:
+    return not (given is None or is_free(given))
 
 
 def _require_membership(parts: list[tuple[str, Manifold, Ambient]]) -> None:

@@ -15,26 +15,26 @@ from .guess import Guess, check_arrays
 
 
 class FlatGuess(NamedTuple):
-    """States and controls at the stages, shape (B, N s, ...), and costates at the nodes, (B, N + 1, E); B = 1 for all members.
+    """The parts of guesses, each of shape (B, ...) with the stages or nodes along the second axis; B = 1 for all members.
 
-    ``nodes`` and ``stage_costates``, if all guesses have them: states at the nodes, and costates at the stages.
+    The last two are None where they are not known of every guess.
     """
 
     states: np.ndarray
     controls: np.ndarray
     costates: np.ndarray
-    nodes: np.ndarray | None = None
-    stage_costates: np.ndarray | None = None
+    nodes: np.ndarray | None
+    stage_costates: np.ndarray | None
 
-    @property
-    def on_manifold(self) -> dict[str, np.ndarray]:
-        """The parts that are points of the state manifold."""
-        return {"states": self.states} | ({} if self.nodes is None else {"nodes": self.nodes})
+    def states_to_check(self, size: int) -> np.ndarray:
+        """All states, at stages and nodes, in a row."""
+        return np.concatenate([rows.reshape(-1, size) for rows in (self.states, self.nodes) if rows is not None])
 
 
-class _Kind(NamedTuple):
-    """Of what manifold a part of a guess has points or vectors, and how many."""
+class _Part(NamedTuple):
+    """A part of a guess: points or covectors of a manifold, so many of them."""
 
+    name: str
     manifold: Manifold
     length: int
     layout: Layout
@@ -45,15 +45,15 @@ class GuessReader:
     """Reads guesses with some steps and stages in each."""
 
     def __init__(self, problem: OptimalControlProblem, steps: int, stages: int) -> None:
-        manifold, count = problem.manifold, steps * stages
-        state, control = Layout.of(manifold), Layout.of(problem.controls)
-        along_stages, along_nodes = _Kind(manifold, count, state), _Kind(manifold, steps + 1, state)
-        controls = _Kind(problem.controls, count, control)
-        self._kinds = dict(zip(Guess._fields, (along_stages, controls, along_nodes, along_nodes, along_stages), strict=True))
+        own = (problem.manifold, Layout.of(problem.manifold)), (problem.controls, Layout.of(problem.controls))
+        at_stages, at_nodes = steps * stages, steps + 1
+        places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
+        self._parts = [
+            _Part(name, own[of][0], length, own[of][1]) for name, (of, length) in zip(Guess._fields, places, strict=True)
+        ]
 
     def flat(self, guesses: Sequence[Any]) -> FlatGuess:
         """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""
-        rows: dict[str, list[np.ndarray]] = {name: [] for name in self._kinds}
         for guess in guesses:
             if not isinstance(guess, Guess):
                 raise InvalidInputError(f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)")
@@ -61,47 +61,52 @@ class GuessReader:
                 raise InvalidInputError(
                     "guess: nodes and stage_costates come together, and one of them is None; give both or neither"
                 )
-            names = [name for name in self._kinds if guess.nodes is not None or name not in ("nodes", "stage_costates")]
-            for name in names:
-                rows[name].append(self._rows(name, getattr(guess, name)))
-        complete = (np.stack(found) if len(found) == len(guesses) else None for found in rows.values())
-        return FlatGuess(*complete)  # pyright: ignore[reportArgumentType]  # only the last two can be None
+        columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
+        stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
+        return FlatGuess(*stacked)
+
+    def one(self, guess: Any) -> Guess:
+        """A guess as arrays with its costates filled in; raises where something is wrong."""
+        flat = self.flat([guess])
+        self.require_on_manifold(flat, np.full(len(flat.states_to_check(self._parts[0].layout.size)), np.inf))
+        return self.guess(flat, 0)
 
     def guess(self, flat: FlatGuess, k: int) -> Guess:
         """The guess of a member, in arrays like a point's."""
-
-        def part(name: str, rows: np.ndarray | None) -> Any:
-            if rows is None:
-                return None
-            kind = self._kinds[name]
-            points = kind.layout.points(rows[min(k, len(rows) - 1)])
-            return jax.tree.map(lambda like, leaf: np.asarray(leaf, like.dtype), kind.manifold.ambient, points)
-
-        return Guess(*(part(name, rows) for name, rows in zip(self._kinds, flat, strict=True)))
+        return Guess(*(_points(rows, k, part) for rows, part in zip(flat, self._parts, strict=True)))
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
-        """Raise if a violation of the manifold's equations is large, of one of the points ``on_manifold`` one after the other."""
-        if np.all(violations <= default_tolerance()):
-            return
-        manifold, _, layout = self._kinds["states"]
-        for what, rows in flat.on_manifold.items():
-            for name, value in at_each(manifold.violations, layout.points(rows.reshape(-1, layout.size))).items():
-                if not np.max(value) <= default_tolerance():
-                    worst = f"{name} reaches {np.max(value):.3g}"
-                    raise InvalidInputError(f"guess: {what} are not on {manifold}: {worst}, expected 0")
-
-    def _rows(self, name: str, given: Any) -> np.ndarray:
-        manifold, length, layout = self._kinds[name]
-        if given is None and name == "costates":
-            return np.zeros((length, layout.size))
-        if not (layout.holds(given, 1) and len(jax.tree.leaves(given)[0]) == length):
-            check_arrays(name, given, manifold, length)
-        return layout.rows(given, 1)
+        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it has."""
+        begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
+        for name in ("states", "nodes"):
+            rows = getattr(flat, name)
+            if rows is None:
+                continue
+            points = rows.reshape(-1, size)
+            far = ~(violations[begin : begin + len(points)] <= default_tolerance())
+            begin += len(points)
+            if np.any(far):
+                found = at_each(manifold.violations, self._parts[0].layout.points(points[far]))
+                for equation, values in found.items():
+                    if not np.max(values) <= default_tolerance():
+                        worst = f"{equation} reaches {np.max(values):.3g}"
+                        raise InvalidInputError(f"guess: {name} are not on {manifold}: {worst}, expected 0")
 
 
-def checked_guess(problem: OptimalControlProblem, guess: Any, steps: int, stages: int) -> Guess:
-    """A guess as arrays with its costates filled in; raises where something is wrong."""
-    reader = GuessReader(problem, steps, stages)
-    flat = reader.flat([guess])
-    reader.require_on_manifold(flat, np.full(1, np.inf))
-    return reader.guess(flat, 0)
+def _rows(given: Any, part: _Part) -> np.ndarray | None:
+    """Flat arrays of a part, checked; None of what is not known."""
+    if given is None and part.name == "costates":
+        return np.zeros((part.length, part.layout.size))
+    if given is None and part.name in ("nodes", "stage_costates"):
+        return None
+    if not (part.layout.holds(given, 1) and len(jax.tree.leaves(given)[0]) == part.length):
+        check_arrays(part.name, given, part.manifold, part.length)
+    return part.layout.rows(given, 1)
+
+
+def _points(rows: np.ndarray | None, k: int, part: _Part) -> Any:
+    """The part of member ``k`` in arrays like a point's."""
+    if rows is None:
+        return None
+    made = part.layout.points(rows[min(k, len(rows) - 1)])
+    return jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), part.manifold.ambient, made)

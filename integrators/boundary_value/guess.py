@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ...manifolds import DomainError, InvalidInputError, Manifold
+from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 from .arguments import Method, check_problem, fractions_of
-from .end_points import EndReader, require_ends_on, require_known
+from .end_points import EndReader
 from .engine.layout import Layout
 from .engine.rollout import RollOut
 from .engine.start import Start
@@ -68,12 +68,11 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    layout, fractions = Layout.of(problem.manifold), fractions_of(steps)
-    ends = EndReader(problem.manifold).ends(start, end, batched=False)
-    require_known(ends, start)
+    fractions, ends = fractions_of(steps), EndReader(problem.manifold).ends(start, end, batched=False)
+    ends.require_known(start)
     places = stage_places(method, fractions)
-    states = layout.points(Start(problem.manifold, method.retraction).states(ends.start, ends.end, places)[0])
-    return Guess(states, _rest(problem, len(places)), _zero(problem, len(fractions)))
+    states = Start(problem.manifold, method.retraction).states(ends.start, ends.end, places)[0]
+    return Guess(Layout.of(problem.manifold).points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
 
 
 def through(problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any) -> Guess:
@@ -82,10 +81,9 @@ def through(problem: OptimalControlProblem, method: Method, points: Sequence[Amb
     given, fractions, layout = list(points), fractions_of(steps), Layout.of(problem.manifold)
     if len(given) < 2:
         raise InvalidInputError(f"a guess goes through at least two points, got {len(given)}; give the start, the end and more")
-    for point in given:
-        require_ends_on(problem.manifold, point, None)
+    rows = np.stack([*map(EndReader(problem.manifold).point, given)])
     passed = _shares(times, len(given))
-    places, rows = stage_places(method, fractions), np.stack([layout.rows(jax.tree.map(np.asarray, x), 0) for x in given])
+    places = stage_places(method, fractions)
     own = np.clip(np.searchsorted(passed, places, side="right") - 1, 0, len(given) - 2)
     start, states = Start(problem.manifold, method.retraction), np.empty((len(places), layout.size))
     for k in np.unique(own):
@@ -116,7 +114,7 @@ def rolled_out(
     check_problem(problem, method)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
-    require_ends_on(problem.manifold, start, None)
+    begin = EndReader(problem.manifold).point(start)
     fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
     places = stage_places(method, fractions)
     if callable(controls):
@@ -126,7 +124,6 @@ def rolled_out(
     weights = np.array(method.weights) if isinstance(method, Gauss) else np.ones(1)
     ended = np.cumsum((fractions[:, None] * weights).ravel())
     before, after = places - np.concatenate([[0.0], ended[:-1]]), ended - places
-    begin = layout.rows(jax.tree.map(np.asarray, start), 0)
     rows = control.rows(controls, 1)
     states = RollOut(problem, method.retraction).states(begin, rows, horizon * before, horizon * after)
     if not np.all(np.isfinite(states)):
@@ -153,7 +150,7 @@ def _zero(problem: OptimalControlProblem, steps: int) -> Any:
     return jax.tree.map(lambda s: np.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
 
 
-def check_arrays(name: str, given: Any, manifold: Manifold, length: int) -> None:
+def check_arrays(name: str, given: Any, manifold: Any, length: int) -> None:
     """Raise unless these are points of a manifold, or vectors there, as many as ``length``, in finite numbers."""
     shapes_ = jax.tree.map(lambda s: (length, *s.shape), manifold.ambient)
     got = jax.tree.map(np.shape, given)

@@ -6,15 +6,20 @@ from numbers import Number
 from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
+from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import is_finite_number
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
-from .arguments import check_parameters, structure_of
-from .end_points import EndPoints, EndReader, NodeCondition, require_known
+from .arguments import check_parameters, copied, structure_of
+from .end_points import EndPoints, EndReader, NodeCondition
+from .engine.evaluator import Evaluator
 from .engine.layout import Layout, parameter_layout
+from .engine.transcription import at_points
 from .given_guess import FlatGuess, GuessReader
 from .guess import Guess
 from .resampling import Mesh, resampled
@@ -36,7 +41,7 @@ class Asked(NamedTuple):
 class Members:
     """What the B trajectories of a batch are asked for; of ``solve`` there is one.
 
-    ``ends``: where they are free on both sides, those of the guess, or anything. ``structure`` is that of the parameters of one
+    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters of one
     member, which are ``rows`` of shape (B, P).
     """
 
@@ -57,10 +62,10 @@ class Members:
         given = self.asked.parameters
         return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if self.axes else given
 
-    @property
-    def stacked_parameters(self) -> Any:
-        """The parameters of all, along a leading axis, as arrays of their own."""
-        return jax.tree.map(lambda leaf: np.array(leaf) if self.axes else np.array(leaf)[None], self.asked.parameters)
+    def parameters(self) -> Any:
+        """The parameters as arrays of their own, with the members along the leading axis."""
+        given = copied(self.asked.parameters)
+        return given if self.axes else jax.tree.map(lambda leaf: leaf[None], given)
 
     def problem_of(self, k: int) -> OptimalControlProblem:
         """The problem with the parameters of a member."""
@@ -76,23 +81,28 @@ class Members:
         first, last = ends.prescribed
         return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
 
-    def require_on_manifold(self, k: int) -> None:
-        """Raise if a prescribed part of an end of a member is off its manifold."""
-        pair = self.asked.start, self.asked.end
-        self.reader.ends.require_on_manifold(*(self.reader.ends.member(given, k) if self.axes else given for given in pair))
+    def require_on_manifold(self, violations: np.ndarray) -> None:
+        """Raise if a prescribed part of an end, or a state of a guess, is off its manifold.
 
-    def require_known_ends(self) -> None:
-        """Raise if a factor is free at both ends, so that there is nothing to guess it from."""
-        require_known(self.ends, self.asked.start)
+        ``violations``: one for each of the starts, of the ends, and of the states of the guesses.
+        """
+        count = len(self.ends.start)
+        first, last, rest = np.split(violations, [count, count + len(self.ends.end)])
+        if self.guess is not None:
+            self.reader.guesses.require_on_manifold(self.guess, rest)
+        pair, read = (self.asked.start, self.asked.end), self.reader.ends
+        for k in np.flatnonzero(~((first <= default_tolerance()) & (last <= default_tolerance()))):
+            read.require_on_manifold(*(read.member(given, int(k)) if self.axes else given for given in pair))
 
 
 @final
 class MemberReader:
-    """Reads what ``solve`` and ``solve_many`` are asked for, on a mesh."""
+    """Reads what ``solve`` and ``solve_many`` are asked for on a mesh."""
 
-    def __init__(self, problem: OptimalControlProblem, mesh: Mesh) -> None:
+    def __init__(self, problem: OptimalControlProblem, mesh: Mesh, evaluator: Evaluator) -> None:
         self.problem, self.mesh, self.ends = problem, mesh, EndReader(problem.manifold)
         self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
+        self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, Layout] = {}
 
     def one(self, asked: Asked) -> Members:
@@ -130,7 +140,15 @@ class MemberReader:
             self._parameters[structure] = parameter_layout(asked.parameters, axes)
         layout = self._parameters[structure]
         rows = np.broadcast_to(layout.rows(asked.parameters, axes), (len(horizons), layout.size))
-        return Members(self, asked, axes, ends, horizons, guess, structure, rows)
+        members = Members(self, asked, axes, ends, horizons, guess, structure, rows)
+        states = [] if guess is None else [guess.states_to_check(self.ends.layout.size)]
+        violations = at_points(self._violations, 1, np.concatenate([ends.start, ends.end, *states]))[0]
+        members.require_on_manifold(np.max(violations, axis=1))
+        return members
+
+    def _violations_of(self, q: Array) -> tuple[Array]:
+        """By how much a flat point violates each equation of the manifold."""
+        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
 
 
 def _require_horizon(horizon: Any) -> None:

@@ -1,11 +1,11 @@
 """A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their guesses."""
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ...manifolds.manifold import default_tolerance
 from ...retractions import Gauss, Midpoint
 from ..problem import OptimalControlProblem, resting_control
 from .arguments import Method, structure_of
@@ -16,6 +16,7 @@ from .engine.evaluator import Evaluator
 from .engine.layout import Layout
 from .engine.start import Start
 from .engine.transcription import Data, Known, Nodes, OneStage
+from .given_guess import FlatGuess
 from .members import Members
 
 
@@ -25,8 +26,8 @@ class Traced(NamedTuple):
     steps: OneStage | Collocation
     nodes: Nodes
     diagnosis: Diagnosis
-    example: OptimalControlProblem  # with some of these parameters
-    asked: np.ndarray | None  # at which points of a trajectory the inequalities are to hold, if there are any
+    asked: np.ndarray | None  # 1 at the points where an inequality is to hold, else 0, if there are any
+    named: Callable[[np.ndarray], dict[str, np.ndarray]]  # what belongs to the inequalities, along the last axis, by their names
 
 
 class Posed(NamedTuple):
@@ -62,26 +63,15 @@ class Posing:
             else:
                 method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
                 steps = OneStage(self.problem, method, *given[1:])
-            mask = example.inequality_mask(len(self.fractions), len(self.stages)) if example.limits.any else None
-            asked = None if mask is None else mask.astype(float)
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), example, asked)
+            shape = len(self.fractions), len(self.stages)
+            asked = example.inequality_mask(*shape).astype(float) if example.limits.any else None
+            named = partial(example.limits.by_name, sizes=example.inequality_sizes)
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), asked, named)
         return self._found[key]
 
     def of(self, members: Members) -> Traced:
         """The functions with the parameters of members."""
         return self._found[members.structure] if members.structure in self._found else self.traced(members.parameters_of(0))
-
-    def require_on_manifold(self, members: Members) -> None:
-        """Raise if a prescribed part of an end, or a state of a guess, is off its manifold."""
-        ends, guess = members.ends, members.guess
-        states = [] if guess is None else [part.reshape(-1, self.state.size) for part in guess.on_manifold.values()]
-        points = np.concatenate([ends.start, ends.end, *states])
-        violations = np.max(self.of(members).nodes.violations(points), axis=1, initial=0.0)
-        first, last, rest = np.split(violations, [len(ends.start), len(ends.start) + len(ends.end)])
-        if guess is not None:
-            members.reader.guesses.require_on_manifold(guess, rest)
-        for k in np.flatnonzero(~((first <= default_tolerance()) & (last <= default_tolerance()))):
-            members.require_on_manifold(k)
 
     def posed(self, members: Members) -> Posed:
         """The conditions and guesses of members."""
@@ -103,13 +93,15 @@ class Posing:
         count, size = len(members), self.state.size
         shape = count, len(self.fractions), len(self.stages)
         if members.guess is None:
-            members.require_known_ends()
+            members.ends.require_known(members.asked.start)
             states = self._start.states(*rows, self._places).reshape(*shape, size)
             controls = np.broadcast_to(self._resting, (*shape, self.control.size))
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
-            own: Any = [None if part is None else np.broadcast_to(part, (count, *part.shape[1:])) for part in members.guess]
-            states, controls, costates, nodes, covectors = own
-            states, controls = states.reshape(*shape, size), controls.reshape(*shape, self.control.size)
-            known = None if nodes is None else Known(nodes, covectors.reshape(*shape, size))
+            parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in members.guess)
+            own = FlatGuess(*parts)
+            states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
+            costates = own.costates
+            both = own.nodes, own.stage_costates
+            known = Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates)

@@ -11,9 +11,8 @@ from .arguments import Options, require_tangent_dynamics
 from .engine.layout import Layout
 from .engine.newton import Found
 from .interpolation import Interpolant
-from .members import Members
 from .outcome import outcomes
-from .posed import Posed
+from .posed import Posed, Traced
 from .solution import RegularChecks, Solution, Statistics
 
 
@@ -26,9 +25,12 @@ class Recording:
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(
-        self, members: Members, posed: Posed, found: Found, options: Options, seconds: tuple[float, float]
+        self, posed: Posed, parameters: Any, found: Found, options: Options, seconds: tuple[float, float]
     ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
-        """The fields of the records of a batch, and what makes the record of a member; ``seconds`` to trace and to run."""
+        """The fields of the records of a batch, and what makes the record of a member.
+
+        ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
+        """
         nodes, data, traced = found.assembled.nodes, posed.conditions.data, posed.traced
         at_nodes = traced.diagnosis.at_nodes(nodes, found.assembled.costates)
         costates = at_nodes.costates
@@ -53,10 +55,8 @@ class Recording:
             "spatial_costates": diagnostics.spatial,
             "cost": found.assembled.cost,
             "success": success,
-            "multipliers": _multipliers(traced.example, found),
+            "multipliers": _multipliers(traced, found),
         }
-
-        parameters = members.stacked_parameters
         residuals = found.residuals.gap.tolist(), found.residuals.stationarity.tolist()
 
         def member(k: int) -> Solution:
@@ -66,17 +66,17 @@ class Recording:
                 result=results[k],
                 checks=RegularChecks.of(own, *(part[k] for part in residuals), strict_minimum=bool(found.strict_minimum[k])),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
-                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
                 interpolant=self.interpolant,
+                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return fields | {"parameters": parameters}, member
+        return {**fields, "parameters": parameters}, member
 
 
-def _multipliers(problem: OptimalControlProblem, found: Found) -> dict[str, np.ndarray]:
+def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:
     """Multipliers of the inequalities at the stages, by their names."""
     slacks = found.iterate.slacks
     if slacks is None:
         return {}
     rows = slacks.multipliers
-    return problem.by_constraint(rows.reshape(len(rows), -1, rows.shape[3]))
+    return traced.named(rows.reshape(len(rows), -1, rows.shape[3]))

@@ -46,9 +46,9 @@ class Regularity:
         return values is not None and found is None and values != members.rows[0].tobytes()
 
     def is_shown(self, members: Members, solution: Solution) -> bool:
-        """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; not asked with inequalities."""
-        if self._posing.problem.limits.any:
-            return True
+        """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need not be."""
+        if self._posing.problem.limits.along:
+            return self._shown(members)
         if not (solution.success and solution.checks.strict_minimum):
             return False
         state, control = self._posing.state, self._posing.control
@@ -56,6 +56,9 @@ class Regularity:
         states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
         if not self._posing.of(members).diagnosis.is_curved((states, controls, costates), members.rows):
             return False
+        return self._shown(members)
+
+    def _shown(self, members: Members) -> bool:
         self._classes[self._key(members)] = members.rows[0].tobytes(), None
         return True
 
@@ -71,8 +74,6 @@ class Regularity:
         _, left = np.unique(members.rows, axis=0, return_index=True)
         states = np.broadcast_to(members.ends.start, (len(members), self._posing.state.size))
         for control, covector in zip(*self._probes, strict=True):
-            if not left.size:
-                return
             at = states[left], np.broadcast_to(control, (len(left), control.size)), np.broadcast_to(covector, states[left].shape)
             curved = self._posing.of(members).diagnosis.curved(tuple(part[:, None] for part in at), members.rows[left])
             left = left[~curved[:, 0]]

@@ -16,7 +16,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Method, Options, check_method, check_problem, checked_options, fractions_of, structure_of
+from .arguments import Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
 from .differentiable import Extremal, Given, extremal_of
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration, newton, taken
@@ -66,11 +66,11 @@ class Solver:
         self._evaluator = chosen(evaluator)
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
         interpolant = Interpolant(method.retraction, problem.controls)
-        self._mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        self._reader = MemberReader(problem, mesh, self._evaluator)
         self._recording = Recording(problem, self._posing.stages, interpolant)
-        self._formulated = Formulated(problem, method, self._mesh, self._inner)
+        self._formulated = Formulated(self._reader, method, self._inner)
         self._regularity = Regularity(self._posing)
-        self._reader = MemberReader(problem, self._mesh)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters and not is_reading():
@@ -139,12 +139,11 @@ class Solver:
             asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
             choice = {"classification": classification, "integrator": integrator}
             with one_reading():
-                return self._formulated.solve((start, end, horizon, guess, parameters), throw, **asked, **choice)
+                return self._formulated.solve(Asked(start, end, horizon, guess, parameters), throw, **asked, **choice)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
             members = self._reader.one(Asked(start, end, horizon, guess, parameters))
-            self._posing.require_on_manifold(members)
             to_show = classification is None and self._regularity.has_to_be_shown(members)
             c = classification if to_show or classification is not None else self._regularity.classification(members)
             if c is not None or integrator is not None:
@@ -184,12 +183,11 @@ class Solver:
         if is_formulated(self.problem, horizons, parameters):
             asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
             with one_reading():
-                return self._formulated.solve_many((starts, ends, horizons, guesses, parameters), **asked)
+                return self._formulated.solve_many(Asked(starts, ends, horizons, guesses, parameters), **asked)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
             members = self._reader.many(Asked(starts, ends, horizons, guesses, parameters))
-            self._posing.require_on_manifold(members)
             self._regularity.require_regular(members)
             return self._solved(members, options, began)
 
@@ -252,11 +250,12 @@ class Solver:
         with np.errstate(all="ignore"):  # what is not finite is judged
             found = newton(posed.conditions, posed.guess, *options)
             seconds = tracing, time.perf_counter() - began - tracing
-            fields, member = self._recording.of(members, posed, found, options, seconds)
+            parameters = members.parameters()
+            fields, member = self._recording.of(posed, parameters, found, options, seconds)
 
         def kept(k: int) -> Solution:
             solution = member(k)
-            self._kept[solution] = _Kept(posed, found, k, members.parameters_of(k))
+            self._kept[solution] = _Kept(posed, found, k, solution.parameters)
             return solution
 
         return Solutions(fields, kept, range(len(members)))
@@ -277,4 +276,5 @@ class Solver:
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         conditions = EndConditions(problem, *members.conditions_of(0))
         request = Request(problem, self.method, conditions, guess, h, self.steps, *limits)
-        return replace(solve_on_final_manifold(request, *method), interpolant=self._recording.interpolant)
+        own: Any = {"interpolant": self._recording.interpolant, "parameters": copied(members.parameters_of(0))}
+        return replace(solve_on_final_manifold(request, *method), **own)
