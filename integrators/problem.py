@@ -156,18 +156,15 @@ class OptimalControlProblem(eqx.Module):
     @property
     def inequality_names(self) -> tuple[str, ...]:
         """A name for each of the inequalities, as ``cone[1]``; of a problem whose functions have their parameters."""
-        return self.limits.words(self._sizes, self._shape)
+        return self.limits.words(self.inequality_sizes, self._shape)
 
     def inequality_mask(self, steps: int, stages: int) -> np.ndarray:
         """At which points of a trajectory the inequalities hold, shape ``(steps, stages, k)``."""
-        return self.limits.mask(self._sizes, steps, stages)
-
-    def by_constraint(self, values: np.ndarray) -> dict[str, np.ndarray]:
-        """Numbers that belong to the inequalities, along the last axis, by names; bounds have one for each entry of ``u``."""
-        return self.limits.by_name(values, self._sizes)
+        return self.limits.mask(self.inequality_sizes, steps, stages)
 
     @property
-    def _sizes(self) -> dict[str, int | None]:
+    def inequality_sizes(self) -> dict[str, int | None]:
+        """How many entries each of the constraints has, None for a number."""
         return self.limits.sizes(self.manifold.ambient, self.controls.ambient)
 
     def require_treated(self, what: str, *treated: str) -> None:

@@ -204,7 +204,7 @@ def _fitted(name: str, value: Any, hint: Any, context: _Context) -> Any:
     """The value as its annotation wants it; raises if it does not fit."""
     kind, arguments = get_origin(hint), get_args(hint)
     if kind is UnionType:
-        return None if value is None else _fitted(name, value, arguments[0], context)
+        return None if value is None else _fitted(name, value, _which(value, arguments), context)
     if is_dataclass(hint):
         hints = get_type_hints(hint, include_extras=True)
         if not (isinstance(value, dict) and set(value) == set(hints)):
@@ -235,6 +235,12 @@ def _require_numbers(name: str, tree: Any) -> None:
             _require_numbers(name, part)
     elif tree is not None and np.asarray(tree).dtype.kind not in "biuf":
         raise InvalidInputError(f"{name} is {_words(tree)}, expected real numbers and arrays in tuples and dictionaries")
+
+
+def _which(value: Any, hints: tuple[Any, ...]) -> Any:
+    """The first of several annotations, or the one among them that is a dataclass with these fields."""
+    fit = (hint for hint in hints if isinstance(value, dict) and is_dataclass(hint) and set(get_type_hints(hint)) == set(value))
+    return next(fit, hints[0])
 
 
 def _require_along(name: str, tree: Any, along: Along, context: _Context) -> None:

@@ -46,6 +46,12 @@ class Result(eqx.Enumeration):
     not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
 
 
+@cache
+def sentence(name: str) -> str:
+    """The entry of the table with this name."""
+    return Result[getattr(Result, name)]
+
+
 def _callers() -> int:
     """The level of the stack, as ``warnings.warn`` counts it for the caller of this, that called into this library."""
     frame, levels, level = inspect.currentframe(), list[int](), 0

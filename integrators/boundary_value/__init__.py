@@ -4,7 +4,7 @@ from .differentiable import Extremal
 from .guess import Guess, default_guess
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
-from .solution import Checks, SingularArc, Solution, Solutions, Statistics, load_solution
+from .solution import Checks, RegularChecks, SingularArc, SingularChecks, Solution, Solutions, Statistics, load_solution
 from .solve import solve
 from .solver import Solver
 
@@ -14,8 +14,10 @@ __all__ = [
     "DiscretizationError",
     "Extremal",
     "Guess",
+    "RegularChecks",
     "Sensitivity",
     "SingularArc",
+    "SingularChecks",
     "Solution",
     "Solutions",
     "Solver",

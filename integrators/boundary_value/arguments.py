@@ -28,8 +28,10 @@ class Options(NamedTuple):
     callback: Callable[[Iteration], Any] | None
 
 
-def structure_of(parameters: Any) -> Any:
-    return jax.tree.structure(parameters), tuple(np.shape(leaf) for leaf in jax.tree.leaves(parameters))
+def structure_of(parameters: Any, axes: int = 0) -> Any:
+    """The structure and the shapes of parameters, leading axes left out."""
+    leaves, structure = jax.tree.flatten(parameters)
+    return structure, tuple(np.shape(leaf)[axes:] for leaf in leaves)
 
 
 def copied(parameters: Any) -> Any:

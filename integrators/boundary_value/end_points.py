@@ -1,6 +1,7 @@
-"""Boundary conditions: a node of the trajectory that is fixed, free, or fixed in some factors of a product."""
+"""The ends of trajectories: points that are prescribed, free, or prescribed in some factors of a product."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import equinox as eqx
@@ -13,31 +14,22 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Produc
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
 from ..compilation import call_compiled
-from ..free import guessed, is_free
+from ..free import Free, guessed, is_free
 from ..problem import resting_control
+from .engine.layout import Layout
 
 
 class Part(NamedTuple):
-    """A part of a point that is prescribed or free as a whole: a manifold, or a factor of a product, in words."""
+    """A part of a point that is prescribed or free as a whole: a manifold, or a factor of a product, in words.
+
+    ``leaves``: the number of its arrays; ``entries``: of real numbers in these.
+    """
 
     name: str
     fixed: bool
     leaves: int
+    entries: int
     dimension: int
-
-
-class _Given(NamedTuple):
-    """A point of a manifold or of a factor of it, None where it is free, and what it is called."""
-
-    name: str
-    manifold: Manifold
-    given: Any
-
-    @property
-    def described(self) -> Part:
-        """The part without its point."""
-        leaves = len(jax.tree.leaves(self.manifold.ambient))
-        return Part(self.name, not (self.given is None or is_free(self.given)), leaves, self.manifold.dimension)
 
 
 @final
@@ -56,11 +48,6 @@ class NodeCondition(eqx.Module):
         """Which arrays of the point are prescribed."""
         return tuple(part.fixed for part in self.parts for _ in range(part.leaves))
 
-    @property
-    def fixed_coordinates(self) -> tuple[bool, ...]:
-        """Which coordinates in the basis of the tangent space are prescribed."""
-        return tuple(part.fixed for part in self.parts for _ in range(part.dimension))
-
     def node(self, reached: Ambient) -> Ambient:
         """The node: prescribed where fixed, the reached end of the stage where free."""
         wanted, structure = jax.tree.flatten(self.point)
@@ -69,83 +56,168 @@ class NodeCondition(eqx.Module):
 
     def mask(self) -> Array:
         """1 for every fixed coordinate, 0 for every free one."""
-        return jnp.asarray(self.fixed_coordinates, float)
+        return jnp.asarray(_of_parts([part.fixed for part in self.parts], self.parts, "dimension"), float)
 
 
-def require_ends_on(manifold: Manifold, start: Any, end: Any) -> None:
-    """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
-    parts = [part for name, given in (("start", start), ("end", end)) for part in _parts(manifold, given, name)]
-    _require_membership([part for part in parts if part.given is not None and not is_free(part.given)])
+class Prescribed(NamedTuple):
+    """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else 0.
 
-
-def boundary_conditions(manifold: Manifold, start: Any, end: Any, guided: bool) -> tuple[NodeCondition, NodeCondition]:
-    """Conditions at both ends from points of the manifold in which ``None`` marks what is free.
-
-    A free factor is first guessed equal to the one at the other end; free at both ends it is at rest, or zero if ``guided`` by a
-    guess for the whole trajectory. Raises ``NotOnManifoldError`` for a part of another structure than a point.
+    ``known``: which entries are prescribed, or free and guessed.
     """
-    at_start, at_end = (list(_parts(manifold, given, name)) for name, given in (("start", start), ("end", end)))
-    first, last = _merge(manifold, start, end), _merge(manifold, end, start)
-    return (
-        NodeCondition(_fill(manifold, first, guided), tuple(part.described for part in at_start)),
-        NodeCondition(_fill(manifold, last, guided), tuple(part.described for part in at_end)),
-    )
+
+    parts: tuple[Part, ...]
+    entries: np.ndarray
+    coordinates: np.ndarray
+    known: np.ndarray
+
+    @classmethod
+    def of(cls, parts: tuple[Part, ...], known: Sequence[bool]) -> "Prescribed":
+        """What these parts prescribe, of which some are known."""
+        fixed = [part.fixed for part in parts]
+        coordinates = _of_parts(fixed, parts, "dimension").astype(float)
+        return cls(parts, _of_parts(fixed, parts, "entries"), coordinates, _of_parts(known, parts, "entries"))
 
 
-def require_known_ends(manifold: Manifold, start: Any, end: Any) -> None:
-    """Raise if a factor is free at both ends, so that there is nothing to guess it from."""
-    merged = _merge(manifold, start, end)
-    if any(leaf is None for leaf in jax.tree.leaves(merged, is_leaf=lambda leaf: leaf is None)):
-        raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
+def _of_parts(marks: Sequence[bool], parts: tuple[Part, ...], what: str) -> np.ndarray:
+    """The mark of each part for all of its entries or coordinates."""
+    return np.repeat(marks, [getattr(part, what) for part in parts])
 
 
-def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
-    """``given`` with the entries of ``other`` where it is None."""
-    if isinstance(manifold, Product) and (isinstance(given, tuple | list) or isinstance(other, tuple | list)):
-        count = len(manifold.factors)
-        mine = given if isinstance(given, tuple | list) else (given,) * count
-        theirs = other if isinstance(other, tuple | list) else (other,) * count
-        if len(mine) == len(theirs) == count:
-            return tuple(_merge(m, a, b) for m, a, b in zip(manifold.factors, mine, theirs, strict=True))
-    if given is None or (is_free(given) and not (other is None or is_free(other))):
-        return guessed(other)
-    return guessed(given)
+class EndPoints(NamedTuple):
+    """Ends of trajectories as flat points, shape (B, E), or (1, E) for all, and what is prescribed of each.
+
+    What is free at one end is as at the other where that is prescribed, else as it is guessed with ``Free``; the entries of
+    which neither end says anything are ``unknown``.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    prescribed: tuple[Prescribed, Prescribed]
+    unknown: np.ndarray
+
+    def completed(self, first: np.ndarray, last: np.ndarray) -> "EndPoints":
+        """The ends with entries of these flat points where they are unknown."""
+        return self._replace(start=np.where(self.unknown, first, self.start), end=np.where(self.unknown, last, self.end))
+
+    def require_known(self, start: Any) -> None:
+        """Raise if a factor is free at both ends, so that there is nothing to guess it from; ``start`` is as it was given."""
+        if np.any(self.unknown):
+            raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
 
 
-def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:
-    """The parts of a point, after a check of the structure of every prescribed one."""
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        for i, (factor, part) in enumerate(zip(manifold.factors, given, strict=True)):
-            yield from _parts(factor, part, f"{name}, factor {i}")
-        return
-    wrong = "" if given is None else manifold.describe_mismatch(guessed(given), "a point")
-    if wrong:
-        hint = "; give one entry for each factor, None where it is free" if isinstance(manifold, Product) else ""
-        raise NotOnManifoldError(f"{name}: {wrong}{hint}")
-    yield _Given(name, manifold, given)
+@final
+class EndReader:
+    """Reads points of a manifold in which ``None`` or a ``Free`` guess marks what is free, or batches of them."""
+
+    def __init__(self, manifold: Manifold) -> None:
+        self.manifold, self.layout, self.dimension = manifold, Layout.of(manifold), manifold.dimension
+        self.factors = tuple(map(EndReader, manifold.factors)) if isinstance(manifold, Product) else ()
+        self._prescribed: dict[Any, Prescribed] = {}
+
+    @cached_property
+    def at_rest(self) -> np.ndarray:
+        """A flat point to begin from where nothing is known."""
+        return self.layout.rows(resting_control(self.manifold), 0)
+
+    def ends(self, start: Any, end: Any, batched: bool) -> EndPoints:
+        """Both ends. Raises ``NotOnManifoldError`` for a part of another structure than a point, with entries not finite."""
+        (first, start_rows), (last, end_rows) = (self._read(*at, batched) for at in ((start, "start"), (end, "end")))
+        own = first.entries | (first.known & ~last.entries), last.entries | (last.known & ~first.entries)
+        rows = np.where(own[0], start_rows, end_rows), np.where(own[1], end_rows, start_rows)
+        return EndPoints(*rows, (first, last), ~(first.known | last.known))
+
+    def point(self, given: Any) -> np.ndarray:
+        """A flat point, nothing of which is free. Raises ``NotOnManifoldError`` for what is none."""
+        ends = self.ends(given, None, batched=False)
+        if not np.all(ends.prescribed[0].entries):
+            raise NotOnManifoldError(f"start: a part of {given!r:.80} is free, expected a point of {self.manifold}")
+        self.require_on_manifold(given, None)
+        return ends.start[0]
+
+    def lengths(self, given: Any) -> list[tuple[int, ...]]:
+        """Lengths of the leading axes that points have in addition."""
+        if given is None:
+            return []
+        if self._is_split(given):
+            return [length for factor, part in zip(self.factors, given, strict=True) for length in factor.lengths(part)]
+        return [np.shape(jax.tree.leaves(guessed(given))[0])[:1]] if self._is_batch(guessed(given)) else []
+
+    def member(self, given: Any, k: int) -> Any:
+        """Member ``k`` of what may be a batch of points."""
+        if given is None:
+            return None
+        if self._is_split(given):
+            return tuple(factor.member(part, k) for factor, part in zip(self.factors, given, strict=True))
+        if not self._is_batch(guessed(given)):
+            return given
+        return given.member(k) if isinstance(given, Free) else jax.tree.map(lambda leaf: np.asarray(leaf)[k], given)
+
+    def require_on_manifold(self, start: Any, end: Any) -> None:
+        """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
+        parts = [given for name, at in (("start", start), ("end", end)) for given in self._parts(at, name)]
+        _require_membership([(name, reader.manifold, point) for name, reader, point in parts if _is_prescribed(point)])
+
+    def condition(self, row: np.ndarray, parts: tuple[Part, ...]) -> NodeCondition:
+        """The condition on a node from a flat point."""
+        point = jax.tree.map(lambda a, kind: np.asarray(a, kind.dtype), self.layout.points(row), self.manifold.ambient)
+        return NodeCondition(point, parts)
+
+    def _is_split(self, given: Any) -> bool:
+        """Whether the factors of a product are given one by one."""
+        return bool(self.factors) and isinstance(given, tuple | list) and len(given) == len(self.factors)
+
+    def _is_batch(self, given: Any) -> bool:
+        return [np.ndim(leaf) for leaf in jax.tree.leaves(given)] == [len(shape) + 1 for shape in self.layout.shapes]
+
+    def _parts(self, given: Any, name: str) -> Iterator[tuple[str, "EndReader", Any]]:
+        """Names of the parts of a point, readers of them, and what is given, None or a guess where it is free."""
+        if self._is_split(given):
+            for i, (factor, part) in enumerate(zip(self.factors, given, strict=True)):
+                yield from factor._parts(part, f"{name}, factor {i}")
+        else:
+            yield name, self, given
+
+    def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
+        """What is prescribed of an end, and its flat points, with zeros where nothing is known."""
+        found = list(self._parts(given, name))
+        rows = [reader._rows(guessed(point), title, batched) for title, reader, point in found]
+        key = tuple((title, _is_prescribed(point), point is not None) for title, _, point in found)
+        if key not in self._prescribed:
+            own = ((len(reader.layout.shapes), reader.layout.size, reader.dimension) for _, reader, _ in found)
+            parts = tuple(Part(*of[:2], *counts) for of, counts in zip(key, own, strict=True))
+            self._prescribed[key] = Prescribed.of(parts, [known for _, _, known in key])
+        count = max(map(len, rows))
+        rows = rows if count == 1 else [np.broadcast_to(part, (count, part.shape[1])) for part in rows]
+        return self._prescribed[key], np.concatenate(rows, axis=1)
+
+    def _rows(self, given: Any, name: str, batched: bool) -> np.ndarray:
+        """Flat points of what is given for a part, after a check of its structure; zeros for None."""
+        if given is None:
+            return np.zeros((1, self.layout.size))
+        axes = int(batched and self._is_batch(given))
+        if not self.layout.holds(given, axes):
+            hint = "; give one entry for each factor, None where it is free" if self.factors else ""
+            for k in range(len(jax.tree.leaves(given)[0]) if axes else 1):
+                wrong = self.manifold.describe_mismatch(self.member(given, k) if axes else given, "a point")
+                if wrong:
+                    raise NotOnManifoldError(f"{name}: {wrong}{hint}")
+        rows = self.layout.rows(given, axes)
+        return rows if axes else rows[None]
 
 
-def _require_membership(parts: list[_Given]) -> None:
+def _is_prescribed(given: Any) -> bool:
+    return not (given is None or is_free(given))
+
+
+def _require_membership(parts: list[tuple[str, Manifold, Ambient]]) -> None:
     """Raise for a part that is off its manifold; all are looked at in one compiled function."""
-    points = [jax.tree.map(np.asarray, part.given) for part in parts]
-    found, *_ = call_compiled(_violations, [part.manifold for part in parts], points)
-    for part, violations in zip(parts, jax.tree.map(np.asarray, found), strict=True):
-        verdict = part.manifold.judge(violations, default_tolerance())
+    points = [jax.tree.map(np.asarray, point) for _, _, point in parts]
+    found, *_ = call_compiled(_violations, [manifold for _, manifold, _ in parts], points)
+    for (name, manifold, _), violations in zip(parts, jax.tree.map(np.asarray, found), strict=True):
+        verdict = manifold.judge(violations, default_tolerance())
         if not verdict:
-            raise NotOnManifoldError(f"{part.name}: {verdict.reason}")
+            raise NotOnManifoldError(f"{name}: {verdict.reason}")
 
 
 def _violations(manifolds: list[Manifold], points: list[Ambient]) -> list[dict[str, Array]]:
     return [manifold.violations(point) for manifold, point in zip(manifolds, points, strict=True)]
-
-
-def _fill(manifold: Manifold, merged: Any, guided: bool) -> Ambient:
-    """Arrays in the structure of a point; where nothing is known, zero if ``guided``, else a point at rest."""
-    if isinstance(manifold, Product) and (merged is None or isinstance(merged, tuple | list)):
-        parts = (None,) * len(manifold.factors) if merged is None else merged
-        return tuple(_fill(factor, part, guided) for factor, part in zip(manifold.factors, parts, strict=True))
-    if merged is None and not guided:
-        return resting_control(manifold)
-    if merged is None:
-        return jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), manifold.ambient)
-    return jax.tree.map(lambda a, s: np.asarray(a, s.dtype), merged, manifold.ambient)

@@ -9,12 +9,10 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ..free import guessed, is_free
-from ..problem import OptimalControlProblem
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
-from .members import Member, members_of
-from .resampling import Mesh
+from .members import Asked, MemberReader, Members
 from .sensitivity import Sensitivity
 from .solution import Solution, Solutions
 
@@ -23,15 +21,14 @@ SINGULAR = (
     "explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold the controls; a "
     "running cost that is constant with a free horizon is minimum time, and needs control_bounds or constraints"
 )
-Given = tuple[Any, Any, Any, Any, Any]  # start, end, horizon, guess, parameters
 
 
 @final
 class Formulated:
     """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for."""
 
-    def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, make: Callable[[Formulation], Any]) -> None:
-        self.problem, self.method, self.mesh, self._make = problem, method, mesh, make
+    def __init__(self, reader: MemberReader, method: Method, make: Callable[[Formulation], Any]) -> None:
+        self.reader, self.method, self._make = reader, method, make
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
@@ -39,48 +36,43 @@ class Formulated:
         """The formulation for a horizon and parameters, and its solver."""
         kind = Kind.of(horizon, parameters)
         if kind not in self._made:
-            example = self.problem.with_parameters(_guesses(parameters)).at_time(0.0)
+            example = self.reader.problem.with_parameters(_guessed(parameters)).at_time(0.0)
             example.require_values()
-            formulation = Formulation(self.problem, self.method, kind)
+            formulation = Formulation(self.reader.problem, self.method, kind)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
 
-    def solve(self, given: Given, throw: bool, **options: Any) -> Solution:
+    def solve(self, asked: Asked, throw: bool, **options: Any) -> Solution:
         """The extremal of a single trajectory."""
-        start, end, horizon, guess, parameters = given
-        if is_free(horizon):
-            checked_horizon(horizon)
-        member = Member.checked(self.problem, self.mesh, (start, end, guessed(horizon), guess, _guesses(parameters)))
-        member.conditions(self.problem)
-        formulation, solver = self.of(horizon, parameters)
-        constants = formulation.guesses(horizon, parameters)
-        ends = formulation.start(start, constants), formulation.end(end, np.array([member.horizon]))
-        given_guess = self._guess(formulation, member, constants)
-        own = formulation.parameters(horizon, parameters)
-        found = solver.solve(*ends, member.horizon, given_guess, own, throw=False, **options)
-        solution = self._kept(formulation, solver, found, parameters)
+        if is_free(asked.horizon):
+            checked_horizon(asked.horizon)
+        members = self.reader.one(_guesses(asked))
+        formulation, solver = self.of(asked.horizon, asked.parameters)
+        constants = formulation.guesses(asked.horizon, asked.parameters)
+        ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons)
+        guess, own = self._guess(formulation, members, 0, constants), formulation.parameters(asked.horizon, asked.parameters)
+        found = solver.solve(*ends, float(members.horizons[0]), guess, own, throw=False, **options)
+        solution = self._kept(formulation, solver, found, asked.parameters)
         return solution.require_success() if throw else solution
 
-    def solve_many(self, given: Given, **options: Any) -> Solutions:
+    def solve_many(self, asked: Asked, **options: Any) -> Solutions:
         """The extremals of a batch."""
-        starts, ends, horizons, guesses, parameters = given
-        plain = starts, ends, guessed(horizons), guesses, _guesses(parameters)
-        members = list(members_of(self.problem, self.mesh, *plain))
-        asked = [(_member(horizons, k), _member(parameters, k)) for k in range(len(members))]
-        for horizon, _ in asked:
+        members = self.reader.many(_guesses(asked))
+        each = [(_member(asked.horizon, k), _member(asked.parameters, k)) for k in range(len(members))]
+        for horizon, _ in each:
             if is_free(horizon):
                 checked_horizon(horizon)
-        if len({Kind.of(*each) for each in asked}) > 1:
+        if len({Kind.of(*own) for own in each}) > 1:
             raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
-        formulation, solver = self.of(*asked[0])
-        constants = np.stack([formulation.guesses(*each) for each in asked])
-        times = np.array([[member.horizon] for member in members])
-        own = [formulation.parameters(*each) for each in asked]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *own) if formulation.takes else None
-        own_guesses = [self._guess(formulation, member, c) for member, c in zip(members, constants, strict=True)]
-        between = formulation.start(starts, constants), formulation.end(ends, times)
-        found = solver.solve_many(*between, times[:, 0], own_guesses if members[0].guess else None, stacked, **options)
-        return Solutions([self._kept(formulation, solver, one, each[1]) for one, each in zip(found, asked, strict=True)])
+        formulation, solver = self.of(*each[0])
+        constants = np.stack([formulation.guesses(*own) for own in each])
+        parameters = [formulation.parameters(*own) for own in each]
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *parameters) if formulation.takes else None
+        guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
+        ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons[:, None])
+        found = solver.solve_many(*ends, members.horizons, None if members.guess is None else guesses, stacked, **options)
+        kept = [self._kept(formulation, solver, one, own[1]) for one, own in zip(found, each, strict=True)]
+        return Solutions.of(kept)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
         """Derivatives of a solution that was found here; None for any other."""
@@ -89,19 +81,22 @@ class Formulated:
         formulation, solver, found = self._found[solution]
         return formulation.sensitivity(solver.sensitivity(found))
 
-    def _guess(self, formulation: Formulation, member: Member, constants: np.ndarray) -> Guess | None:
-        if member.guess is None:
-            return None
-        return formulation.guess(member.guess, constants, self.mesh.times(member.horizon))
+    def _guess(self, formulation: Formulation, members: Members, k: int, constants: np.ndarray) -> Guess | None:
+        guess, times = members.guess_of(k), self.reader.mesh.times(float(members.horizons[k]))
+        return None if guess is None else formulation.guess(guess, constants, times)
 
     def _kept(self, formulation: Formulation, solver: Any, found: Solution, parameters: Any) -> Solution:
-        solution = formulation.solution(found, parameters, self.mesh.interpolant)
+        solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)
         self._found[solution] = formulation, solver, found
         return solution
 
 
-def _guesses(parameters: Any) -> Any:
-    """Parameters with the guesses of those that are free."""
+def _guesses(asked: Asked) -> Asked:
+    """What is asked for with the guesses of the horizon and of parameters that are free."""
+    return asked._replace(horizon=guessed(asked.horizon), parameters=_guessed(asked.parameters))
+
+
+def _guessed(parameters: Any) -> Any:
     return jax.tree.map(guessed, parameters, is_leaf=is_free)
 
 

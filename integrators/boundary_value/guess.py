@@ -7,14 +7,12 @@ import jax
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError
-from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
-from ..evaluation import at_each
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
 from .arguments import Method, check_problem, fractions_of
-from .end_points import boundary_conditions, require_ends_on, require_known_ends
+from .end_points import EndReader
 from .engine.layout import Layout
 from .engine.rollout import RollOut
 from .engine.start import Start
@@ -70,13 +68,11 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
     costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    require_known_ends(problem.manifold, start, end)
-    layout, fractions = Layout.of(problem.manifold), fractions_of(steps)
-    points = [condition.point for condition in boundary_conditions(problem.manifold, start, end, False)]
-    begin, target = (layout.rows(jax.tree.map(np.asarray, point), 0)[None] for point in points)
+    fractions, ends = fractions_of(steps), EndReader(problem.manifold).ends(start, end, batched=False)
+    ends.require_known(start)
     places = stage_places(method, fractions)
-    states = layout.points(Start(problem.manifold, method.retraction).states(begin, target, places)[0])
-    return Guess(states, _rest(problem, len(places)), _zero(problem, len(fractions)))
+    states = Start(problem.manifold, method.retraction).states(ends.start, ends.end, places)[0]
+    return Guess(Layout.of(problem.manifold).points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
 
 
 def through(problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any) -> Guess:
@@ -85,10 +81,9 @@ def through(problem: OptimalControlProblem, method: Method, points: Sequence[Amb
     given, fractions, layout = list(points), fractions_of(steps), Layout.of(problem.manifold)
     if len(given) < 2:
         raise InvalidInputError(f"a guess goes through at least two points, got {len(given)}; give the start, the end and more")
-    for point in given:
-        require_ends_on(problem.manifold, point, None)
+    rows = np.stack([*map(EndReader(problem.manifold).point, given)])
     passed = _shares(times, len(given))
-    places, rows = stage_places(method, fractions), np.stack([layout.rows(jax.tree.map(np.asarray, x), 0) for x in given])
+    places = stage_places(method, fractions)
     own = np.clip(np.searchsorted(passed, places, side="right") - 1, 0, len(given) - 2)
     start, states = Start(problem.manifold, method.retraction), np.empty((len(places), layout.size))
     for k in np.unique(own):
@@ -119,17 +114,16 @@ def rolled_out(
     check_problem(problem, method)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
-    require_ends_on(problem.manifold, start, None)
+    begin = EndReader(problem.manifold).point(start)
     fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
     places = stage_places(method, fractions)
     if callable(controls):
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
         controls = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
-    _check_arrays("controls", controls, problem.controls, len(places))
+    check_arrays("controls", controls, problem.controls, len(places))
     weights = np.array(method.weights) if isinstance(method, Gauss) else np.ones(1)
     ended = np.cumsum((fractions[:, None] * weights).ravel())
     before, after = places - np.concatenate([[0.0], ended[:-1]]), ended - places
-    begin = layout.rows(jax.tree.map(np.asarray, start), 0)
     rows = control.rows(controls, 1)
     states = RollOut(problem, method.retraction).states(begin, rows, horizon * before, horizon * after)
     if not np.all(np.isfinite(states)):
@@ -156,35 +150,8 @@ def _zero(problem: OptimalControlProblem, steps: int) -> Any:
     return jax.tree.map(lambda s: np.zeros((steps + 1, *s.shape), s.dtype), problem.manifold.ambient)
 
 
-def checked_guess(problem: OptimalControlProblem, guess: Any, steps: int, stages: int) -> Guess:
-    """The guess as arrays with its costates filled in; raises where something is wrong."""
-    if not isinstance(guess, Guess):
-        raise InvalidInputError(f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)")
-    filled = guess if guess.costates is not None else guess._replace(costates=_zero(problem, steps))
-    count = steps * stages
-    expected = (
-        ("states", problem.manifold, count),
-        ("controls", problem.controls, count),
-        ("costates", problem.manifold, steps + 1),
-    )
-    if (guess.nodes is None) != (guess.stage_costates is None):
-        raise InvalidInputError("guess: nodes and stage_costates come together, and one of them is None; give both or neither")
-    if guess.nodes is not None:
-        expected += ("nodes", problem.manifold, steps + 1), ("stage_costates", problem.manifold, count)
-    for name, manifold, length in expected:
-        _check_arrays(name, getattr(filled, name), manifold, length)
-        kinds = manifold.ambient
-        arrays = jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), kinds, getattr(filled, name))
-        filled = filled._replace(**{name: arrays})
-    for what in ("states", "nodes")[: 1 if guess.nodes is None else 2]:
-        for name, value in at_each(problem.manifold.violations, getattr(filled, what)).items():
-            if not np.max(value) <= default_tolerance():
-                worst = f"{name} reaches {np.max(value):.3g}"
-                raise InvalidInputError(f"guess: {what} are not on {problem.manifold}: {worst}, expected 0")
-    return filled
-
-
-def _check_arrays(name: str, given: Any, manifold: Any, length: int) -> None:
+def check_arrays(name: str, given: Any, manifold: Any, length: int) -> None:
+    """Raise unless these are points of a manifold, or vectors there, as many as ``length``, in finite numbers."""
     shapes_ = jax.tree.map(lambda s: (length, *s.shape), manifold.ambient)
     got = jax.tree.map(np.shape, given)
     if shapes_ != got:

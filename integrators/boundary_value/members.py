@@ -1,93 +1,162 @@
-"""The members of a batch: what each trajectory is asked for, checked."""
+"""The members of a batch: what each trajectory is asked for, checked, in flat arrays."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import dataclass
 from numbers import Number
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
-from ...manifolds import InvalidInputError, Manifold, Product
+from ...manifolds import InvalidInputError
+from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import is_finite_number
-from ..free import Free, guessed
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
-from .arguments import check_parameters
-from .end_points import NodeCondition, boundary_conditions
-from .guess import Guess, checked_guess
+from .arguments import check_parameters, copied, structure_of
+from .end_points import EndPoints, EndReader, NodeCondition
+from .engine.evaluator import Evaluator
+from .engine.layout import Layout, parameter_layout
+from .engine.transcription import at_points
+from .given_guess import FlatGuess, GuessReader
+from .guess import Guess
 from .resampling import Mesh, resampled
 from .solution import Solution
 
 
-class Member(NamedTuple):
-    """What one trajectory is asked for, as it was given."""
+class Asked(NamedTuple):
+    """Start, end, horizon, guess and parameters as they are given."""
 
     start: Any
     end: Any
-    horizon: float
-    guess: Guess | None
+    horizon: Any
+    guess: Any
     parameters: Any
 
-    @classmethod
-    def checked(cls, problem: OptimalControlProblem, mesh: Mesh, given: tuple[Any, Any, Any, Any, Any]) -> "Member":
-        """The arguments ``start, end, horizon, guess, parameters``, checked; a guess that is a solution is resampled."""
-        start, end, horizon, guess, parameters = given
-        if not (is_finite_number(horizon) and horizon > 0):
-            hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
-            raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
-        check_parameters(problem, parameters)
-        if guess is not None:
-            guess = resampled(guess, mesh) if isinstance(guess, Solution) else guess
-            guess = checked_guess(problem, guess, len(mesh.fractions), len(mesh.stages))
-        return cls(start, end, float(horizon), guess, parameters)
 
-    def conditions(self, problem: OptimalControlProblem) -> tuple[NodeCondition, NodeCondition]:
-        """The boundary conditions."""
-        return boundary_conditions(problem.manifold, self.start, self.end, self.guess is not None)
+@final
+@dataclass(frozen=True, eq=False)
+class Members:
+    """What the B trajectories of a batch are asked for; of ``solve`` there is one.
+
+    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters of one
+    member, which are ``rows`` of shape (B, P).
+    """
+
+    reader: "MemberReader"
+    asked: Asked
+    axes: int  # that what is asked for has for the members: none for a single one
+    ends: EndPoints
+    horizons: np.ndarray
+    guess: FlatGuess | None
+    structure: Any
+    rows: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.horizons)
+
+    def parameters_of(self, k: int) -> Any:
+        """The parameters of a member."""
+        given = self.asked.parameters
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if self.axes else given
+
+    def parameters(self) -> Any:
+        """The parameters as arrays of their own, with the members along the leading axis."""
+        given = copied(self.asked.parameters)
+        return given if self.axes else jax.tree.map(lambda leaf: leaf[None], given)
+
+    def problem_of(self, k: int) -> OptimalControlProblem:
+        """The problem with the parameters of a member."""
+        return self.reader.problem.with_parameters(self.parameters_of(k))
+
+    def guess_of(self, k: int) -> Guess | None:
+        """The guess of a member."""
+        return None if self.guess is None else self.reader.guesses.guess(self.guess, k)
+
+    def conditions_of(self, k: int) -> tuple[NodeCondition, NodeCondition]:
+        """The boundary conditions of a member."""
+        ends, read = self.ends, self.reader.ends.condition
+        first, last = ends.prescribed
+        return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+
+    def require_on_manifold(self, violations: np.ndarray) -> None:
+        """Raise if a prescribed part of an end, or a state of a guess, is off its manifold.
+
+        ``violations``: one for each of the starts, of the ends, and of the states of the guesses.
+        """
+        count = len(self.ends.start)
+        first, last, rest = np.split(violations, [count, count + len(self.ends.end)])
+        if self.guess is not None:
+            self.reader.guesses.require_on_manifold(self.guess, rest)
+        pair, read = (self.asked.start, self.asked.end), self.reader.ends
+        for k in np.flatnonzero(~((first <= default_tolerance()) & (last <= default_tolerance()))):
+            read.require_on_manifold(*(read.member(given, int(k)) if self.axes else given for given in pair))
 
 
-def members_of(
-    problem: OptimalControlProblem, mesh: Mesh, starts: Any, ends: Any, horizons: Any, guesses: Any, parameters: Any
-) -> Iterator[Member]:
-    """The members of a batch one by one; see ``Member.checked``."""
-    manifold = problem.manifold
-    lengths = [*_lengths_of(manifold, starts), *_lengths_of(manifold, ends), *(np.shape(h) for h in [horizons] if np.ndim(h))]
-    lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(parameters)]
-    several = isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
-    lengths += [(len(guesses),)] if several else []
-    if len(set(lengths)) != 1 or not lengths[0]:
-        raise InvalidInputError(
-            f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, expected "
-            "one length B, wherever there is such an axis; for a single trajectory call solve"
-        )
-    for k in range(lengths[0][0]):
-        pair = _member_of(manifold, starts, k), _member_of(manifold, ends, k)
-        given = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], parameters)
-        horizon = np.asarray(horizons)[k].item() if np.ndim(horizons) else horizons
-        yield Member.checked(problem, mesh, (*pair, horizon, guesses[k] if several else guesses, given))
+@final
+class MemberReader:
+    """Reads what ``solve`` and ``solve_many`` are asked for on a mesh."""
+
+    def __init__(self, problem: OptimalControlProblem, mesh: Mesh, evaluator: Evaluator) -> None:
+        self.problem, self.mesh, self.ends = problem, mesh, EndReader(problem.manifold)
+        self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
+        self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
+        self._parameters: dict[Any, Layout] = {}
+
+    def one(self, asked: Asked) -> Members:
+        """A single trajectory."""
+        _require_horizon(asked.horizon)
+        return self._read(asked, 0, np.array([float(asked.horizon)]), [asked.guess])
+
+    def many(self, asked: Asked) -> Members:
+        """A batch: what is not for all has one more leading axis."""
+        guesses, horizons = asked.guess, asked.horizon
+        several = isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
+        lengths = [*self.ends.lengths(asked.start), *self.ends.lengths(asked.end)]
+        lengths += [np.shape(horizons)] if np.ndim(horizons) else []
+        lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(asked.parameters)]
+        lengths += [(len(guesses),)] if several else []
+        if len(set(lengths)) != 1 or len(lengths[0]) != 1 or not lengths[0][0]:
+            raise InvalidInputError(
+                f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, expected "
+                "one length B, wherever there is such an axis; for a single trajectory call solve"
+            )
+        (count,) = lengths[0]
+        for horizon in np.asarray(horizons).tolist() if np.ndim(horizons) else [horizons]:
+            _require_horizon(horizon)
+        return self._read(asked, 1, np.broadcast_to(np.asarray(horizons, float), count), guesses if several else [guesses])
+
+    def _read(self, asked: Asked, axes: int, horizons: np.ndarray, guesses: Sequence[Any]) -> Members:
+        check_parameters(self.problem, asked.parameters)
+        given = [resampled(guess, self.mesh) if isinstance(guess, Solution) else guess for guess in guesses]
+        guess = self.guesses.flat(given) if any(guess is not None for guess in given) else None
+        ends = self.ends.ends(asked.start, asked.end, bool(axes))
+        if np.any(ends.unknown):
+            ends = ends.completed(*((self.ends.at_rest,) * 2 if guess is None else (guess.states[:, 0], guess.states[:, -1])))
+        structure = structure_of(asked.parameters, axes)
+        if structure not in self._parameters:
+            self._parameters[structure] = parameter_layout(asked.parameters, axes)
+        layout = self._parameters[structure]
+        rows = np.broadcast_to(layout.rows(asked.parameters, axes), (len(horizons), layout.size))
+        members = Members(self, asked, axes, ends, horizons, guess, structure, rows)
+        states = [] if guess is None else [guess.states_to_check(self.ends.layout.size)]
+        violations = at_points(self._violations, 1, np.concatenate([ends.start, ends.end, *states]))[0]
+        members.require_on_manifold(np.max(violations, axis=1))
+        return members
+
+    def _violations_of(self, q: Array) -> tuple[Array]:
+        """By how much a flat point violates each equation of the manifold."""
+        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
 
 
-def _lengths_of(manifold: Manifold, given: Any) -> list[tuple[int, ...]]:
-    """Lengths of the leading axes that points have in addition."""
-    if given is None:
-        return []
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return [length for pair in zip(manifold.factors, given, strict=True) for length in _lengths_of(*pair)]
-    given = guessed(given)
-    return [np.shape(given)[:1]] if _is_batch(manifold, given) else []
+def _require_horizon(horizon: Any) -> None:
+    if not (is_finite_number(horizon) and horizon > 0):
+        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
 
 
-def _member_of(manifold: Manifold, given: Any, k: int) -> Any:
-    """Member ``k`` of what may be a batch of points, with None where they are free."""
-    if given is None:
-        return None
-    if isinstance(manifold, Product) and isinstance(given, tuple | list) and len(given) == len(manifold.factors):
-        return tuple(_member_of(factor, part, k) for factor, part in zip(manifold.factors, given, strict=True))
-    if not _is_batch(manifold, guessed(given)):
-        return given
-    return given.member(k) if isinstance(given, Free) else jax.tree.map(lambda leaf: np.asarray(leaf)[k], given)
-
-
-def _is_batch(manifold: Manifold, given: Any) -> bool:
-    shapes = [np.ndim(leaf) for leaf in jax.tree.leaves(given)]
-    return shapes == [len(leaf.shape) + 1 for leaf in jax.tree.leaves(manifold.ambient)]
+def _row(rows: np.ndarray, k: int) -> np.ndarray:
+    """Row ``k`` of rows of which there may be one for all."""
+    return rows[min(k, len(rows) - 1)]

@@ -7,39 +7,38 @@ import numpy as np
 
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
-from ..results import Result
+from ..results import sentence
 from .engine.newton import Found
 from .solution import Solution
 
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
-    if solution.success or solution.result == Result[Result.stopped]:
+    if solution.success or solution.result == sentence("stopped"):
         return solution
     q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (solution.stage_states, solution.controls))
     reason = problem.imprecise(q, u) or kinks_near(problem, solution)
     return replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
 
 
-def outcomes(found: Found, tolerance: float, max_iterations: int) -> list[Result]:
-    """The result codes of finished iterations."""
-    largest, results = found.residuals.largest, []
+def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.ndarray, list[str]]:
+    """Which of the finished iterations have success, and the results of all of them in words."""
+    largest = found.residuals.largest
+    finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
+    success = found.claimed & finite
+    if np.all(success):
+        return success, [sentence("successful")] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
-    for k in range(len(largest)):
-        undetermined = largest[k] <= tolerance and not found.claimed[k] and not found.stopped
-        if not (np.isfinite(largest[k]) and np.isfinite(found.assembled.cost[k])):
-            result = Result.not_finite
-        elif found.claimed[k]:
-            result = Result.successful
-        elif found.residuals.stationarity[k] <= tolerance and meets[k] and found.residuals.gap[k] > np.sqrt(tolerance):
-            result = Result.wrong_point
-        elif (not found.solvable[k] and not meets[k]) or undetermined:
-            result = Result.singular
-        elif found.stopped:
-            result = Result.stopped
-        elif found.iterations[k] >= max_iterations:
-            result = Result.too_many_iterations
-        else:
-            result = Result.no_improvement
-        results.append(result)
-    return results
+    apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))
+    undetermined = (largest <= tolerance) & (not found.stopped)
+    ways = {
+        "not_finite": ~finite,
+        "successful": found.claimed,
+        "wrong_point": apart,
+        "singular": (~found.solvable & ~meets) | undetermined,
+        "stopped": np.full(len(largest), found.stopped),
+        "too_many_iterations": found.iterations >= max_iterations,
+    }
+    first = np.select(list(ways.values()), range(len(ways)), len(ways))
+    names = [*ways, "no_improvement"]
+    return success, [sentence(names[k]) for k in first]

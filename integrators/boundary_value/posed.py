@@ -1,24 +1,23 @@
 """A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their guesses."""
 
+from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any, NamedTuple, final
 
-import jax
 import numpy as np
 
-from ...manifolds.manifold import default_tolerance
 from ...retractions import Gauss, Midpoint
 from ..problem import OptimalControlProblem, resting_control
 from .arguments import Method, structure_of
-from .end_points import NodeCondition, require_ends_on, require_known_ends
 from .engine.collocation import Collocation
 from .engine.conditions import Conditions, Ends, Iterate
 from .engine.diagnosis import Diagnosis
 from .engine.evaluator import Evaluator
-from .engine.layout import Layout, parameter_layout
+from .engine.layout import Layout
 from .engine.start import Start
 from .engine.transcription import Data, Known, Nodes, OneStage
-from .guess import Guess
-from .members import Member
+from .given_guess import FlatGuess
+from .members import Members
 
 
 class Traced(NamedTuple):
@@ -27,7 +26,8 @@ class Traced(NamedTuple):
     steps: OneStage | Collocation
     nodes: Nodes
     diagnosis: Diagnosis
-    example: OptimalControlProblem  # with some of these parameters
+    asked: np.ndarray | None  # 1 at the points where an inequality is to hold, else 0, if there are any
+    named: Callable[[np.ndarray], dict[str, np.ndarray]]  # what belongs to the inequalities, along the last axis, by their names
 
 
 class Posed(NamedTuple):
@@ -47,6 +47,8 @@ class Posing:
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self.stages = np.array(method.nodes) if isinstance(method, Gauss) else np.array([method.theta])
         self._start = Start(problem.manifold, method.retraction)
+        starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
+        self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()  # of all stages, fractions of the horizon
         self._found: dict[Any, Traced] = {}
 
     def traced(self, parameters: Any) -> Traced:
@@ -61,71 +63,45 @@ class Posing:
             else:
                 method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
                 steps = OneStage(self.problem, method, *given[1:])
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), example)
+            shape = len(self.fractions), len(self.stages)
+            asked = example.inequality_mask(*shape).astype(float) if example.limits.any else None
+            named = partial(example.limits.by_name, sizes=example.inequality_sizes)
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), asked, named)
         return self._found[key]
 
-    def posed(self, members: list[Member], conditions: list[tuple[NodeCondition, NodeCondition]]) -> Posed:
-        """The conditions and guesses of members, given their boundary conditions."""
-        parameters = np.stack([parameter_layout(m.parameters).rows(m.parameters, 0) for m in members])
-        traced = self.traced(members[0].parameters)
-        first, last = conditions[0]
-        begin, end = (np.stack([self.state.rows(pair[k].point, 0) for pair in conditions]) for k in (0, 1))
-        rows = begin, end
-        self._require_on_manifold(traced, members, rows)
-        data = Data(np.array([m.horizon for m in members])[:, None] * self.fractions, parameters, self._asked(members))
-        guess = self._guess(traced, members, rows, data)
-        entries = self._entries(first), self._entries(last)
-        coordinates = np.array(first.fixed_coordinates, float), np.array(last.fixed_coordinates, float)
-        return Posed(traced, Conditions(traced.steps, traced.nodes, Ends(*rows, *entries, *coordinates), data), guess)
+    def of(self, members: Members) -> Traced:
+        """The functions with the parameters of members."""
+        return self._found[members.structure] if members.structure in self._found else self.traced(members.parameters_of(0))
 
-    def _asked(self, members: list[Member]) -> np.ndarray | None:
-        """At which points the inequalities are to hold, if there are any."""
-        problem = self.problem.with_parameters(members[0].parameters)
-        if not problem.limits.any:
-            return None
-        mask = problem.inequality_mask(len(self.fractions), len(self.stages))
-        return np.broadcast_to(mask.astype(float), (len(members), *mask.shape))
+    def posed(self, members: Members) -> Posed:
+        """The conditions and guesses of members."""
+        traced, ends = self.of(members), members.ends
+        shape = len(members), self.state.size
+        rows = np.broadcast_to(ends.start, shape), np.broadcast_to(ends.end, shape)
+        asked = None if traced.asked is None else np.broadcast_to(traced.asked, (len(members), *traced.asked.shape))
+        data = Data(members.horizons[:, None] * self.fractions, members.rows, asked)
+        first, last = ends.prescribed
+        own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
+        return Posed(traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, members, rows, data))
 
-    def _entries(self, condition: NodeCondition) -> np.ndarray:
-        """Which entries of a flat point are prescribed."""
-        leaves, structure = jax.tree.flatten(self.problem.manifold.ambient)
-        ones = [1 + 1j if np.issubdtype(leaf.dtype, np.complexfloating) else 1.0 for leaf in leaves]
-        marks = [np.full(a.shape, one * fixed) for a, one, fixed in zip(leaves, ones, condition.fixed_leaves, strict=True)]
-        return self.state.rows(jax.tree.unflatten(structure, marks), 0) > 0
+    @cached_property
+    def _resting(self) -> np.ndarray:
+        return self.control.rows(resting_control(self.problem.controls), 0)
 
-    def _require_on_manifold(self, traced: Traced, members: list[Member], rows: tuple[np.ndarray, np.ndarray]) -> None:
-        """Raise if a prescribed part of an end is off its manifold."""
-        for flat in rows:
-            off = ~(np.max(traced.nodes.violations(flat), axis=1, initial=0.0) <= default_tolerance())
-            for k in np.flatnonzero(off):
-                require_ends_on(self.problem.manifold, members[k].start, members[k].end)
-
-    def _guess(self, traced: Traced, members: list[Member], rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
+    def _guess(self, traced: Traced, members: Members, rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
         """The guesses that are given, or curves from start to end with controls at rest and costates zero."""
-        count, places, size = len(members), self.stages, self.state.size
-        shape = count, len(self.fractions), len(places)
-        if members[0].guess is None:
-            for member in members:
-                require_known_ends(self.problem.manifold, member.start, member.end)
-            starts = np.concatenate([[0.0], np.cumsum(self.fractions)[:-1]])
-            fractions = (starts[:, None] + places * self.fractions[:, None]).ravel()
-            states = self._start.states(*rows, fractions).reshape(*shape, size)
-            rest = self.control.rows(jax.tree.map(np.asarray, resting_control(self.problem.controls)), 0)
-            controls = np.broadcast_to(rest, (*shape, rest.size))
-            costates, known = np.zeros((count, len(self.fractions) + 1, size)), None
+        count, size = len(members), self.state.size
+        shape = count, len(self.fractions), len(self.stages)
+        if members.guess is None:
+            members.ends.require_known(members.asked.start)
+            states = self._start.states(*rows, self._places).reshape(*shape, size)
+            controls = np.broadcast_to(self._resting, (*shape, self.control.size))
+            costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
-            guesses: Any = [member.guess for member in members]
-            states = np.stack([self.state.rows(guess.states, 1) for guess in guesses]).reshape(*shape, size)
-            controls = np.stack([self.control.rows(guess.controls, 1) for guess in guesses]).reshape(*shape, -1)
-            costates = np.stack([self.state.rows(guess.costates, 1) for guess in guesses])
-            known = self._known(guesses, shape)
+            parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in members.guess)
+            own = FlatGuess(*parts)
+            states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
+            costates = own.costates
+            both = own.nodes, own.stage_costates
+            known = Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates)
-
-    def _known(self, guesses: list[Guess], shape: tuple[int, int, int]) -> Known | None:
-        """What guesses say of the nodes and of the stages' costates; None if one does not."""
-        if any(guess.nodes is None or guess.stage_costates is None for guess in guesses):
-            return None
-        nodes, covectors = (
-            np.stack([self.state.rows(getattr(guess, name), 1) for guess in guesses]) for name in ("nodes", "stage_costates")
-        )
-        return Known(nodes, covectors.reshape(*shape, -1))

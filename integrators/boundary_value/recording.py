@@ -1,21 +1,19 @@
 """The records of what an iteration found."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from typing import Any, final
 
 import jax
 import numpy as np
 
 from ..problem import OptimalControlProblem
-from ..results import Result
 from .arguments import Options, require_tangent_dynamics
 from .engine.layout import Layout
 from .engine.newton import Found
-from .engine.transcription import Data
 from .interpolation import Interpolant
 from .outcome import outcomes
-from .posed import Traced
-from .solution import Checks, Solution, Statistics
+from .posed import Posed, Traced
+from .solution import RegularChecks, Solution, Statistics
 
 
 @final
@@ -26,47 +24,59 @@ class Recording:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
-    def records(
-        self, traced: Traced, data: Data, found: Found, options: Options, seconds: tuple[float, float]
-    ) -> Iterator[Solution]:
-        """The records of all members; ``seconds`` to trace and to run."""
-        nodes, costates = found.assembled.nodes, found.assembled.costates
-        costates = traced.nodes.projected(nodes, costates)
+    def of(
+        self, posed: Posed, parameters: Any, found: Found, options: Options, seconds: tuple[float, float]
+    ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
+        """The fields of the records of a batch, and what makes the record of a member.
+
+        ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
+        """
+        nodes, data, traced = found.assembled.nodes, posed.conditions.data, posed.traced
+        at_nodes = traced.diagnosis.at_nodes(nodes, found.assembled.costates)
+        costates = at_nodes.costates
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data)
-        diagnostics = traced.diagnosis((nodes, costates), stages, data.parameters)
-        results = outcomes(found, options.tolerance, options.max_iterations)
-        multipliers = _multipliers(traced.example, found)
-        for k, result in enumerate(results):
-            own: Any = jax.tree.map(lambda leaf, k=k: leaf[k], diagnostics)
-            require_tangent_dynamics(self.problem, float(own.normal))
-            times = np.concatenate([[0.0], np.cumsum(data.steps[k])])
-            gap, stationarity = float(found.residuals.gap[k]), float(found.residuals.stationarity[k])
-            yield Solution(
-                times=times,
-                states=self.state.points(nodes[k]),
-                costates=self.state.points(costates[k]),
-                stage_times=(times[:-1, None] + data.steps[k][:, None] * self.stages).ravel(),
-                stage_states=self.state.points(stages[0][k]),
-                stage_costates=self.state.points(stages[2][k]),
-                controls=self.control.points(stages[1][k]),
-                hamiltonians=own.hamiltonians,
-                momenta=own.momenta,
-                body_costates=own.body,
-                spatial_costates=own.spatial,
-                cost=float(found.assembled.cost[k]),
-                success=bool(result == Result.successful),
-                result=Result[result],
-                checks=Checks.of(own, gap, stationarity, bool(found.strict_minimum[k])),
+        diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
+        require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
+        success, results = outcomes(found, options.tolerance, options.max_iterations)
+        times = np.zeros((len(nodes), nodes.shape[1]))
+        np.cumsum(data.steps, axis=1, out=times[:, 1:])
+        between = times[:, :-1, None] + data.steps[:, :, None] * self.stages
+        fields = {
+            "times": times,
+            "states": self.state.points(nodes),
+            "costates": self.state.points(costates),
+            "stage_times": between.reshape(len(nodes), -1),
+            "stage_states": self.state.points(stages[0]),
+            "stage_costates": self.state.points(stages[2]),
+            "controls": self.control.points(stages[1]),
+            "hamiltonians": diagnostics.hamiltonians,
+            "momenta": diagnostics.momenta,
+            "body_costates": diagnostics.body,
+            "spatial_costates": diagnostics.spatial,
+            "cost": found.assembled.cost,
+            "success": success,
+            "multipliers": _multipliers(traced, found),
+        }
+        residuals = found.residuals.gap.tolist(), found.residuals.stationarity.tolist()
+
+        def member(k: int) -> Solution:
+            own: Any = jax.tree.map(lambda leaf: leaf[k], diagnostics)
+            return Solution(
+                **jax.tree.map(lambda leaf: leaf[k] if leaf.ndim > 1 else leaf[k].item(), fields),
+                result=results[k],
+                checks=RegularChecks.of(own, *(part[k] for part in residuals), strict_minimum=bool(found.strict_minimum[k])),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 interpolant=self.interpolant,
-                multipliers={name: rows[k] for name, rows in multipliers.items()},
+                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
+        return {**fields, "parameters": parameters}, member
 
-def _multipliers(problem: OptimalControlProblem, found: Found) -> dict[str, np.ndarray]:
+
+def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:
     """Multipliers of the inequalities at the stages, by their names."""
     slacks = found.iterate.slacks
     if slacks is None:
         return {}
     rows = slacks.multipliers
-    return problem.by_constraint(rows.reshape(len(rows), -1, rows.shape[3]))
+    return traced.named(rows.reshape(len(rows), -1, rows.shape[3]))

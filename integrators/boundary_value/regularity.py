@@ -1,36 +1,35 @@
 """Whether a problem is regular or singular with the parameters of a call, found out once for each of them."""
 
+from functools import cached_property
 from typing import Any, final
 
 import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ..problem import OptimalControlProblem, resting_control
+from ..probing import CURVATURES, SPREAD
+from ..problem import resting_control
 from ..singular import Classification, classify
-from .arguments import structure_of
-from .end_points import NodeCondition
-from .members import Member
+from .members import Members
+from .posed import Posing
+from .solution import Solution
 
 
 @final
 class Regularity:
     """The classification of a problem with the parameters that it was last asked for."""
 
-    def __init__(self, refusal: str = "") -> None:
+    def __init__(self, posing: Posing, refusal: str = "") -> None:
         """``refusal``: words for a singular problem, where that is not to be solved."""
-        self.refusal = refusal
+        self._posing, self.refusal = posing, refusal
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
-    def classification(
-        self, problem: OptimalControlProblem, conditions: tuple[NodeCondition, NodeCondition], member: Member
-    ) -> Classification | None:
+    def classification(self, members: Members, k: int = 0) -> Classification | None:
         """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved with."""
-        first, last = conditions
-        values = tuple(np.asarray(leaf).tobytes() for leaf in jax.tree.leaves(member.parameters))
-        key = structure_of(member.parameters), last.parts
+        key, values = self._key(members), members.rows[k].tobytes()
         if key not in self._classes or self._classes[key][0] != values:
-            known = first.point if member.guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), member.guess.states)
+            problem, (first, last), guess = members.problem_of(k), members.conditions_of(k), members.guess_of(k)
+            known = first.point if guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), guess.states)
             regular = problem.check(known, resting_control(problem.controls))
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
             regular = regular or problem.limits.along
@@ -41,7 +40,59 @@ class Regularity:
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 
-    def was_regular(self, conditions: tuple[NodeCondition, NodeCondition], member: Member) -> bool:
-        """Whether the problem was regular with the parameters before: then a solution can show that it is with these."""
-        key = structure_of(member.parameters), conditions[1].parts
-        return key in self._classes and self._classes[key][1] is None
+    def has_to_be_shown(self, members: Members) -> bool:
+        """Whether the problem was regular with other parameters before: then a solution can show that it is with these."""
+        values, found = self._classes.get(self._key(members), (None, None))
+        return values is not None and found is None and values != members.rows[0].tobytes()
+
+    def is_shown(self, members: Members, solution: Solution) -> bool:
+        """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need not be."""
+        if self._posing.problem.limits.along:
+            return self._shown(members)
+        if not (solution.success and solution.checks.strict_minimum):
+            return False
+        state, control = self._posing.state, self._posing.control
+        layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
+        states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
+        if not self._posing.of(members).diagnosis.is_curved((states, controls, costates), members.rows):
+            return False
+        return self._shown(members)
+
+    def _shown(self, members: Members) -> bool:
+        self._classes[self._key(members)] = members.rows[0].tobytes(), None
+        return True
+
+    def require_regular(self, members: Members) -> None:
+        """Raise if the problem is singular with the parameters of any member.
+
+        ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is singular at
+        all of them, the member is classified.
+        """
+        self._require_regular(members, 0)
+        if self._posing.problem.limits.along:
+            return
+        _, left = np.unique(members.rows, axis=0, return_index=True)
+        states = np.broadcast_to(members.ends.start, (len(members), self._posing.state.size))
+        for control, covector in zip(*self._probes, strict=True):
+            at = states[left], np.broadcast_to(control, (len(left), control.size)), np.broadcast_to(covector, states[left].shape)
+            curved = self._posing.of(members).diagnosis.curved(tuple(part[:, None] for part in at), members.rows[left])
+            left = left[~curved[:, 0]]
+        for k in left:
+            self._require_regular(members, int(k))
+
+    def _require_regular(self, members: Members, k: int) -> None:
+        found = self.classification(members, k)
+        if found is not None and not found.regular:
+            which = f" with the parameters of member {k}" if members.rows.size else ""
+            raise InvalidInputError(f"solve_many solves regular problems, and this one is singular{which}; call solve for each")
+
+    @cached_property
+    def _probes(self) -> tuple[np.ndarray, np.ndarray]:
+        """Flat controls around the resting one, and covectors, random and the same at every call."""
+        problem, draw = self._posing.problem, np.random.default_rng(0).standard_normal
+        rest, moves = resting_control(problem.controls), SPREAD * draw((CURVATURES, problem.controls.dimension))
+        controls = np.stack([self._posing.control.rows(problem.steer(rest, move), 0) for move in moves])
+        return controls, draw((CURVATURES, self._posing.state.size))
+
+    def _key(self, members: Members) -> Any:
+        return members.structure, members.ends.prescribed[1].parts

@@ -1,6 +1,7 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from collections.abc import Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, Self, final, get_type_hints, overload
@@ -18,6 +19,7 @@ from .interpolation import Interpolant, Sample
 
 VERSION = 2  # of the file
 TOO_COARSE = 0.1
+LISTED = "result", "checks", "statistics", "singular", "interpolant"  # fields of a batch that are lists
 SAME = 1e-6  # relative distance within which two extremals are one
 
 
@@ -31,19 +33,15 @@ class Statistics:
 
 
 @dataclass(frozen=True)
-class Checks:
-    """What a user checks on a solution. Spreads are maximum minus minimum.
+class Checks(ABC):
+    """What a user checks on a solution, regular or singular. Spreads are maximum minus minimum.
 
     ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by entry
-    relative to the spread of the trajectory in it. ``stationarity``: largest derivative of the Lagrangian relative to its
-    parts. ``violations``: of each equation of the manifold, the largest at the nodes (for a rotation, the orthogonality
-    error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the largest of its parts ``<p, X>``
-    and ``F``, no less than their rounding.
-    ``momentum_spreads``: for each factor on which a group acts, largest spread of a component of its momentum over the nodes;
-    ``conserved``: how many of its components the problem conserves by symmetry. ``strict_minimum``: whether the Hessian is
-    positive definite on the null space of the constraints. Of a singular extremal ``stationarity`` is the largest violation of
-    the equations of ``P_f`` at the nodes, relative; ``conserved`` counts what is constant along it, for which ``P_f`` may be
-    the reason; and ``strict_minimum`` is not claimed: read ``singular.second_order``.
+    relative to the spread of the trajectory in it. ``stationarity``: by how much the other conditions of optimality are
+    violated, relative. ``violations``: of each equation of the manifold, the largest at the nodes (for a rotation, the
+    orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the largest of its parts
+    ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on which a group acts, largest
+    spread of a component of its momentum over the nodes; ``conserved``: how many of its components are conserved.
     """
 
     gap: float
@@ -54,10 +52,9 @@ class Checks:
     hamiltonian_size: float
     momentum_spreads: dict[str, float]
     conserved: dict[str, int]
-    strict_minimum: bool
 
     @classmethod
-    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, strict_minimum: bool) -> Self:
+    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, **more: Any) -> Self:
         """The checks from the diagnostics of a trajectory, in NumPy arrays, and what its solver knows."""
         hamiltonians: Any = diagnostics.hamiltonians
         return cls(
@@ -69,8 +66,13 @@ class Checks:
             hamiltonian_size=float(diagnostics.hamiltonian_size),
             momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
             conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
-            strict_minimum=strict_minimum,
+            **more,
         )
+
+    @property
+    @abstractmethod
+    def strict_minimum(self) -> bool:
+        """Whether the extremal is shown to be a strict local minimum of the discrete problem."""
 
     @property
     def constraint(self) -> float:
@@ -81,6 +83,33 @@ class Checks:
     def too_coarse(self) -> bool:
         """Whether the Hamiltonian, constant along an exact extremal, varies by more than a tenth of its parts."""
         return self.hamiltonian_spread > TOO_COARSE * self.hamiltonian_size
+
+
+@final
+@dataclass(frozen=True)
+class RegularChecks(Checks):
+    """The checks of a regular extremal.
+
+    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem conserves
+    by symmetry. ``strict_minimum``: whether the Hessian is positive definite on the null space of the constraints.
+    """
+
+    strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
+
+
+@final
+@dataclass(frozen=True)
+class SingularChecks(Checks):
+    """The checks of a singular extremal.
+
+    ``stationarity``: largest violation of the equations of ``P_f`` at the nodes, relative. ``conserved`` counts what is constant
+    along the extremal, for which ``P_f`` may be the reason.
+    """
+
+    @property
+    def strict_minimum(self) -> bool:
+        """Not claimed: read ``singular.second_order``."""
+        return False
 
 
 @dataclass(frozen=True)
@@ -130,7 +159,7 @@ class Solution:
     cost: float
     success: bool
     result: str
-    checks: Checks
+    checks: RegularChecks | SingularChecks
     statistics: Statistics
     singular: SingularArc | None = None
     multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
@@ -211,26 +240,45 @@ class Solutions(Sequence[Solution]):
     arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
     """
 
-    def __init__(self, members: Sequence[Solution]) -> None:
-        self._members = tuple(members)
+    def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
+        self._fields, self._member, self._places = fields, member, places
+        self._made: dict[int, Solution] = {}  # each when it is asked for, once
+
+    @classmethod
+    def of(cls, members: Sequence[Solution]) -> Self:
+        """The batch of these solutions."""
+        values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        return cls(stacked, members.__getitem__, range(len(members)))
+
+    def __reduce__(self) -> Any:
+        return Solutions.of, (tuple(self),)
 
     def __len__(self) -> int:
-        return len(self._members)
+        return len(self._places)
 
     @overload
     def __getitem__(self, place: int) -> Solution: ...
     @overload
     def __getitem__(self, place: slice) -> "Solutions": ...
     def __getitem__(self, place: int | slice) -> "Solution | Solutions":
-        return Solutions(self._members[place]) if isinstance(place, slice) else self._members[place]
+        if isinstance(place, slice):
+            chosen = self._places[place]
+            return Solutions(self._fields, self._whole, chosen)
+        return self._whole(self._places[place])
+
+    def _whole(self, k: int) -> Solution:
+        """The member that is number ``k`` of the whole batch."""
+        if k not in self._made:
+            self._made[k] = self._member(k)
+        return self._made[k]
 
     def __getattr__(self, name: str) -> Any:
         if name not in {field.name for field in fields(Solution)}:
             raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
-        values = [getattr(member, name) for member in self._members]
-        if name in ("result", "checks", "statistics", "singular"):
-            return values
-        return jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        if name in LISTED:
+            return [getattr(member, name) for member in self]
+        return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
 
     @property
     def converged(self) -> int:
@@ -240,7 +288,8 @@ class Solutions(Sequence[Solution]):
     @property
     def distinct(self) -> int:
         """How many different extremals there are among those that converged: states further apart than 1e-6 of their extent."""
-        flat = [np.concatenate([leaf.ravel() for leaf in jax.tree.leaves(m.states)]) for m in self._members if m.success]
+        leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
+        flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []
         for states in flat:
             if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
@@ -251,7 +300,7 @@ class Solutions(Sequence[Solution]):
         costs = self.cost[self.success]
         span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
         counts = f"{len(self)}, {self.converged} of them converged, {self.distinct} distinct"
-        return f"Solutions({counts}, {span}{self[0].steps} steps each)"
+        return f"Solutions({counts}, {span}{self.times.shape[1] - 1} steps each)"
 
 
 def _in_tuples(value: Any) -> Any:

@@ -18,16 +18,14 @@ from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
 from .differentiable import Extremal, Given, extremal_of
-from .end_points import NodeCondition, require_ends_on
 from .engine.evaluator import chosen
-from .engine.layout import parameter_layout
 from .engine.newton import Found, Iteration, newton, taken
 from .engine.sensitivity import Sensitivities
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
 from .guess import Guess
 from .interpolation import Interpolant
-from .members import Member, members_of
+from .members import Asked, MemberReader, Members
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
@@ -68,10 +66,11 @@ class Solver:
         self._evaluator = chosen(evaluator)
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
         interpolant = Interpolant(method.retraction, problem.controls)
-        self._mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        mesh = Mesh(self.fractions, self._posing.stages, interpolant)
+        self._reader = MemberReader(problem, mesh, self._evaluator)
         self._recording = Recording(problem, self._posing.stages, interpolant)
-        self._formulated = Formulated(problem, method, self._mesh, self._inner)
-        self._regularity = Regularity()
+        self._formulated = Formulated(self._reader, method, self._inner)
+        self._regularity = Regularity(self._posing)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters and not is_reading():
@@ -140,24 +139,25 @@ class Solver:
             asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
             choice = {"classification": classification, "integrator": integrator}
             with one_reading():
-                return self._formulated.solve((start, end, horizon, guess, parameters), throw, **asked, **choice)
+                return self._formulated.solve(Asked(start, end, horizon, guess, parameters), throw, **asked, **choice)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
-            member = Member.checked(self.problem, self._mesh, (start, end, horizon, guess, parameters))
-            problem, conditions = self.problem.with_parameters(parameters), member.conditions(self.problem)
-            given = problem, conditions, member
-            trusted = classification is None and self._regularity.was_regular(conditions, member)
-            c = classification if trusted or classification is not None else self._regularity.classification(*given)
-            check_method(problem, self.method, c, integrator)
+            members = self._reader.one(Asked(start, end, horizon, guess, parameters))
+            to_show = classification is None and self._regularity.has_to_be_shown(members)
+            c = classification if to_show or classification is not None else self._regularity.classification(members)
+            if c is not None or integrator is not None:
+                check_method(members.problem_of(0), self.method, c, integrator)
             solution = None
             if c is None or c.regular:
-                solution = self._solved([member], [conditions], options, began)[0]
-                if trusted and not self._shows_regular(solution, parameters):
-                    c = self._regularity.classification(*given)
+                solution = self._solved(members, options, began)[0]
+                if to_show and not self._regularity.is_shown(members, solution):
+                    c = self._regularity.classification(members)
             if c is not None and not c.regular:
-                solution = self._on_final_manifold(*given, options, (c, integrator))
-            solution = explained(problem, cast(Solution, solution))
+                solution = self._on_final_manifold(members, options, (c, integrator))
+            solution = cast(Solution, solution)
+            if not solution.success:
+                solution = explained(members.problem_of(0), solution)
         return solution.require_success() if throw else solution
 
     @known_options
@@ -183,21 +183,13 @@ class Solver:
         if is_formulated(self.problem, horizons, parameters):
             asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
             with one_reading():
-                return self._formulated.solve_many((starts, ends, horizons, guesses, parameters), **asked)
+                return self._formulated.solve_many(Asked(starts, ends, horizons, guesses, parameters), **asked)
         options = checked_options(tolerance, max_iterations, callback, verbose)
         began = time.perf_counter()
         with one_reading():
-            batch = starts, ends, horizons, guesses, parameters
-            members = list(members_of(self.problem, self._mesh, *batch))
-            conditions = [member.conditions(self.problem) for member in members]
-            problem = self.problem.with_parameters(members[0].parameters)
-            c = self._regularity.classification(problem, conditions[0], members[0])
-            if c is not None and not c.regular:
-                raise InvalidInputError("solve_many solves regular problems, and this one is singular; call solve for each")
-            kinds = {tuple(condition.parts for condition in pair) for pair in conditions}
-            if len(kinds) > 1:
-                raise InvalidInputError("the members of a batch have other free factors; solve those with the same ones together")
-            return Solutions(self._solved(members, conditions, options, began))
+            members = self._reader.many(Asked(starts, ends, horizons, guesses, parameters))
+            self._regularity.require_regular(members)
+            return self._solved(members, options, began)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """Derivatives of a solution that this solver found by its ends, horizon and parameters.
@@ -251,43 +243,25 @@ class Solver:
 
         return extremal_of(self.problem.manifold, Given(start, end, horizon, parameters), solved, self.sensitivity)
 
-    def _shows_regular(self, solution: Solution, parameters: Any) -> bool:
-        """Whether it is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities the latter is not asked."""
-        if self.problem.limits.any:
-            return True
-        state, control = self._posing.state, self._posing.control
-        layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
-        states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
-        rows = parameter_layout(parameters).rows(parameters, 0)[None]
-        minimum = solution.success and solution.checks.strict_minimum
-        return minimum and self._posing.traced(parameters).diagnosis.is_curved((states, controls, costates), rows)
-
-    def _solved(
-        self,
-        members: list[Member],
-        conditions: list[tuple[NodeCondition, NodeCondition]],
-        options: Options,
-        began: float,
-    ) -> list[Solution]:
+    def _solved(self, members: Members, options: Options, began: float) -> Solutions:
         """Solutions of regular problems."""
-        posed = self._posing.posed(members, conditions)
+        posed = self._posing.posed(members)
         tracing = time.perf_counter() - began
         with np.errstate(all="ignore"):  # what is not finite is judged
             found = newton(posed.conditions, posed.guess, *options)
             seconds = tracing, time.perf_counter() - began - tracing
-            solutions = list(self._recording.records(posed.traced, posed.conditions.data, found, options, seconds))
-        solutions = [replace(each, parameters=copied(m.parameters)) for each, m in zip(solutions, members, strict=True)]
-        for k, (solution, member) in enumerate(zip(solutions, members, strict=True)):
-            self._kept[solution] = _Kept(posed, found, k, member.parameters)
-        return solutions
+            parameters = members.parameters()
+            fields, member = self._recording.of(posed, parameters, found, options, seconds)
+
+        def kept(k: int) -> Solution:
+            solution = member(k)
+            self._kept[solution] = _Kept(posed, found, k, solution.parameters)
+            return solution
+
+        return Solutions(fields, kept, range(len(members)))
 
     def _on_final_manifold(
-        self,
-        problem: OptimalControlProblem,
-        conditions: tuple[NodeCondition, NodeCondition],
-        member: Member,
-        options: Options,
-        method: tuple[Classification, SingularIntegrator | None],
+        self, members: Members, options: Options, method: tuple[Classification, SingularIntegrator | None]
     ) -> Solution:
         """The extremal of a singular problem."""
         if not isinstance(self.method, DiscretizationMap):
@@ -297,8 +271,10 @@ class Solver:
             )
         if np.ptp(self.fractions) > 1e-12:
             raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
-        require_ends_on(problem.manifold, member.start, member.end)
-        h = np.asarray(member.horizon / self.steps, working_precision())
+        problem, guess = members.problem_of(0), members.guess_of(0)
+        h = np.asarray(members.horizons[0] / self.steps, working_precision())
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
-        request = Request(problem, self.method, EndConditions(problem, *conditions), member.guess, h, self.steps, *limits)
-        return replace(solve_on_final_manifold(request, *method), interpolant=self._recording.interpolant)
+        conditions = EndConditions(problem, *members.conditions_of(0))
+        request = Request(problem, self.method, conditions, guess, h, self.steps, *limits)
+        own: Any = {"interpolant": self._recording.interpolant, "parameters": copied(members.parameters_of(0))}
+        return replace(solve_on_final_manifold(request, *method), **own)

@@ -59,7 +59,7 @@ def test_inequalities_are_the_finite_bounds_then_the_constraints_in_order():
 
 
 def test_numbers_of_the_inequalities_come_back_under_their_names():
-    found = LIMITED.by_constraint(np.arange(18.0).reshape(2, 9))
+    found = LIMITED.limits.by_name(np.arange(18.0).reshape(2, 9), LIMITED.inequality_sizes)
     assert list(found) == ["control_bounds lower", "control_bounds upper", "rate", "cone", "any"]
     np.testing.assert_array_equal(found["control_bounds lower"], [[0, 0, 1], [9, 0, 10]])
     np.testing.assert_array_equal(found["cone"], [[6, 7], [15, 16]])

@@ -12,10 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import (
-    Checks,
     Guess,
+    RegularChecks,
     Result,
     SingularArc,
+    SingularChecks,
     Solution,
     Statistics,
     Trajectory,
@@ -36,7 +37,8 @@ def along(count: int) -> tuple:
 
 
 TIMES = np.linspace(0.0, 1.0, N + 1)
-CHECKS = Checks(1e-15, 2e-14, {"kind": 1e-16, "x/0": 0.0}, 0.5, 1e-3, 1.0, {"SO(3)": 1e-12}, {"SO(3)": 3}, True)
+NUMBERS = 1e-15, 2e-14, {"kind": 1e-16, "x/0": 0.0}, 0.5, 1e-3, 1.0, {"SO(3)": 1e-12}, {"SO(3)": 3}
+CHECKS = SingularChecks(*NUMBERS)
 ARC = SingularArc(4, 1, 1, "rattle: because", True, {"start": 1e-12}, 3, "positive")
 SOLUTION = Solution(
     TIMES, along(N + 1), along(N + 1), TIMES[:-1] + 0.1, along(N), along(N), RANDOM.normal(size=(N, 2)), np.full(N, 0.5),
@@ -52,7 +54,7 @@ BETWEEN = Interpolant(default_retraction(PLACES), Euclidean(2))
 RECORDS = {
     "solution with polynomials": (replace(SOLUTION, interpolant=BETWEEN), load_solution),
     "solution": (SOLUTION, load_solution),
-    "regular solution": (replace(SOLUTION, singular=None, momenta={}), load_solution),
+    "regular solution": (replace(SOLUTION, singular=None, momenta={}, checks=RegularChecks(*NUMBERS, True)), load_solution),
     "trajectory": (TRAJECTORY, load_trajectory),
     "trajectory without controls": (replace(TRAJECTORY, controls=None), load_trajectory),
 }

@@ -36,6 +36,16 @@ class Diagnostics(NamedTuple):
     normal: np.ndarray  # normal part of the dynamics, relative to 1 + its size, largest over the stages
 
 
+class AtNodes(NamedTuple):
+    """What a batch has along its nodes, (B, N + 1, ...): costates projected to the tangent spaces there, and what they give."""
+
+    costates: np.ndarray
+    momenta: dict[str, np.ndarray]
+    body: dict[str, np.ndarray]
+    spatial: dict[str, np.ndarray]
+    violations: dict[str, np.ndarray]  # of the manifold's equations, largest over the nodes
+
+
 @final
 class Diagnosis:
     """What is computed from a trajectory of a problem, traced once."""
@@ -52,56 +62,64 @@ class Diagnosis:
         self._equations = list(jax.eval_shape(problem.manifold.violations, example))
         self._stage = evaluator.values(self._at_stage, states, controls, states, given)
         self._node = evaluator.values(self._at_node, states, states)
-        self._brackets = evaluator.values(self._brackets_at, states, controls, states, given)
         dimension = problem.manifold.dimension + problem.controls.dimension
         self._terms = evaluator.derivatives(self._terms_of, dimension, states, controls, states, given)
 
-    def __call__(
-        self, nodes: tuple[np.ndarray, np.ndarray], stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray
-    ) -> Diagnostics:
-        """Diagnostics from states and costates at the nodes, and states, controls and costates at the stages, (B, S, ...)."""
-        given = parameters[:, None]
-        hamiltonians, sizes, normal = at_points(self._stage, 2, *stages, given)
-        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
-        looked_at = [part[:, sample] for part in stages]
-        brackets = {
-            name: np.max(value, axis=1)
-            for name, value in zip(self._names, at_points(self._brackets, 2, *looked_at, given), strict=True)
-        }
-        size = np.maximum(np.max(sizes, axis=1), np.max(self._rounding(looked_at, given), axis=1))
-        *frames, violations = at_points(self._node, 2, *nodes)
-        momenta = dict(zip(self._names, frames, strict=False))
-        rest = frames[len(self._names) :]
+    def at_nodes(self, nodes: np.ndarray, costates: np.ndarray) -> AtNodes:
+        """What states and ambient covectors at the nodes give, (B, N + 1, E)."""
+        projected, violations, *frames = at_points(self._node, 2, nodes, costates)
+        count = len(self._names)
+        momenta, rest = dict(zip(self._names, frames[:count], strict=True)), frames[count:]
         body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
         worst = dict(zip(self._equations, np.max(violations, axis=1).T[1:], strict=True))
-        return Diagnostics(hamiltonians, size, momenta, body, spatial, worst, brackets, np.max(normal, axis=1))
+        return AtNodes(projected, momenta, body, spatial, worst)
+
+    def __call__(self, nodes: AtNodes, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> Diagnostics:
+        """Diagnostics from what the nodes have, and states, controls and costates at the stages, (B, S, ...)."""
+        given = parameters[:, None]
+        hamiltonians, sizes, normal = at_points(self._stage, 2, *stages, given)
+        rounding, brackets = self._at_samples(stages, given)
+        size = np.maximum(np.max(sizes, axis=1), rounding)
+        own = nodes.momenta, nodes.body, nodes.spatial, nodes.violations
+        return Diagnostics(hamiltonians, size, *own, brackets, np.max(normal, axis=1))
 
     def is_curved(self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> bool:
         """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular problem."""
+        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
+        states, controls, costates = (part[:, sample] for part in stages)
+        return bool(np.all(self.curved((states, controls, costates), parameters)))
+
+    def curved(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
+        """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
         if self._parts is None:
             sizes = self.problem.controls.dimension, self.state.size, self.control.size, self.state.size, self.parameter.size
             self._parts = tuple(self._evaluator.derivatives(partial(self._part_of, k), *sizes) for k in (0, 1))
-        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
-        looked_at = [part[:, sample] for part in stages]
-        found = [at_points(part, 2, *looked_at, parameters[:, None]) for part in self._parts]
-        curvatures, slopes = (np.stack([values[k][0] for values in found], axis=1) for k in (0, 1))
-        return not any(len(flat_directions(*at)) for at in zip(slopes, curvatures, strict=True))
+        found = [at_points(part, 2, *at, parameters[:, None]) for part in self._parts]
+        curvatures, slopes = (np.stack([values[k] for values in found], axis=2) for k in (0, 1))
+        shape = curvatures.shape[:2]
+        points = zip(slopes.reshape(-1, *slopes.shape[2:]), curvatures.reshape(-1, *curvatures.shape[2:]), strict=True)
+        return np.array([not len(flat_directions(*one)) for one in points], bool).reshape(shape)
 
     def _part_of(self, k: int, d: Array, *given: Array) -> tuple[Array, Array]:
         """The power ``<p, X>`` or the cost rate at a control moved in its chart."""
         problem, q, u, p = self._bound(*given)
         return problem.parts(q, p, problem.steer(u, d))[k], jnp.zeros(0)
 
-    def _rounding(self, stages: list[np.ndarray], given: np.ndarray) -> np.ndarray:
-        """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of.
+    def _at_samples(
+        self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], given: np.ndarray
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of; and the brackets.
 
         The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger: where
         ``F = (q + u)^2 / 2`` is zero, the second ones are not.
         """
-        curvature, slope, _, _, power, rate, sizes = at_points(self._terms, 2, *stages, given)
+        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
+        found = at_points(self._terms, 2, *(part[:, sample] for part in stages), given)
+        curvature, slope, _, _, power, rate, sizes, *brackets = found
         parts = np.abs(rate) + np.sum(np.abs(slope) * sizes, axis=2)
         parts += np.einsum("bsij,bsi,bsj->bs", np.abs(curvature), sizes, sizes)
-        return ROUNDING * np.finfo(float).eps * (power + parts)
+        rounding = ROUNDING * np.finfo(float).eps * np.max(power + parts, axis=1)
+        return rounding, {name: np.max(value, axis=1) for name, value in zip(self._names, brackets, strict=True)}
 
     def _bound(self, q: Array, u: Array, p: Array, parameters: Array) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:
         bound = self.problem.with_parameters(self.parameter.point(parameters))
@@ -115,15 +133,20 @@ class Diagnosis:
         return power - rate, jnp.maximum(jnp.abs(power), jnp.abs(rate)), normal / (1 + speed)
 
     def _at_node(self, q: Array, p: Array) -> tuple[Array, ...]:
-        """Momenta of every factor on which a group acts; body and spatial covectors of the matrix groups among them."""
+        """The projected covector, violations of the manifold's equations, and momenta of every factor on which a group acts;
+
+        then body and spatial covectors of the matrix groups among them.
+        """
         manifold, momenta, covectors = self.problem.manifold, [], []
-        points = (homogeneous_factors(manifold, self.state.point(part)) for part in (q, p))
+        point = self.state.point(q)
+        tangent = manifold.projection(point, self.state.point(p))
+        points = (homogeneous_factors(manifold, part) for part in (point, tangent))
         for (_, factor, x), (_, _, covector) in zip(*points, strict=True):
             momenta.append(factor.momentum(x, covector))
             if isinstance(factor, MatrixLieGroup):
                 covectors += [factor.body(x, covector), factor.spatial(x, covector)]
-        violations = manifold.violations(self.state.point(q))
-        return *momenta, *covectors, jnp.stack([jnp.zeros(()), *violations.values()])
+        violations = jnp.stack([jnp.zeros(()), *manifold.violations(point).values()])
+        return self.state.flat(tangent), violations, *momenta, *covectors
 
     def _terms_of(self, d: Array, *given: Array) -> tuple[Array, ...]:
         problem, q, u, p = self._bound(*given)
@@ -133,7 +156,8 @@ class Diagnosis:
         # By the ambient space, like the brackets: a chart would only add terms of its own.
         near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
         power = vec.pairing(*jax.tree.map(jnp.abs, (p, problem.velocity(q, u))))
-        return problem.cost_rate(*near), jnp.zeros(0), power, problem.cost_rate(q, u), jnp.maximum(jnp.concatenate(sizes), 1.0)
+        own = power, problem.cost_rate(q, u), jnp.maximum(jnp.concatenate(sizes), 1.0)
+        return problem.cost_rate(*near), jnp.zeros(0), *own, *self._brackets_at(*given)
 
     def _brackets_at(self, *given: Array) -> tuple[Array, ...]:
         """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their parts.

@@ -1,6 +1,7 @@
 """Points as flat vectors of real numbers, the form in which the engine holds them."""
 
 import math
+from itertools import pairwise
 from typing import Any, final
 
 import jax
@@ -21,6 +22,8 @@ class Layout:
         self._complex = [np.issubdtype(kind.dtype, np.complexfloating) for kind in self._kinds]
         self._ends = np.cumsum([0, *(math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True))])
         self.size = int(self._ends[-1])
+        self.shapes = [tuple(kind.shape) for kind in self._kinds]
+        self.places = [slice(begin, end) for begin, end in pairwise(self._ends.tolist())]  # of each array
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":
@@ -42,13 +45,32 @@ class Layout:
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
-        leading = next((np.shape(leaf)[:axes] for leaf in jax.tree.leaves(points)), ())
-        halves = [np.zeros((*leading, 0))]
-        for leaf, is_complex in zip(jax.tree.leaves(points), self._complex, strict=True):
-            array = np.asarray(leaf)
-            parts = (np.real(array), np.imag(array)) if is_complex else (array,)
-            halves += [np.asarray(part, float).reshape(*array.shape[:axes], -1) for part in parts]
-        return np.concatenate(halves, axis=-1)
+        arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(points)]
+        leading = arrays[0].shape[:axes] if arrays else ()
+        rows = np.empty((*leading, self.size))
+        for array, is_complex, begin, end in zip(arrays, self._complex, self._ends, self._ends[1:], strict=False):
+            part = array.reshape(*leading, array.size // max(math.prod(leading), 1))
+            if is_complex:
+                half = (begin + end) // 2
+                rows[..., begin:half], rows[..., half:end] = np.real(part), np.imag(part)
+            else:
+                rows[..., begin:end] = part
+        return rows
+
+    def holds(self, points: Any, axes: int) -> bool:
+        """Whether these are NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common.
+
+        What is none of it may still be points: this sees most that are at once.
+        """
+        leaves, structure = jax.tree.flatten(points)
+        return structure == self._structure and all(
+            type(leaf) is np.ndarray
+            and leaf.dtype.kind == "f"
+            and leaf.shape[axes:] == shape
+            and leaf.shape[:axes] == leaves[0].shape[:axes]
+            and bool(np.isfinite(leaf).all())
+            for leaf, shape in zip(leaves, self.shapes, strict=True)
+        )
 
     def points(self, rows: np.ndarray) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""
@@ -65,6 +87,6 @@ class Layout:
         return jax.tree.unflatten(self._structure, leaves)
 
 
-def parameter_layout(parameters: Any) -> Layout:
-    """The layout of the parameters of a problem, any pytree of numbers and arrays."""
-    return Layout(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf), np.asarray(leaf).dtype), parameters))
+def parameter_layout(parameters: Any, axes: int = 0) -> Layout:
+    """The layout of the parameters of a problem, any pytree of numbers and arrays, which may have leading axes in addition."""
+    return Layout(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[axes:], np.asarray(leaf).dtype), parameters))

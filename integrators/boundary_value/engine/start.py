@@ -32,7 +32,7 @@ class Start:
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
         self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
         self._other = default_retraction(manifold)
-        self._curves: list[Evaluated] = []
+        self._curves: list[tuple[Evaluated, Evaluated]] = []
         self._walk: tuple[Evaluated, Evaluated] | None = None
 
     def states(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> np.ndarray:
@@ -61,26 +61,35 @@ class Start:
         self, place: int, retraction: Retraction, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Points of ``s -> R(start, s v)``, ``R(start, v) = end``; and whether they arrive, in even steps."""
-        size = self.layout.size
         if len(self._curves) <= place:
-
-            def curve(start: Array, end: Array, s: Array) -> tuple[Array, Array]:
-                x = self.layout.point(start)
-                v = retraction.preimage(x, self.layout.point(end))
-                return self.layout.flat(retraction(x, vec.scale(s[0], v))), vec.size(v)
-
-            self._curves.append(Automatic().values(curve, size, size, 1))
+            self._curves.append(self._curve(retraction))
+        leave, go = self._curves[place]
+        vectors, lengths = at_points(leave, 1, starts, ends)
         steps = np.broadcast_to(fractions[None, :, None], (len(starts), len(fractions), 1))
-        states, lengths = at_points(self._curves[place], 2, starts[:, None], ends[:, None], steps)
+        (states,) = at_points(go, 2, starts[:, None], vectors[:, None], steps)
         spaced = np.diff(fractions) * len(fractions)
-        return states, np.isfinite(lengths[:, 0]) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
+        return states, np.isfinite(lengths) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
+
+    def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
+        """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s v)``."""
+
+        def leave(start: Array, end: Array) -> tuple[Array, Array]:
+            v = retraction.preimage(self.layout.point(start), self.layout.point(end))
+            return self.layout.flat(v), vec.size(v)
+
+        def go(start: Array, vector: Array, s: Array) -> tuple[Array]:
+            return (self.layout.flat(retraction(self.layout.point(start), vec.scale(s[0], self.layout.point(vector)))),)
+
+        size = self.layout.size
+        return Automatic().values(leave, size, size), Automatic().values(go, size, size, 1)
 
     def _even(self, states: np.ndarray, spaced: np.ndarray) -> np.ndarray:
         """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point."""
         fine = np.ones(len(states), bool)
-        for part in jax.tree.leaves(self.layout.points(states)):
-            flat = part.reshape(*states.shape[:2], -1)
-            lengths = np.linalg.norm(np.diff(flat, axis=1), axis=2)
+        for place in self.layout.places:
+            flat = states[:, :, place]
+            change = flat[:, 1:] - flat[:, :-1]
+            lengths = np.sqrt(np.einsum("bke,bke->bk", change, change))
             rounding = default_tolerance() * np.max(np.abs(flat), axis=(1, 2), initial=0.0)
             mean = np.sum(lengths, axis=1) / max(lengths.shape[1], 1)
             fine &= np.max(lengths / spaced, axis=1, initial=0.0) <= UNEVEN * mean + rounding

@@ -212,7 +212,6 @@ class Nodes:
         self._frame = evaluator.values(self._frame_of, self.layout.size)
         sizes, paid = (self.layout.size, self.parameter.size), problem.terminal_cost is not None
         self._terminal = evaluator.values(self._terminal_of, *sizes) if paid else None
-        self._violations = evaluator.values(self._violations_of, self.layout.size)
         self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
@@ -237,16 +236,9 @@ class Nodes:
             largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
         return largest.reshape(len(largest), -1)
 
-    def violations(self, points: np.ndarray) -> np.ndarray:
-        """By how much points, shape (B, E), violate each equation of the manifold, shape (B, k)."""
-        return at_points(self._violations, 1, points)[0]
-
     def projected(self, nodes: np.ndarray, costates: np.ndarray) -> np.ndarray:
         """Covectors projected to the tangent spaces at the nodes."""
         return at_points(self._projected, 2, nodes, costates)[0]
-
-    def _violations_of(self, q: Array) -> tuple[Array]:
-        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.layout.point(q)).values()]),)
 
     def _projection_of(self, q: Array, p: Array) -> tuple[Array]:
         return (self.layout.flat(self.problem.manifold.projection(self.layout.point(q), self.layout.point(p))),)

@@ -24,7 +24,7 @@ from ..engine.diagnosis import Diagnosis
 from ..engine.evaluator import Automatic
 from ..engine.layout import Layout
 from ..guess import Guess, default_guess
-from ..solution import Checks, SingularArc, Solution, Statistics
+from ..solution import SingularArc, SingularChecks, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
 from .conditions import EndConditions, points_at_ends
 from .least_squares import least_squares
@@ -217,7 +217,8 @@ def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
     first, second, states, costates = (state.rows(part, 1)[None] for part in (*outcome.nodes, *outcome.stages))
     stages = states, control.rows(outcome.controls, 1)[None], costates
     with np.errstate(all="ignore"):  # of an iterate that is no solution
-        found = Diagnosis(problem, None, Automatic())((first, second), stages, np.zeros((1, 0)))
+        diagnosis = Diagnosis(problem, None, Automatic())
+        found = diagnosis(diagnosis.at_nodes(first, second), stages, np.zeros((1, 0)))
     return jax.tree.map(lambda leaf: leaf[0], found)
 
 
@@ -262,11 +263,10 @@ def _record(
         cost=float(outcome.cost),
         success=success,
         result=result,
-        checks=Checks.of(
+        checks=SingularChecks.of(
             diagnostics,
             gap=max(float(found.at.distance), *arc.conditions.values()),
             stationarity=float(outcome.residual),
-            strict_minimum=False,
         ),
         statistics=Statistics(found.iterations, *seconds),
         singular=arc,

@@ -1,9 +1,7 @@
 """A discrete optimal control problem as a nonlinear program of CasADi."""
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, final
 
 import casadi as ca
@@ -13,8 +11,8 @@ import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, default_guess
 from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
-from ..integrators.boundary_value.end_points import NodeCondition, boundary_conditions, require_ends_on
-from ..integrators.boundary_value.guess import checked_guess
+from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescribed
+from ..integrators.boundary_value.given_guess import GuessReader
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -75,23 +73,21 @@ def posed(
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     fractions, bound = fractions_of(steps), problem.with_parameters(parameters)
-    require_ends_on(problem.manifold, *ends)
+    reader = EndReader(problem.manifold)
+    points = reader.ends(*ends, batched=False)
+    reader.require_on_manifold(*ends)
     if guess is None:
         guess = default_guess(problem, method, *ends, steps)
-    conditions = boundary_conditions(problem.manifold, *ends, True)
-    return _discrete(Transcription(bound, method), conditions, float(horizon) * fractions, guess)
+    return _discrete(Transcription(bound, method), points, float(horizon) * fractions, guess)
 
 
-def _discrete(
-    functions: Transcription, conditions: tuple[NodeCondition, NodeCondition], lengths: np.ndarray, guess: Guess
-) -> DiscreteProblem:
+def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, guess: Guess) -> DiscreteProblem:
     """The program of a problem with steps of some lengths, from a guess."""
     count, size, slack = len(lengths), functions.state.size, functions.slack
     y, s = ca.MX.sym("y", functions.size, count), ca.MX.sym("s", slack, count + 1)
     x = ca.vertcat(ca.vec(y), ca.vec(s))
     begins, finishes, costs, held, limits, stages = _function(functions.step, functions.size, 1).map(count)(y, lengths[None])
-    ends = [functions.state.rows(condition.point, 0) for condition in conditions]
-    fixed = [_entries(functions, condition) for condition in conditions]
+    ends, fixed = (points.start[0], points.end[0]), [prescribed.entries for prescribed in points.prescribed]
     first, last = (
         mask * end + (1 - mask) * reached for mask, end, reached in zip(fixed, ends, (begins[:, 0], finishes[:, -1]), strict=True)
     )
@@ -101,13 +97,13 @@ def _discrete(
     terminal, slope = _function(functions.last, size)(last)
     f, g = ca.sum2(costs) + terminal, ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits))
     bound = np.full(x.numel(), np.inf)
-    unused = [_unused_slacks(functions, condition) for condition in conditions]
+    unused = [*map(_unused_slacks, points.prescribed)]
     bound[x.numel() - slack * (count + 1) :][np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])] = 0.0
     lower = np.zeros(g.numel())
     lower[g.numel() - limits.numel() :] = -np.inf
     nodes = ca.horzcat(first, finishes[:, :-1], last)
-    points = Points(functions, lengths, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
-    return DiscreteProblem(x, f, g, points.unknowns(guess), -bound, bound, lower, np.zeros(g.numel()), points)
+    read = Points(functions, lengths, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
+    return DiscreteProblem(x, f, g, read.unknowns(guess), -bound, bound, lower, np.zeros(g.numel()), read)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +118,7 @@ class Points:
     def unknowns(self, guess: Guess) -> np.ndarray:
         """The unknowns of a guess, with slacks zero."""
         functions, count = self.functions, len(self.lengths)
-        checked = checked_guess(functions.problem, guess, count, functions.stages)
+        checked = GuessReader(functions.problem, count, functions.stages).one(guess)
         return np.concatenate([functions.begin(checked, count).ravel(), np.zeros(functions.slack * (count + 1))])
 
     def read(self, x: np.ndarray, multipliers: np.ndarray) -> Guess:
@@ -147,20 +143,7 @@ def _function(function: Callable, *sizes: int) -> ca.Function:
     return Tape.trace(function, *map(jnp.zeros, sizes)).to_casadi()
 
 
-def _entries(functions: Transcription, condition: NodeCondition) -> np.ndarray:
-    """Which entries of a flat point are prescribed."""
-    return np.repeat([part.fixed for part in condition.parts], _sizes(functions, condition))
-
-
-def _unused_slacks(functions: Transcription, condition: NodeCondition) -> np.ndarray:
+def _unused_slacks(prescribed: Prescribed) -> np.ndarray:
     """Which slacks belong to parts that are free: their ends meet nothing, and the slacks are zero."""
-    codimensions = _sizes(functions, condition) - [part.dimension for part in condition.parts]
-    return np.repeat([not part.fixed for part in condition.parts], codimensions)
-
-
-def _sizes(functions: Transcription, condition: NodeCondition) -> np.ndarray:
-    """Numbers in each part of a flat point."""
-    places = np.cumsum([0, *(part.leaves for part in condition.parts)])
-    leaves = jax.tree.leaves(functions.manifold.ambient)
-    sizes = [math.prod(leaf.shape) * (1 + np.issubdtype(leaf.dtype, np.complexfloating)) for leaf in leaves]
-    return np.array([sum(sizes[begin:end]) for begin, end in pairwise(places)])
+    parts = prescribed.parts
+    return np.repeat([not part.fixed for part in parts], [part.entries - part.dimension for part in parts])

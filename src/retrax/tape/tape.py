@@ -226,7 +226,8 @@ class Tape:
             lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
             machine.run(p.codes, p.registers, p.values, ends, np.empty((p.size, lanes)), part.start, part.stop)
 
-        in_threads(run, count, self.instructions, machine.VECTOR)
+        if count:
+            in_threads(run, count, self.instructions, machine.VECTOR)
 
     def _run_slowly(self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray) -> None:
         points = np.arange(count)

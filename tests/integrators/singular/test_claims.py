@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.boundary_value.end_points import boundary_conditions
+from retrax.integrators.boundary_value.end_points import EndReader
 from retrax.integrators.boundary_value.singular import EndConditions
 from retrax.integrators.boundary_value.singular.claims import broken_end, not_stationary, stationarity
 from retrax.integrators.boundary_value.singular.conditions import AtEnds
@@ -85,8 +85,11 @@ def test_a_control_between_the_stages_is_allowed_what_a_step_varies():
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_missed_end_is_seen_in_every_unit(scale):
     space = Euclidean(1) * Euclidean(1)
-    ends = boundary_conditions(space, (np.zeros(1), None), (np.full(1, scale), None), guided=False)
-    conditions = EndConditions(OptimalControlProblem(space, lambda q, u: (u, u), lambda q, u: u @ u, 1), *ends)
+    reader = EndReader(space)
+    ends = reader.ends((np.zeros(1), None), (np.full(1, scale), None), batched=False)
+    rows = zip((ends.start, ends.end), ends.prescribed, strict=True)
+    nodes = (reader.condition(row[0], prescribed.parts) for row, prescribed in rows)
+    conditions = EndConditions(OptimalControlProblem(space, lambda q, u: (u, u), lambda q, u: u @ u, 1), *nodes)
     trajectory = tuple(scale * np.linspace(0, 1, 5)[:, None] for _ in range(2))
     for part, name in enumerate(("state at the end, factor 0", "costate at the end, factor 1")):
         rows = np.zeros(2)

@@ -1,0 +1,112 @@
+"""Guesses that are given for trajectories, checked, in flat arrays."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+
+from ...manifolds import InvalidInputError, Manifold
+from ...manifolds.manifold import default_tolerance
+from ..evaluation import at_each
+from ..problem import OptimalControlProblem
+from .engine.layout import Layout
+from .guess import Guess, check_arrays
+
+
+class FlatGuess(NamedTuple):
+    """The parts of guesses, each of shape (B, ...) with the stages or nodes along the second axis; B = 1 for all members.
+
+    The last two are None where they are not known of every guess.
+    """
+
+    states: np.ndarray
+    controls: np.ndarray
+    costates: np.ndarray
+    nodes: np.ndarray | None
+    stage_costates: np.ndarray | None
+
+    def states_to_check(self, size: int) -> np.ndarray:
+        """All states, at stages and nodes, in a row."""
+        return np.concatenate([rows.reshape(-1, size) for rows in (self.states, self.nodes) if rows is not None])
+
+
+class _Part(NamedTuple):
+    """A part of a guess: points or covectors of a manifold, so many of them."""
+
+    name: str
+    manifold: Manifold
+    length: int
+    layout: Layout
+
+
+@final
+class GuessReader:
+    """Reads guesses with some steps and stages in each."""
+
+    def __init__(self, problem: OptimalControlProblem, steps: int, stages: int) -> None:
+        own = (problem.manifold, Layout.of(problem.manifold)), (problem.controls, Layout.of(problem.controls))
+        at_stages, at_nodes = steps * stages, steps + 1
+        places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
+        self._parts = [
+            _Part(name, own[of][0], length, own[of][1]) for name, (of, length) in zip(Guess._fields, places, strict=True)
+        ]
+
+    def flat(self, guesses: Sequence[Any]) -> FlatGuess:
+        """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""
+        for guess in guesses:
+            if not isinstance(guess, Guess):
+                raise InvalidInputError(f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)")
+            if (guess.nodes is None) != (guess.stage_costates is None):
+                raise InvalidInputError(
+                    "guess: nodes and stage_costates come together, and one of them is None; give both or neither"
+                )
+        columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
+        stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
+        return FlatGuess(*stacked)
+
+    def one(self, guess: Any) -> Guess:
+        """A guess as arrays with its costates filled in; raises where something is wrong."""
+        flat = self.flat([guess])
+        self.require_on_manifold(flat, np.full(len(flat.states_to_check(self._parts[0].layout.size)), np.inf))
+        return self.guess(flat, 0)
+
+    def guess(self, flat: FlatGuess, k: int) -> Guess:
+        """The guess of a member, in arrays like a point's."""
+        return Guess(*(_points(rows, k, part) for rows, part in zip(flat, self._parts, strict=True)))
+
+    def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
+        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it has."""
+        begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
+        for name in ("states", "nodes"):
+            rows = getattr(flat, name)
+            if rows is None:
+                continue
+            points = rows.reshape(-1, size)
+            far = ~(violations[begin : begin + len(points)] <= default_tolerance())
+            begin += len(points)
+            if np.any(far):
+                found = at_each(manifold.violations, self._parts[0].layout.points(points[far]))
+                for equation, values in found.items():
+                    if not np.max(values) <= default_tolerance():
+                        worst = f"{equation} reaches {np.max(values):.3g}"
+                        raise InvalidInputError(f"guess: {name} are not on {manifold}: {worst}, expected 0")
+
+
+def _rows(given: Any, part: _Part) -> np.ndarray | None:
+    """Flat arrays of a part, checked; None of what is not known."""
+    if given is None and part.name == "costates":
+        return np.zeros((part.length, part.layout.size))
+    if given is None and part.name in ("nodes", "stage_costates"):
+        return None
+    if not (part.layout.holds(given, 1) and len(jax.tree.leaves(given)[0]) == part.length):
+        check_arrays(part.name, given, part.manifold, part.length)
+    return part.layout.rows(given, 1)
+
+
+def _points(rows: np.ndarray | None, k: int, part: _Part) -> Any:
+    """The part of member ``k`` in arrays like a point's."""
+    if rows is None:
+        return None
+    made = part.layout.points(rows[min(k, len(rows) - 1)])
+    return jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), part.manifold.ambient, made)
