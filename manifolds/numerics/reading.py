@@ -38,7 +38,7 @@ class Reading:
 
         There is no public way to. Versions of JAX in which that cache is another one bound it.
         """
-        cache = getattr(partial_eval, "trace_to_jaxpr", None)
+        cache: Any = getattr(partial_eval, "trace_to_jaxpr", None)
         if self._traces and hasattr(cache, "evict_weakref"):
             functions = {key[0] for key in cache.cache_keys() if any(part is self._mark for part in key[1])}
             for function in (reference() for reference in functions):
