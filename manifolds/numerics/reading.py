@@ -4,32 +4,46 @@ JAX takes what a function reads, a parameter in a closure, an attribute or a glo
 the function's identity, also those of ``jit`` and of the bodies of loops inside a function. A changed value would be ignored.
 """
 
-import itertools
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from typing import Any, NamedTuple, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar, final
 
 import jax
+from jax._src.interpreters import partial_eval
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _context = jax.make_user_context(None)  # a part of the keys of JAX's caches, of value None wherever a user traces
-_numbers = itertools.count(1)
 
 
-class Reading(NamedTuple):
+@final
+class Reading:
     """A time in which the functions of a user do not change; ``known`` is for what was found out during it."""
 
-    number: int
-    known: dict[Hashable, Any]
+    def __init__(self) -> None:
+        self.known: dict[Hashable, Any] = {}
+        self._mark, self._traces = object(), False  # JAX keeps the mark
 
     def traced(self, function: Callable, *examples: Any) -> Any:
         """``jax.make_jaxpr`` of a function: arrays, or their shapes, as arguments."""
-        with _context(self.number):
+        self._traces = True
+        with _context(self._mark):
             return jax.make_jaxpr(lambda *arguments: function(*arguments))(*examples)
+
+    def end(self) -> None:
+        """Release the traces: JAX keeps those of functions that live on, as its own under ``jit``, without bound.
+
+        There is no public way to. Versions of JAX in which that cache is another one bound it.
+        """
+        cache: Any = getattr(partial_eval, "trace_to_jaxpr", None)
+        if self._traces and hasattr(cache, "evict_weakref"):
+            functions = {key[0] for key in cache.cache_keys() if any(part is self._mark for part in key[1])}
+            for function in (reference() for reference in functions):
+                if function is not None:
+                    cache.evict_weakref(function)
 
 
 _current: ContextVar[Reading | None] = ContextVar("retrax_reading", default=None)
@@ -42,12 +56,13 @@ def one_reading() -> Iterator[Reading]:
     if current is not None:
         yield current
         return
-    current = Reading(next(_numbers), {})
+    current = Reading()
     token = _current.set(current)
     try:
         yield current
     finally:
         _current.reset(token)
+        current.end()
 
 
 def is_reading() -> bool:

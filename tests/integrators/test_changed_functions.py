@@ -1,13 +1,17 @@
 """A value that a function reads may change between two calls: it is read again, however it is held."""
 
+import gc
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jax.extend.core import Jaxpr
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, classify, integrate, integrate_many, solve
 from retrax.integrators.compilation import call_compiled
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds.numerics.reading import traced
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 from retrax.tape import Tape
 
@@ -106,3 +110,20 @@ def test_what_a_user_compiled_is_left_alone():
     assert len(traces) == 2
     product(jnp.ones(3))
     assert len(traces) == 2
+
+
+def test_what_was_read_is_released():
+    growing = jax.jit(lambda x: jnp.sin(x) * x)  # lives on: JAX finds what it traced of it again, by its identity
+
+    def alive():
+        gc.collect()
+        return sum(isinstance(each, Jaxpr) for each in gc.get_objects())
+
+    def read(times):
+        for _ in range(times):
+            traced(lambda x: growing(x), np.zeros(2))
+        return alive()
+
+    before = alive()
+    read(2100)  # JAX's other caches are bounded by 2048 entries
+    assert read(2100) < before + 2 * 2100

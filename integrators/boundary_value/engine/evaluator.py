@@ -91,7 +91,7 @@ class _OnTape:
         values = np.empty(count * self.targets.total)
         cuts = self.targets.cuts
         places = self.sources.of([len(a) for a in arguments]), self.targets.of([count] * (len(cuts) - 1))
-        given = np.concatenate([a.ravel() for a in arguments]) if len(arguments) > 1 else arguments[0].ravel()
+        given = np.concatenate([a.ravel() for a in arguments])
         self.tape.run(count, (given, places[0], values, places[1]))
         parts = zip(cuts, cuts[1:], self.tape.shapes, strict=False)
         return tuple(values[count * begin : count * end].reshape(count, *shape) for begin, end, shape in parts)

@@ -175,7 +175,7 @@ def scale_row(typing: Any, v: Any, i: Any, f: Any, u: Any) -> Any:
     """``v[i, j] *= f u[j]`` from the vector of the diagonal on."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        v, i, f, u = values
+        v, i, f, _ = values
         array, sizes = (context.make_array(signature.args[t])(context, builder, values[t]) for t in (0, 3))
         begin, step = builder.and_(i, ir.Constant(i.type, -LANES)), ir.Constant(i.type, LANES)
         factor = _filled(builder, f)

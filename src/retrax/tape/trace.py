@@ -1,6 +1,5 @@
 """From JAX functions to graphs of scalars: the jaxpr is read equation by equation, values only."""
 
-import itertools
 import math
 from collections.abc import Callable
 from functools import partial
@@ -11,6 +10,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
+from ..manifolds.numerics.reading import traced
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
@@ -20,10 +20,6 @@ from .liveness import CALLS, called, needed, opened
 from .moves import MOVES, stacked
 
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
-
-# A number of its own for each trace, in the keys of JAX's caches: what it traced before of a part of a function, as one under
-# jit, with the values that were read then, is not found again.
-_anew, _numbers = jax.make_user_context(None), itertools.count(1)
 
 
 class Tracer:
@@ -262,8 +258,7 @@ def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any
         return found
 
     result: list[Any] = []
-    with _anew(next(_numbers)):
-        jaxpr = jax.make_jaxpr(flat)(*leaves)
+    jaxpr = traced(flat, *leaves)
     inputs: list[ca.SX] = []
     arrays: list[Entries] = []
     for k, leaf in enumerate(leaves):

@@ -1,8 +1,9 @@
 """Condensing of Gauss's method against the whole KKT matrix with all velocities and multipliers."""
 
+import os
+
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine import arrays
 from retrax.integrators.boundary_value.engine.condensing import Ends, Points, Tableau, condense, expand, full_slope
 from retrax.integrators.boundary_value.engine.elimination import eliminate, is_strict_minimum
 
@@ -125,8 +126,8 @@ def test_the_condensed_inertia_follows_the_whole_through_zero():
 def test_steps_do_not_know_of_each_other(monkeypatch):
     (points, ends, h), tableau = random_steps(1, 3), gauss(3)
     together = condense(points, ends, h, tableau)[0]
-    monkeypatch.setattr(arrays, "WORTH_A_THREAD", 1)
-    monkeypatch.setattr(arrays.os, "cpu_count", lambda: 4)
+    monkeypatch.setattr("retrax.manifolds.numerics.threads.WORTH_A_THREAD", 1)
+    monkeypatch.setattr(os, "cpu_count", lambda: 4)
     for b in range(BATCH):
         mine = slice(b, b + 1)
         alone = condense(Points(*(a[mine] for a in points)), Ends(*(a[mine] for a in ends)), h[mine], tableau)[0]

@@ -1,8 +1,9 @@
 """The block elimination of a batch of KKT systems against dense linear algebra."""
 
+import os
+
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine import arrays
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem, eliminate, is_strict_minimum
 from retrax.integrators.boundary_value.engine.scaling import Units, natural_units, scaled, unscaled
 
@@ -108,8 +109,8 @@ def test_units_are_applied_as_if_the_system_were_written_in_them(free):
 @pytest.mark.parametrize("threads", [False, True])
 def test_members_of_a_batch_do_not_know_of_each_other(threads, monkeypatch):
     if threads:
-        monkeypatch.setattr(arrays, "WORTH_A_THREAD", 1)
-        monkeypatch.setattr(arrays.os, "cpu_count", lambda: 3)
+        monkeypatch.setattr("retrax.manifolds.numerics.threads.WORTH_A_THREAD", 1)
+        monkeypatch.setattr(os, "cpu_count", lambda: 3)
     system = random_system(8, (7, 4, 3, 5, 2), (1, 0), convex=False)
     together = eliminate(system, shift=np.linspace(0, 1, 7))
     for m in range(7):
