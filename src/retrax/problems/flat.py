@@ -289,10 +289,10 @@ def rayleigh() -> KnownProblem:
 
     return KnownProblem(
         name="rayleigh",
-        title="a tunnel diode oscillator is brought to rest",
+        title="a tunnel diode oscillator is calmed",
         problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u + q[0] ** 2, 1),
         start=np.array([-5.0, -5.0]),
-        end=np.zeros(2),
+        end=None,
         horizon=2.5,
         states={"x": "current", "v": "its rate"},
         controls={"u": "voltage"},
