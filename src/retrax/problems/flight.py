@@ -160,7 +160,7 @@ def rendezvous() -> KnownProblem:
         start=start,
         end=np.zeros(6),
         horizon=horizon,
-        steps=10,
+        steps=20,
         states={"x": "position: radial, along, across", "v": "velocity"},
         controls={"u": "acceleration"},
         time="period / 2 pi",
@@ -233,8 +233,8 @@ def free_flying_robot() -> KnownProblem:
         steps=60,
         states={"x, y": "position", "a": "heading, rad", "x', y', a'": "their rates"},
         controls={"u1, u2": "thruster 1, forward and back", "u3, u4": "thruster 2"},
-        source=f"Y. Sakawa, Trajectory planning of a free-flying robot by using the optimal control, Optim. Control Appl. Meth. 20, 1999, 235-248; {BETTS}, "
-        "example 6.13",
+        source="Y. Sakawa, Trajectory planning of a free-flying robot by using the optimal control, Optim. Control Appl. Meth. "
+        f"20, 1999, 235-248; {BETTS}, example 6.13",
         optimum=7.910154646,
         digits=8,
         origin="published as 7.910154646",

@@ -7,6 +7,8 @@ from typing import Any, final
 import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, Solution, solve
+from ..integrators.boundary_value.arguments import fractions_of
+from ..integrators.boundary_value.guess import stage_places
 from ..manifolds import InvalidInputError
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 
@@ -58,10 +60,7 @@ class KnownProblem:
         """The default guess at the stages of the steps, None where it is that of ``solve``."""
         if self.path is None:
             return None
-        lengths = np.full(self.steps, 1 / self.steps) if np.ndim(self.steps) == 0 else self.steps / np.sum(self.steps)
-        begins, method = np.cumsum(lengths) - lengths, self.discretization
-        nodes = method.nodes if isinstance(method, Gauss) else np.array([method.theta])
-        return Guess(*self.path((begins[:, None] + lengths[:, None] * nodes).ravel()))
+        return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
     def solve(self, **options: Any) -> Solution:
         """Solve the problem from its default guess; ``options`` are those of ``solve``, and take the place of the record's."""
