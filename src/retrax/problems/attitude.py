@@ -86,11 +86,11 @@ def failed_actuator() -> KnownProblem:
 
 @known
 def limited_slew() -> KnownProblem:
-    """The rest-to-rest slew with torques of at most 60 % of the largest that it takes without limits."""
-    limit = 12.0
+    """The rest-to-rest slew with torques of at most three quarters of the largest that it takes without limits."""
+    limit = 10.0
     return KnownProblem(
         name="limited-slew",
-        title="150 degrees about (1, 2, -2)/3 in 60 s with torques of at most 12 N m",
+        title="150 degrees about (1, 2, -2)/3 in 60 s with torques of at most 10 N m",
         problem=OptimalControlProblem(RIGID, rigid_body(INERTIA), energy, 3, control_bounds=(-limit, limit)),
         start=(IDENTITY, REST),
         end=(TARGET, REST),

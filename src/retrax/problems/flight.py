@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from scipy.linalg import expm, solve
+from scipy.optimize import brentq
 
 from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
@@ -38,7 +39,11 @@ def goddard() -> KnownProblem:
         horizon=Free(0.2, lower=0.05, upper=0.5),
         steps=60,
         path=lambda s: ((np.stack([1 + 0.01 * s, 0.1 * s * (1 - s)], axis=1), 1 - 0.4 * s[:, None]), np.full((len(s), 1), 1.0)),
-        states={"h": "distance from the centre of the Earth over its radius", "v": "velocity", "m": "mass over that at the start"},
+        states={
+            "h": "distance from the centre of the Earth over its radius",
+            "v": "velocity",
+            "m": "mass over that at the start",
+        },
         controls={"T": "thrust over weight at the start"},
         source=f"{COPS}, 10; R. H. Goddard, A Method of Reaching Extreme Altitudes, 1919",
         optimum=-1.01283,
@@ -80,6 +85,14 @@ def linear_tangent_steering() -> KnownProblem:
     def dynamics(q: Array, u: Array) -> Array:
         return jnp.stack([q[2], 100 * jnp.cos(u[0]), 100 * jnp.sin(u[0])])
 
+    def last(k: float) -> float:
+        return 0.45 * k / np.arcsinh(k)
+
+    def high(k: float) -> float:
+        return 25 * last(k) ** 2 * (k * np.hypot(1, k) - np.arcsinh(k)) / k**2 - 5
+
+    slope = brentq(high, 0.1, 10.0, xtol=1e-15)
+
     def path(s: np.ndarray) -> tuple[Any, Any]:
         return np.stack([5 * s, 45 * s, 20 * s * (1 - s)], axis=1), (0.8 - 1.6 * s)[:, None]
 
@@ -94,9 +107,10 @@ def linear_tangent_steering() -> KnownProblem:
         states={"y": "height", "vx": "horizontal velocity", "vy": "vertical velocity"},
         controls={"a": "angle of the thrust, rad"},
         source=f"{BRYSON}, section 2.4; {COPS}, 9",
-        optimum=0.554571,
-        digits=6,
-        origin="published as 0.554571",
+        optimum=float(last(slope)),
+        digits=12,
+        origin="closed form; published as 0.554571",
+        formula="T = 9 k / (20 arsinh k), k = tan a0",
         error=1e-6,
     )
 
@@ -127,7 +141,12 @@ def orbit_raising() -> KnownProblem:
         horizon=3.32,
         steps=40,
         path=path,
-        states={"r": "radius over that of the Earth's orbit", "v": "radial velocity", "w": "angular momentum over sqrt(r)", "t": "time"},
+        states={
+            "r": "radius over that of the Earth's orbit",
+            "v": "radial velocity",
+            "w": "angular momentum over sqrt(r)",
+            "t": "time",
+        },
         controls={"a": "angle of the thrust from the horizontal, rad"},
         time="58.13 days",
         source=f"{BRYSON}, section 2.5",

@@ -310,7 +310,8 @@ def unicycle() -> KnownProblem:
         controls={"u1": "speed", "u2": "turning rate, rad"},
         source="I. Moiseev, Yu. L. Sachkov, Maxwell strata in sub-Riemannian problem on the group of motions of a plane, "
         "ESAIM: COCV 16, 2010, 380-399",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=5.579079358,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
+        error=1e-8,
     )

@@ -225,7 +225,9 @@ def docking_corridor() -> KnownProblem:
     return KnownProblem(
         name="docking-corridor",
         title="docking from the side, within 20 degrees of the axis of the port, SE(3)",
-        problem=OptimalControlProblem(RIGID, dynamics, energy, 6, control_bounds=(-10.0, 10.0), constraints={"corridor": corridor}),
+        problem=OptimalControlProblem(
+            RIGID, dynamics, energy, 6, control_bounds=(-10.0, 10.0), constraints={"corridor": corridor}
+        ),
         start=(pose([0, 0, -np.pi / 2], [10.0, 3.0, 0.0]), np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.0])),
         end=(np.eye(4), np.zeros(6)),
         horizon=60.0,

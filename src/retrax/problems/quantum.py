@@ -33,9 +33,9 @@ def hadamard_gate() -> KnownProblem:
         controls={"u": "field along x over the one along z"},
         time="Larmor period / 2 pi",
         source="D. D'Alessandro, M. Dahleh, Optimal control of two-level quantum systems, IEEE Trans. Autom. Control 46, 2001, 866-876",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=1.593691546,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
     )
 
 

@@ -43,9 +43,9 @@ def elastica() -> KnownProblem:
         states=POSE,
         controls={"k": "curvature"},
         source="Yu. L. Sachkov, Maxwell strata in the Euler elastic problem, J. Dyn. Control Syst. 14, 2008, 169-234",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=2.057638392,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
     )
 
 
@@ -175,9 +175,7 @@ def zermelo() -> KnownProblem:
     return KnownProblem(
         name="zermelo",
         title="Zermelo's ship in a linear current, least time",
-        problem=OptimalControlProblem(
-            Euclidean(2), lambda q, u: jnp.stack([u[0] - q[1], u[1]]), lambda q, u: 1.0, Sphere(1)
-        ),
+        problem=OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0] - q[1], u[1]]), lambda q, u: 1.0, Sphere(1)),
         start=np.array([3.66, -1.86]),
         end=np.zeros(2),
         horizon=Free(5.0, lower=0.1),
@@ -187,9 +185,9 @@ def zermelo() -> KnownProblem:
         time="h/V",
         cost="h/V",
         source="A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, section 2.7, problem 1",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=5.45786526356,
+        digits=12,
+        origin="shooting with the closed form of the heading, tan a = tan a0 + t; published as 5.46",
         error=1e-7,
     )
 
