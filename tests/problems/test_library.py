@@ -75,7 +75,7 @@ def test_ends_and_guesses_are_on_the_manifold(name):
 
 
 def test_a_name_that_no_problem_has_is_refused():
-    with pytest.raises(InvalidInputError, match="'bets'; the names are .*betts"):
+    with pytest.raises(InvalidInputError, match=r"'bets'; the names are .*betts"):
         problems.get("bets")
 
 

@@ -76,7 +76,8 @@ def failed_actuator() -> KnownProblem:
         controls={"u1": "torque about body axis 1, N m", "u2": "about body axis 2, N m"},
         time="s",
         cost="N^2 m^2 s",
-        source=f"spacecraft of {BETTS}, section 6.8; H. Krishnan, M. Reyhanoglu, N. H. McClamroch, Attitude stabilization of a rigid "
+        source=f"spacecraft of {BETTS}, section 6.8; H. Krishnan, M. Reyhanoglu, N. H. McClamroch, Attitude "
+        "stabilization of a rigid "
         "spacecraft using two control torques, Automatica 30, 1994, 1023-1027",
         optimum=float("nan"),
         digits=0,
@@ -129,7 +130,8 @@ def keep_out_cone() -> KnownProblem:
         controls=TORQUE,
         time="s",
         cost="N^2 m^2 s",
-        source=f"spacecraft of {BETTS}, section 6.8; U. Lee, M. Mesbahi, Feedback control for spacecraft reorientation under attitude "
+        source=f"spacecraft of {BETTS}, section 6.8; U. Lee, M. Mesbahi, Feedback control for spacecraft "
+        "reorientation under attitude "
         "constraints via convex potentials, IEEE Trans. Aerosp. Electron. Syst. 50, 2014, 2578-2592",
         optimum=float("nan"),
         digits=0,
@@ -165,7 +167,8 @@ def reaction_wheels() -> KnownProblem:
         controls={"u": "torque of the wheels on the body, N m, body frame"},
         time="s",
         cost="N^2 m^2 s",
-        source=f"spacecraft of {BETTS}, section 6.8; F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft Attitude Determination "
+        source=f"spacecraft of {BETTS}, section 6.8; F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft "
+        "Attitude Determination "
         "and Control, Springer 2014, section 3.3.5",
         optimum=float("nan"),
         digits=0,
@@ -233,7 +236,8 @@ def bilimoria_wie() -> KnownProblem:
         method=cayley(RIGID),
         states={"R": "attitude, body to inertial frame", "w": "angular velocity, body frame"},
         controls={"u": "torque over inertia, body frame"},
-        source="K. D. Bilimoria, B. Wie, Time-optimal three-axis reorientation of a rigid spacecraft, J. Guidance Control Dynam. 16, "
+        source="K. D. Bilimoria, B. Wie, Time-optimal three-axis reorientation of a rigid spacecraft, J. Guidance "
+        "Control Dynam. 16, "
         "1993, 446-452",
         optimum=3.24308,
         digits=6,

@@ -102,7 +102,8 @@ def turnpike() -> KnownProblem:
         horizon=2.0,
         states={"x": "1"},
         controls={"u": "1"},
-        source="E. Trelat, E. Zuazua, The turnpike property in finite-dimensional nonlinear optimal control, J. Differential "
+        source="E. Trelat, E. Zuazua, The turnpike property in finite-dimensional nonlinear optimal control, J. "
+        "Differential "
         "Equations 258, 2015, 81-114",
         optimum=3 / 8,
         digits=12,
@@ -130,7 +131,8 @@ def aly_chan() -> KnownProblem:
         horizon=np.pi / 2,
         states={"x1": "1", "x2": "1", "x3": "cost so far"},
         controls={"u": "1"},
-        source="G. M. Aly, W. C. Chan, Application of a modified quasilinearization technique to totally singular optimal control "
+        source="G. M. Aly, W. C. Chan, Application of a modified quasilinearization technique to totally singular "
+        "optimal control "
         "problems, Internat. J. Control 17, 1973, 809-815",
         optimum=0.0,
         digits=12,
@@ -154,7 +156,8 @@ def bryson_denham() -> KnownProblem:
         steps=60,
         states=MOTION,
         controls={"u": "acceleration"},
-        source="A. E. Bryson, W. F. Denham, S. E. Dreyfus, Optimal programming problems with inequality constraints I, AIAA J. 1, "
+        source="A. E. Bryson, W. F. Denham, S. E. Dreyfus, Optimal programming problems with inequality constraints "
+        "I, AIAA J. 1, "
         "1963, 2544-2550",
         optimum=4 / (9 * limit),
         digits=12,
@@ -188,7 +191,8 @@ def van_der_pol() -> KnownProblem:
         steps=60,
         states={"x1": "1", "x2": "1"},
         controls={"u": "1"},
-        source="J. Andersson, J. Gillis, G. Horn, J. Rawlings, M. Diehl, CasADi: a software framework for nonlinear optimization and "
+        source="J. Andersson, J. Gillis, G. Horn, J. Rawlings, M. Diehl, CasADi: a software framework for nonlinear "
+        "optimization and "
         "optimal control, Math. Prog. Comp. 11, 2019, 1-36, section 6",
         optimum=float("nan"),
         digits=0,
@@ -298,6 +302,7 @@ def rayleigh() -> KnownProblem:
         optimum=29.3760793,
         digits=9,
         origin="collocation of order 8 with IPOPT, 30 and 20 steps; published as 29.376",
+        steps=40,
     )
 
 
@@ -315,7 +320,8 @@ def hypersensitive() -> KnownProblem:
         steps=np.concatenate([half, half[::-1]]),
         states={"x": "1"},
         controls={"u": "1"},
-        source="A. V. Rao, K. D. Mease, Dichotomic basis approach to solving hyper-sensitive optimal control problems, Automatica 35, "
+        source="A. V. Rao, K. D. Mease, Dichotomic basis approach to solving hyper-sensitive optimal control "
+        "problems, Automatica 35, "
         f"1999, 633-642; {BETTS}, example 4.4",
         optimum=float((np.sqrt(2) + np.arcsinh(1) - 1 + 2.25 * np.hypot(1, 2.25) + np.arcsinh(2.25) + 1.5**4) / 4),
         digits=12,
@@ -382,7 +388,8 @@ def fishing() -> KnownProblem:
         steps=60,
         states={"x": "prey", "y": "predators"},
         controls={"u": "fishing"},
-        source="S. Sager, H. G. Bock, M. Diehl, G. Reinelt, J. P. Schloder, Numerical methods for optimal control with binary control "
+        source="S. Sager, H. G. Bock, M. Diehl, G. Reinelt, J. P. Schloder, Numerical methods for optimal control "
+        "with binary control "
         "functions applied to a Lotka-Volterra type fishing problem, Lecture Notes in Economics 563, 2006, 269-289",
         optimum=1.34408,
         digits=6,

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..integrators import OptimalControlProblem
-from ..manifolds import SU, Power, Sphere
+from ..manifolds import SU, Sphere
 from ..retractions import Gauss, Restored
 from .geodesics import energy
 from .record import KnownProblem, known
@@ -32,7 +32,8 @@ def hadamard_gate() -> KnownProblem:
         states={"U": "propagator"},
         controls={"u": "field along x over the one along z"},
         time="Larmor period / 2 pi",
-        source="D. D'Alessandro, M. Dahleh, Optimal control of two-level quantum systems, IEEE Trans. Autom. Control 46, 2001, 866-876",
+        source="D. D'Alessandro, M. Dahleh, Optimal control of two-level quantum systems, IEEE Trans. Autom. Control "
+        "46, 2001, 866-876",
         optimum=1.593691546,
         digits=9,
         origin="collocation of order 8 with IPOPT, from several guesses",
@@ -91,7 +92,8 @@ def cnot_gate() -> KnownProblem:
         states={"U": "propagator"},
         controls={"u1, u2": "field on qubit 1 along x and y", "u3, u4": "on qubit 2"},
         time="1 / J",
-        source="T. Schulte-Herbrueggen, A. Spoerl, N. Khaneja, S. J. Glaser, Optimal control-based efficient synthesis of building blocks "
+        source="T. Schulte-Herbrueggen, A. Spoerl, N. Khaneja, S. J. Glaser, Optimal control-based efficient "
+        "synthesis of building blocks "
         "of quantum algorithms, Phys. Rev. A 72, 2005, 042331",
         optimum=float("nan"),
         digits=0,

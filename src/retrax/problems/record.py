@@ -63,7 +63,8 @@ class KnownProblem:
         return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
     def solve(self, **options: Any) -> Solution:
-        """Solve the problem from its default guess; ``options`` are those of ``solve``, and take the place of the record's."""
+        """Solve the problem from its default guess; ``options`` are those of ``solve``, and take the place of the "
+        "record's."""
         given = {"discretization": self.discretization, "steps": self.steps, "guess": self.guess, **options}
         return solve(self.problem, start=self.start, end=self.end, horizon=self.horizon, **given)
 
@@ -96,6 +97,6 @@ def names() -> tuple[str, ...]:
     return tuple(_LIBRARY)
 
 
-def all() -> tuple[KnownProblem, ...]:  # noqa: A001 -- retrax.problems.all() reads as it should
+def all() -> tuple[KnownProblem, ...]:
     """All problems, by subject."""
     return tuple(make() for make in _LIBRARY.values())
