@@ -49,7 +49,7 @@ def goddard() -> KnownProblem:
         optimum=-1.01283,
         digits=6,
         origin="published as 1.01283",
-        error=1e-5,
+        error=2e-5,
     )
 
 
@@ -75,7 +75,7 @@ def moon_landing() -> KnownProblem:
         digits=12,
         origin="closed form: free fall for (sqrt(68) - 4) / 3",
         formula="sqrt(68)",
-        error=1e-4,
+        error=2e-5,
     )
 
 
@@ -112,7 +112,7 @@ def linear_tangent_steering() -> KnownProblem:
         digits=12,
         origin="closed form; published as 0.554571",
         formula="T = 9 k / (20 arsinh k), k = tan a0",
-        error=1e-6,
+        error=1e-8,
     )
 
 
@@ -260,5 +260,5 @@ def free_flying_robot() -> KnownProblem:
         optimum=7.910154646,
         digits=8,
         origin="published as 7.910154646",
-        error=1e-3,
+        error=2e-5,
     )

@@ -64,9 +64,9 @@ def two_spins() -> KnownProblem:
         controls={"u": "field in the rotating frame over the offset"},
         time="1 / offset",
         source="J.-S. Li, N. Khaneja, Ensemble control of Bloch equations, IEEE Trans. Autom. Control 54, 2009, 528-536",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=1.833712717,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
     )
 
 
