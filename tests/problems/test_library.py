@@ -12,7 +12,12 @@ from retrax.manifolds import InvalidInputError, Product, RetraxError
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-effort", "detumbling", "rendezvous")
-UNSOLVED: dict[str, str] = {}
+UNSOLVED: dict[str, str] = {
+    "heisenberg": "ends at a stationary point of another end than the one asked for, from a straight line with turning controls",
+    "hypersensitive": "iterates to the limit from the straight line between the ends",
+    "orbit-raising": "iterates to the limit from a spiral with thrust out and in; collocation with IPOPT arrives from it",
+    "zermelo": "no point is evaluated with a free horizon where controls are points of a circle",
+}
 
 
 @cache

@@ -122,41 +122,6 @@ def cart_pole() -> KnownProblem:
 
 
 @known
-def acrobot() -> KnownProblem:
-    """Two links with a torque at the elbow only swing up."""
-
-    def dynamics(z: Any, u: Array) -> Any:
-        (c1, s1), (c2, s2), w = z
-        rates = w[0] * jnp.stack([-s1, c1]), w[1] * jnp.stack([-s2, c2])
-        cosine, sine = c1 * c2 + s1 * s2, s2 * c1 - c2 * s1  # of the angle at the elbow
-        a, b, c = 4 / 3, 1 / 3, cosine / 2
-        first = sine / 2 * w[1] ** 2 - 3 / 2 * 9.81 * s1 - u[0]
-        second = -sine / 2 * w[0] ** 2 - 9.81 / 2 * s2 + u[0]
-        return *rates, jnp.stack([b * first - c * second, a * second - c * first]) / (a * b - c * c)
-
-    down, up = np.array([1.0, 0.0]), np.array([-1.0, 0.0])
-    return KnownProblem(
-        name="acrobot",
-        title="two links with a torque at the elbow swing up in 4 s, S^1 x S^1 x R^2",
-        problem=OptimalControlProblem(Sphere(1) * Sphere(1) * Euclidean(2), dynamics, energy, 1),
-        start=(down, down, np.zeros(2)),
-        end=(up, up, np.zeros(2)),
-        horizon=4.0,
-        steps=50,
-        states={"c1, s1": "direction of link 1 from hanging", "c2, s2": "of link 2", "w": "their rates, rad/s"},
-        controls={"u": "torque at the elbow, N m"},
-        time="s",
-        cost="N^2 m^2 s",
-        source="two uniform rods of 1 kg and 1 m; M. W. Spong, The swing up control problem for the acrobot, IEEE "
-        "Control Systems 15, "
-        "1995, 49-55",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
-    )
-
-
-@known
 def quadrotor() -> KnownProblem:
     """A quadrotor flies from hover to hover and turns on the way."""
     mass, inertia, gravity = 4.34, np.array([0.0820, 0.0845, 0.1377]), 9.81

@@ -103,40 +103,6 @@ def dubins() -> KnownProblem:
 
 
 @known
-def parking() -> KnownProblem:
-    """Parallel parking: one length sideways with a car whose front wheels steer."""
-    space = PLANE * Euclidean(1)
-
-    def dynamics(q: Any, u: Array) -> Any:
-        pose, steering = q
-        return pose @ PLANE.hat(jnp.stack([u[0] * jnp.tan(steering[0]), u[0], 0 * u[0]])), u[1:]
-
-    def path(s: np.ndarray) -> tuple[Any, Any]:
-        states = np.stack([planar(0.0, y, 0.0) for y in s]), np.zeros((len(s), 1))
-        return states, np.stack([2 * np.cos(2 * np.pi * s), 2 * np.sin(2 * np.pi * s)], axis=1)
-
-    return KnownProblem(
-        name="parking",
-        title="a car parks one length sideways with least effort, SE(2) x R",
-        problem=OptimalControlProblem(space, dynamics, energy, 2),
-        start=(np.eye(3), np.zeros(1)),
-        end=(planar(0.0, 1.0, 0.0), np.zeros(1)),
-        horizon=1.0,
-        steps=40,
-        method=cayley(space),
-        path=path,
-        states={**POSE, "s": "angle of the front wheels, rad"},
-        controls={"v": "speed of the rear axle", "r": "rate of the angle of the front wheels, rad"},
-        source="R. M. Murray, S. S. Sastry, Nonholonomic motion planning: steering using sinusoids, IEEE Trans. "
-        "Autom. Control 38, "
-        "1993, 700-716",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
-    )
-
-
-@known
 def rolling_ball() -> KnownProblem:
     """The plate-ball problem: a ball rolls without slipping to another place and the same attitude."""
     space = Euclidean(2) * SO(3)
@@ -169,22 +135,23 @@ def rolling_ball() -> KnownProblem:
 
 @known
 def zermelo() -> KnownProblem:
-    """Zermelo's problem in a linear current, the heading on a circle."""
+    """Zermelo's problem in a linear current."""
 
     def path(s: np.ndarray) -> tuple[Any, Any]:
-        angle = np.deg2rad(105 + 135 * s)
-        return np.outer(1 - s, [3.66, -1.86]), np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return np.outer(1 - s, [3.66, -1.86]), np.deg2rad(105 + 135 * s)[:, None]
 
     return KnownProblem(
         name="zermelo",
         title="Zermelo's ship in a linear current, least time",
-        problem=OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0] - q[1], u[1]]), lambda q, u: 1.0, Sphere(1)),
+        problem=OptimalControlProblem(
+            Euclidean(2), lambda q, u: jnp.stack([jnp.cos(u[0]) - q[1], jnp.sin(u[0])]), lambda q, u: 1.0, 1
+        ),
         start=np.array([3.66, -1.86]),
         end=np.zeros(2),
         horizon=Free(5.0, lower=0.1),
         path=path,
         states={"x": "along the current, unit h", "y": "across the current, unit h"},
-        controls={"u": "heading, unit vector"},
+        controls={"a": "heading from the current, rad"},
         time="h/V",
         cost="h/V",
         source="A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, section 2.7, problem 1",
