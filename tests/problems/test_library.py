@@ -15,8 +15,8 @@ QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-eff
 UNSOLVED: dict[str, str] = {
     "heisenberg": "ends at a stationary point of another end than the one asked for, from a straight line with turning controls",
     "hypersensitive": "iterates to the limit from the straight line between the ends",
-    "orbit-raising": "iterates to the limit from a spiral with thrust out and in; collocation with IPOPT arrives from it",
-    "zermelo": "no point is evaluated with a free horizon where controls are points of a circle",
+    "orbit-raising": "runs away from a spiral with thrust out and in; collocation with IPOPT arrives from it",
+    "zermelo": "the horizon shrinks to nothing, from a straight line with a heading that turns; collocation with IPOPT arrives",
 }
 
 
