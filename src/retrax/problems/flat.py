@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
@@ -260,7 +260,7 @@ def brachistochrone() -> KnownProblem:
         _, v = q
         return v[0] * jnp.stack([jnp.sin(u[0]), jnp.cos(u[0])]), gravity * jnp.cos(u[0])[None]
 
-    turn = brentq(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - across / down, 0.1, 6.0, xtol=1e-15)
+    turn = root_scalar(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - across / down, bracket=(0.1, 6.0), xtol=1e-15).root
     slope = np.arctan2(across, down)
     return KnownProblem(
         name="brachistochrone",
@@ -337,7 +337,9 @@ def hypersensitive() -> KnownProblem:
 def hanging_chain() -> KnownProblem:
     """A chain between two nails hangs with least potential energy."""
     length, (low, high) = 4.0, (1.0, 3.0)
-    scale = brentq(lambda a: 2 * a * np.sinh(1 / (2 * a)) - np.sqrt(length**2 - (high - low) ** 2), 0.05, 5.0, xtol=1e-15)
+    scale = root_scalar(
+        lambda a: 2 * a * np.sinh(1 / (2 * a)) - np.sqrt(length**2 - (high - low) ** 2), bracket=(0.05, 5.0), xtol=1e-15
+    ).root
     middle = 0.5 - scale * np.arctanh((high - low) / length)
     shift = low - scale * np.cosh(middle / scale)
 

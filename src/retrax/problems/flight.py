@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from scipy.linalg import expm, solve
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 
 from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
@@ -92,7 +92,7 @@ def linear_tangent_steering() -> KnownProblem:
     def high(k: float) -> float:
         return 25 * last(k) ** 2 * (k * np.hypot(1, k) - np.arcsinh(k)) / k**2 - 5
 
-    slope = brentq(high, 0.1, 10.0, xtol=1e-15)
+    slope = root_scalar(high, bracket=(0.1, 10.0), xtol=1e-15).root
 
     def path(s: np.ndarray) -> tuple[Any, Any]:
         return np.stack([5 * s, 45 * s, 20 * s * (1 - s)], axis=1), (0.8 - 1.6 * s)[:, None]

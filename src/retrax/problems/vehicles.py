@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from scipy.optimize import brentq
+from scipy.optimize import root_scalar
 from scipy.spatial.transform import Rotation
 
 from ..integrators import Free, OptimalControlProblem
@@ -130,6 +130,7 @@ def rolling_ball() -> KnownProblem:
         optimum=18.7959493,
         digits=9,
         origin="collocation of order 8 with IPOPT, from several guesses",
+        error=1e-7,
     )
 
 
@@ -190,7 +191,7 @@ def zermelo_sphere() -> KnownProblem:
         source="E. Zermelo, Uber das Navigationsproblem bei ruhender oder veranderlicher Windverteilung, ZAMM 11, "
         "1931, 114-124; "
         "D. Bao, C. Robles, Z. Shen, Zermelo navigation on Riemannian manifolds, J. Differential Geom. 66, 2004, 377-435",
-        optimum=float(brentq(late, 0.0, 3.0, xtol=1e-15)),
+        optimum=float(root_scalar(late, bracket=(0.0, 3.0), xtol=1e-15).root),
         digits=12,
         origin="closed form: a great circle in the air",
         formula="T = arccos <exp(w T E3) q0, q1>",
