@@ -10,7 +10,7 @@ from scipy.optimize import root_scalar
 from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
 from .attitude import BETTS
-from .geodesics import energy
+from .geodesics import energy, time
 from .record import KnownProblem, known
 
 BRYSON = "A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975"
@@ -22,11 +22,6 @@ MOTION = {"x": "position", "v": "velocity"}
 def double_integrator(q: Array, u: Array) -> Array:
     """``x' = v``, ``v' = u``."""
     return jnp.stack([q[1], u[0]])
-
-
-def time(_: Any, __: Array) -> float:
-    """The running cost 1: least time."""
-    return 1.0
 
 
 @known

@@ -11,8 +11,8 @@ from scipy.optimize import root_scalar
 from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
 from .attitude import BETTS
-from .flat import BRYSON, COPS, time
-from .geodesics import energy
+from .flat import BRYSON, COPS
+from .geodesics import energy, time
 from .record import KnownProblem, known
 
 LINE, PLANE = Euclidean(1), Euclidean(2)

@@ -22,6 +22,11 @@ def energy(_: Any, u: Array) -> Array:
     return u @ u / 2
 
 
+def time(_: Any, __: Array) -> float:
+    """The running cost 1: least time."""
+    return 1.0
+
+
 def circling(turns: float, size: float) -> Any:
     """Controls that turn ``turns`` times: on a guess at rest a system without drift can be steered nowhere new."""
 
