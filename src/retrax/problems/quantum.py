@@ -5,8 +5,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..integrators import OptimalControlProblem
-from ..manifolds import SU, Power, Sphere
-from ..retractions import Gauss, Restored
+from ..manifolds import SU, Sphere
 from .geodesics import energy
 from .record import KnownProblem, known
 
@@ -32,10 +31,11 @@ def hadamard_gate() -> KnownProblem:
         states={"U": "propagator"},
         controls={"u": "field along x over the one along z"},
         time="Larmor period / 2 pi",
-        source="D. D'Alessandro, M. Dahleh, Optimal control of two-level quantum systems, IEEE Trans. Autom. Control 46, 2001, 866-876",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        source="D. D'Alessandro, M. Dahleh, Optimal control of two-level quantum systems, IEEE Trans. Autom. Control "
+        "46, 2001, 866-876",
+        optimum=1.593691546,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
     )
 
 
@@ -63,37 +63,7 @@ def two_spins() -> KnownProblem:
         controls={"u": "field in the rotating frame over the offset"},
         time="1 / offset",
         source="J.-S. Li, N. Khaneja, Ensemble control of Bloch equations, IEEE Trans. Autom. Control 54, 2009, 528-536",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
-    )
-
-
-@known
-def cnot_gate() -> KnownProblem:
-    """CNOT on two coupled qubits, by fields along x and y on both."""
-    group = SU(4)
-    drift = np.pi / 2 * np.kron(Z, Z)
-    fields = np.stack([np.kron(X, ONE), np.kron(Y, ONE), np.kron(ONE, X), np.kron(ONE, Y)]) / 2
-    gate = np.exp(0.25j * np.pi) * np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1], [0, 0, 1, 0]])
-
-    def dynamics(q: Array, u: Array) -> Array:
-        return -1j * (drift + sum(u[k] * fields[k] for k in range(4))) @ q
-
-    return KnownProblem(
-        name="cnot-gate",
-        title="CNOT on two coupled qubits by local fields, SU(4)",
-        problem=OptimalControlProblem(group, dynamics, energy, 4),
-        start=np.eye(4, dtype=complex),
-        end=gate,
-        horizon=2.0,
-        method=Gauss(3, Restored(group)),
-        states={"U": "propagator"},
-        controls={"u1, u2": "field on qubit 1 along x and y", "u3, u4": "on qubit 2"},
-        time="1 / J",
-        source="T. Schulte-Herbrueggen, A. Spoerl, N. Khaneja, S. J. Glaser, Optimal control-based efficient synthesis of building blocks "
-        "of quantum algorithms, Phys. Rev. A 72, 2005, 042331",
-        optimum=float("nan"),
-        digits=0,
-        origin="",
+        optimum=1.833712717,
+        digits=9,
+        origin="collocation of order 8 with IPOPT, from several guesses",
     )

@@ -1,14 +1,16 @@
 """What the library knows of a problem, and the library itself: problems by name."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, final
 
 import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, Solution, solve
+from ..integrators.boundary_value.arguments import Method, fractions_of
+from ..integrators.boundary_value.guess import stage_places
 from ..manifolds import InvalidInputError
-from ..retractions import DiscretizationMap, Gauss, default_retraction
+from ..retractions import Gauss, default_retraction
 
 Path = Callable[[np.ndarray], tuple[Any, Any]]
 
@@ -44,12 +46,12 @@ class KnownProblem:
     time: str = "1"
     cost: str = "1"
     steps: Any = 20
-    method: Gauss | DiscretizationMap | None = None
+    method: Method | None = None
     path: Path | None = None
     error: float = 1e-8
 
     @property
-    def discretization(self) -> Gauss | DiscretizationMap:
+    def discretization(self) -> Method:
         """The method: that of the record, or Gauss's of order 6 in the default retraction of the manifold."""
         return self.method or Gauss(3, default_retraction(self.problem.manifold))
 
@@ -58,15 +60,13 @@ class KnownProblem:
         """The default guess at the stages of the steps, None where it is that of ``solve``."""
         if self.path is None:
             return None
-        lengths = np.full(self.steps, 1 / self.steps) if np.ndim(self.steps) == 0 else self.steps / np.sum(self.steps)
-        begins, method = np.cumsum(lengths) - lengths, self.discretization
-        nodes = method.nodes if isinstance(method, Gauss) else np.array([method.theta])
-        return Guess(*self.path((begins[:, None] + lengths[:, None] * nodes).ravel()))
+        return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
-    def solve(self, **options: Any) -> Solution:
-        """Solve the problem from its default guess; ``options`` are those of ``solve``, and take the place of the record's."""
-        given = {"discretization": self.discretization, "steps": self.steps, "guess": self.guess, **options}
-        return solve(self.problem, start=self.start, end=self.end, horizon=self.horizon, **given)
+    def solve(self, steps: Any = None, discretization: Method | None = None, **options: Any) -> Solution:
+        """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the record's."""
+        posed = replace(self, steps=self.steps if steps is None else steps, method=discretization or self.method)
+        given = {"guess": posed.guess, **options}
+        return solve(self.problem, posed.discretization, self.start, self.end, self.horizon, posed.steps, **given)
 
     def distance(self, cost: float) -> float:
         """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better one."""
@@ -97,6 +97,6 @@ def names() -> tuple[str, ...]:
     return tuple(_LIBRARY)
 
 
-def all() -> tuple[KnownProblem, ...]:  # noqa: A001 -- retrax.problems.all() reads as it should
+def all() -> tuple[KnownProblem, ...]:
     """All problems, by subject."""
     return tuple(make() for make in _LIBRARY.values())

@@ -52,7 +52,8 @@ class KnownClassification:
 
 
 def academic() -> KnownClassification:
-    """``x' = sin x + u1``, ``y' = y``, cost ``(x^2 + y^2 + u1^2)/2 + x u1 + y u2``: ``P_f = {y = 0}``, ``u1 = p_x - x``."""
+    """``x' = sin x + u1``, ``y' = y``, cost ``(x^2 + y^2 + u1^2)/2 + x u1 + y u2``: ``P_f = {y = 0}``, ``u1 = p_x - "
+    "x``."""
 
     def dynamics(q: Array, u: Array) -> Array:
         return jnp.stack([jnp.sin(q[0]) + u[0], q[1]])
@@ -107,7 +108,8 @@ def gauge() -> KnownClassification:
 
 
 def massless_particle() -> KnownClassification:
-    """``q' = u`` in the plane, cost ``<A(q), u> - x^2/2 - y^2``: ``P_f = {p = A(q)}``, a charged particle without mass."""
+    """``q' = u`` in the plane, cost ``<A(q), u> - x^2/2 - y^2``: ``P_f = {p = A(q)}``, a charged particle without "
+    "mass."""
 
     def potential(q: Array) -> Array:
         return (1 + q @ q) / 2 * jnp.stack([-q[1], q[0]])
@@ -156,7 +158,8 @@ def sphere() -> KnownClassification:
 
 
 def free_actuator() -> KnownClassification:
-    """A rigid body on SO(3) x R^3 with two torques that cost and one that does not: ``P_f`` symplectic of dimension 10."""
+    """A rigid body on SO(3) x R^3 with two torques that cost and one that does not: ``P_f`` symplectic of dimension "
+    "10."""
     inertia = (1.0, 1.7, 2.3)
 
     def dynamics(q: tuple[Array, Array], u: Array) -> tuple[Array, Array]:

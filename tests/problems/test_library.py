@@ -1,0 +1,91 @@
+"""Every problem of the library is solved from its default guess, in one call, or is listed here with the reason."""
+
+import re
+from functools import cache
+from pathlib import Path
+
+import jax
+import numpy as np
+import pytest
+from retrax import problems
+from retrax.manifolds import InvalidInputError, Product, RetraxError
+
+PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
+QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-effort", "detumbling", "rendezvous")
+UNSOLVED: dict[str, str] = {
+    "heisenberg": "ends at a stationary point of another end than the one asked for, from a straight line with turning controls",
+    "hypersensitive": "iterates to the limit from the straight line between the ends",
+    "orbit-raising": "runs away from a spiral with thrust out and in; collocation with IPOPT arrives from it",
+    "zermelo": "the horizon shrinks to nothing, from a straight line with a heading that turns; collocation with IPOPT arrives",
+}
+
+
+@cache
+def entries() -> dict[str, problems.KnownProblem]:
+    return {entry.name: entry for entry in problems.all()}
+
+
+def arrives(name: str) -> tuple[bool, str]:
+    """Whether the optimum comes out of one call, and what is said of it."""
+    entry = problems.get(name)
+    try:
+        solution = entry.solve(throw=False)
+    except RetraxError as error:
+        return False, str(error)
+    distance = entry.distance(solution.cost)
+    return solution.success and abs(distance) <= entry.error, f"{distance:.1e} from the optimum: {solution.result}"
+
+
+@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in problems.names()])
+def test_a_problem_is_solved_from_its_default_guess_unless_it_is_listed(name):
+    arrived, said = arrives(name)
+    assert arrived == (name not in UNSOLVED), said
+
+
+def test_the_list_names_problems():
+    assert set(UNSOLVED) <= set(problems.names())
+    assert set(QUICK) <= set(problems.names()) - set(UNSOLVED)
+
+
+@pytest.mark.parametrize("name", problems.names())
+def test_a_record_is_complete(name):
+    entry = entries()[name]
+    assert entry.name == name
+    assert entry.title
+    assert entry.source
+    assert entry.origin
+    assert entry.states
+    assert entry.controls
+    assert np.isfinite(entry.optimum)
+    assert entry.digits >= 5
+    assert name in repr(entry)
+
+
+def fixed(manifold, point):
+    """The factors of a manifold that an end prescribes, with their points."""
+    if isinstance(manifold, Product) and isinstance(point, tuple):
+        return [pair for factor, part in zip(manifold.factors, point, strict=True) for pair in fixed(factor, part)]
+    return [] if point is None else [(manifold, point)]
+
+
+@pytest.mark.parametrize("name", problems.names())
+def test_ends_and_guesses_are_on_the_manifold(name):
+    entry = entries()[name]
+    manifold = entry.problem.manifold
+    for factor, point in (*fixed(manifold, entry.start), *fixed(manifold, entry.end)):
+        assert max(factor.violations(jax.tree.map(np.asarray, point)).values(), default=0.0) < 1e-14
+    if entry.guess is not None:
+        violations = jax.vmap(manifold.violations)(entry.guess.states)
+        assert max((float(np.max(v)) for v in violations.values()), default=0.0) < 1e-12
+
+
+def test_a_name_that_no_problem_has_is_refused():
+    with pytest.raises(InvalidInputError, match=r"'bets'; the names are .*betts"):
+        problems.get("bets")
+
+
+def test_the_page_has_every_problem_with_its_optimum():
+    rows = re.findall(r"^\| `([^`]+)`( \*)? \|.*?\| (\S+) \|", PAGE.read_text(), re.MULTILINE)
+    shown = {name: f"{entry.optimum:.{min(entry.digits, 10)}g}" for name, entry in entries().items()}
+    assert {name: optimum for name, _, optimum in rows} == shown
+    assert {name for name, star, _ in rows if star} == set(UNSOLVED)
