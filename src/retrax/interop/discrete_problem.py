@@ -13,7 +13,7 @@ import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, default_guess
 from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
-from ..integrators.boundary_value.boundary import NodeCondition, boundary_conditions, require_ends_on
+from ..integrators.boundary_value.end_points import NodeCondition, boundary_conditions, require_ends_on
 from ..integrators.boundary_value.guess import checked_guess
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
