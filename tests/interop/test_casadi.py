@@ -63,7 +63,9 @@ def test_ipopt_finds_the_solution(name):
     assert solver.stats()["success"]
     np.testing.assert_allclose(float(found["f"]), solution.cost, rtol=1e-9)
     guess = discrete.guess(found)
-    pairs = zip(guess, (solution.stage_states, solution.controls, solution.costates), strict=True)
+    pairs = zip(
+        (guess.states, guess.controls, guess.costates), (solution.stage_states, solution.controls, solution.costates), strict=True
+    )
     for a, b in ((a, b) for pair in pairs for a, b in zip(*map(jax.tree.leaves, pair), strict=True)):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * max(1.0, np.max(np.abs(b))))
 
