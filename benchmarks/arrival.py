@@ -1,9 +1,9 @@
 """From how many guesses ``solve`` arrives beside IPOPT: the same discrete problems, the same guesses, each side's own limits.
 
-    python benchmarks/arrival.py [--only PROBLEM ...] [--side retrax ipopt]
+    python benchmarks/arrival.py [--only PROBLEM ...] [--side retrax ipopt] [--ours 100] [--theirs 3000]
 
-IPOPT is given ``to_casadi`` of the same problem. A guess counts where the solver reports success. One JSON line a problem: for each
-side how many of the 24 guesses arrive, by kind; the median of the iterations of those; the best cost, how many come within a
+IPOPT is given ``to_casadi`` of the same problem. A guess counts where the solver reports success. One JSON line a problem: for
+each side how many of the 24 guesses arrive, by kind; the median of the iterations of those; the best cost, how many come within a
 millionth of the best of both sides, and how many costs are found.
 """
 
@@ -21,25 +21,25 @@ from arrival_problems import CASES  # noqa: E402  after the precision is set
 from retrax.integrators import Solver  # noqa: E402
 from retrax.interop import to_casadi  # noqa: E402
 
-QUIET = {"ipopt.print_level": 0, "ipopt.max_iter": int(__import__("os").environ.get("ITER","3000")), "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+QUIET = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
 SAME = 1e-6
 
 
-def retrax(case):
+def retrax(case, limit):
     """A function of a guess: whether it arrives, iterations, cost."""
     solver = Solver(case.problem, case.method, case.steps)
 
     def solve(guess):
-        found = solver.solve(case.start, case.end, case.horizon, guess=guess, throw=False)
+        found = solver.solve(case.start, case.end, case.horizon, guess=guess, throw=False, max_iterations=limit)
         return found.success, found.statistics.iterations, found.cost
 
     return solve
 
 
-def ipopt(case, guess):
+def ipopt(case, guess, limit):
     """The same of IPOPT."""
     discrete = to_casadi(*case.call, guess=guess)
-    solver = ca.nlpsol("solver", "ipopt", discrete.nlp, QUIET)
+    solver = ca.nlpsol("solver", "ipopt", discrete.nlp, QUIET | {"ipopt.max_iter": limit})
 
     def solve(guess):
         found = solver(**{**discrete.arguments, "x0": discrete.initial(guess)})
@@ -71,13 +71,15 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", nargs="+", default=list(CASES))
     parser.add_argument("--side", nargs="+", default=["retrax", "ipopt"], choices=["retrax", "ipopt"])
+    parser.add_argument("--ours", type=int, default=100, help="limit of iterations of retrax")
+    parser.add_argument("--theirs", type=int, default=3000, help="limit of iterations of IPOPT")
     given = parser.parse_args()
     for name in given.only:
         case = CASES[name]()
         guesses, found = case.guesses(), {}
         began = time.process_time()
         for side in given.side:
-            solve = retrax(case) if side == "retrax" else ipopt(case, guesses["far"][0])
+            solve = retrax(case, given.ours) if side == "retrax" else ipopt(case, guesses["far"][0], given.theirs)
             found[side] = {kind: [solve(guess) for guess in some] for kind, some in guesses.items()}
         costs = [cost for outcomes in found.values() for some in outcomes.values() for success, _, cost in some if success]
         best = min(costs, default=float("inf"))

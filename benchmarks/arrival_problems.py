@@ -197,14 +197,14 @@ def slew():
 
 
 def pendulum():
-    """Swing-up of a spherical pendulum by torques about the two horizontal axes."""
+    """Swing-up of a spherical pendulum by torques about all axes; its body also spins."""
     Q = Sphere(2) * Euclidean(3)
 
     def dynamics(q, u):
         x, w = q
-        return jnp.cross(w, x), 9.81 * jnp.cross(x, DOWN) + jnp.append(u, 0.0)
+        return jnp.cross(w, x), 9.81 * jnp.cross(x, DOWN) + u
 
-    problem = OptimalControlProblem(Q, dynamics, effort, 2)
+    problem = OptimalControlProblem(Q, dynamics, effort, 3)
     return Case(
         problem,
         Midpoint(default_retraction(Q)),

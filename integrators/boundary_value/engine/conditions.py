@@ -10,6 +10,7 @@ from .inequalities import Slacks, Turn
 from .scaling import SHARE, Units, natural_units, unscaled
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
+FAR = 1e-2  # times the largest entry of the nodes: ends further apart meet along an arc
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 
 
@@ -26,6 +27,7 @@ class Assembled(NamedTuple):
 
     blocks: Blocks
     gap: np.ndarray  # what the nodes lack in the frames there, shape (B, N + 1, n)
+    asked: np.ndarray  # what a step is asked to move by in the coordinates of the frames, which see it foreshortened
     frames: np.ndarray  # (B, N + 1, n, E)
     coordinates: np.ndarray  # multipliers in the frames, (B, N + 1, n)
     nodes: np.ndarray  # (B, N + 1, E)
@@ -135,13 +137,13 @@ class Conditions:
     def assemble(self, iterate: Iterate) -> Assembled:
         """The KKT system at an iterate."""
         begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
-        nodes, gaps = self._nodes(begins, finishes)
+        nodes, gaps, arcs, shares = self._nodes(begins, finishes)
         frames = self.at_nodes.frames(nodes)
-        gap = np.einsum("bkne,bke->bkn", frames, gaps)
+        gap, asked = (np.einsum("bkne,bke->bkn", frames, gaps * factor) for factor in (arcs, shares))
         terminal = self.at_nodes.terminal(nodes[:, -1], self.data.parameters)
         coordinates = np.einsum("bkne,bke->bkn", frames, iterate.costates)
         coordinates[:, -1] += terminal.slope
-        for values in (gap, coordinates):
+        for values in (gap, asked, coordinates):
             values[:, 0] *= self.ends.start_coordinates
             values[:, -1] *= self.ends.end_coordinates
         costates = np.einsum("bkne,bkn->bke", frames, coordinates)
@@ -155,7 +157,7 @@ class Conditions:
             pushed[:, -1] += np.einsum("bnz,bnj,bj->bz", last, terminal.curvature, blocks.inner.after[:, -1])
         cost = np.sum(blocks.costs, axis=1) + terminal.value
         distance = np.max(np.abs(gaps), axis=1)
-        return Assembled(blocks, gap, frames, coordinates, nodes, costates, terminal, cost, distance)
+        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, terminal, cost, distance)
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
@@ -398,18 +400,26 @@ class Conditions:
         extent = np.concatenate([sizes.along(sizes.spreads), sizes.controls], axis=1)
         return np.max(largest, axis=1), np.max(extent / units, axis=1)
 
-    def _nodes(self, begins: np.ndarray, finishes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before."""
+    def _nodes(self, begins: np.ndarray, finishes: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before.
+
+        Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes nearer
+        by turning away. Then the gap along the arc is that along the chord times the third array, and moves it by the fourth.
+        """
         first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])[:, None]
         last = np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])[:, None]
-        before = np.concatenate([first, finishes], axis=1)
-        nodes = np.concatenate([first, finishes[:, :-1], last], axis=1)
-        return nodes, np.concatenate([begins, last], axis=1) - before
+        before, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
+        nodes, gaps = np.concatenate([first, finishes[:, :-1], last], axis=1), after - before
+        arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
+        far = np.max(np.abs(gaps), axis=2) > FAR * np.max(np.abs(nodes), axis=(1, 2), initial=0.0)[:, None]
+        if np.any(far):
+            nodes[far], arcs[far], shares[far] = self.at_nodes.amid(before[far], after[far])
+        return nodes, gaps, arcs, shares
 
     def _system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
         blocks, count = assembled.blocks, len(assembled.gap)
         fixed = (np.broadcast_to(m, (count, m.size)) for m in (self.ends.start_coordinates, self.ends.end_coordinates))
-        gap, slope = assembled.gap, blocks.slope
+        gap, slope = assembled.asked, blocks.slope
         if blocks.pushed is not None and iterate.slacks is not None:
             slope = blocks.pushed[..., 0] + iterate.slacks.barrier[:, None, None] * blocks.pushed[..., 1]
         if blocks.inner is not None:

@@ -10,13 +10,16 @@ from jaxtyping import Array
 
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
-from ....retractions import DiscretizationMap
+from ....retractions import DiscretizationMap, default_retraction
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from .evaluator import Arrays, Evaluator
 from .inequalities import Held, Slacks, raised
 from .layout import Layout, parameter_layout
 from .scaling import Units
+
+ASIDE = 1e-3  # of the chord
+QUARTER = np.pi / 2 - 1e-2  # a turn: opposite points still have a direction
 
 
 class Data(NamedTuple):
@@ -213,6 +216,7 @@ class Nodes:
         sizes, paid = (self.layout.size, self.parameter.size), problem.terminal_cost is not None
         self._terminal = evaluator.values(self._terminal_of, *sizes) if paid else None
         self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
+        self._middle = evaluator.values(self._middle_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
@@ -239,6 +243,49 @@ class Nodes:
     def projected(self, nodes: np.ndarray, costates: np.ndarray) -> np.ndarray:
         """Covectors projected to the tangent spaces at the nodes."""
         return at_points(self._projected, 2, nodes, costates)[0]
+
+    def amid(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by entry.
+
+        Each array of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
+        tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.
+        """
+        middle = at_points(self._middle, 1, first, second)[0]
+        found = np.where(np.all(np.isfinite(middle), axis=1, keepdims=True), middle, first)
+        sagitta, half = (np.sqrt(a**2 @ self._arrays.T) for a in ((first + second) / 2 - found, (second - first) / 2))
+        angle = np.where(half > 0, 2 * np.arctan2(sagitta, np.where(half > 0, half, 1.0)), 0.0)  # of half the arc
+        angle = np.minimum(angle, QUARTER)
+        arcs = np.where(angle > 0, angle / np.sin(np.where(angle > 0, angle, 1.0)), 1.0)
+        return found, arcs @ self._arrays, (arcs * np.cos(angle)) @ self._arrays
+
+    @property
+    def _arrays(self) -> np.ndarray:
+        """Which array of a point each entry belongs to, as 0 and 1, shape (arrays, E)."""
+        leaves = jax.tree.leaves(self.problem.manifold.ambient)
+        sizes = [math.prod(leaf.shape) * (1 + np.issubdtype(leaf.dtype, np.complexfloating)) for leaf in leaves]
+        return np.repeat(np.eye(len(sizes)), sizes, axis=1)
+
+    def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
+        """The point of the manifold next to the middle of the chord, by a few steps along its tangential part.
+
+        The first sets out a little aside, because the chord to an opposite point has no tangential part.
+        """
+        x, y, retraction = self.layout.point(a), self.layout.point(b), default_retraction(self.problem.manifold)
+        project = self.problem.manifold.projection
+        draw = np.random.default_rng(0).standard_normal
+        off = jax.tree.map(lambda leaf: jnp.asarray(draw(leaf.shape).astype(leaf.dtype)), self.problem.manifold.ambient)
+
+        def out(chord: Array, part: Array, off: Array) -> Array:
+            length = jnp.linalg.norm(chord)
+            part = part + ASIDE * length * off
+            size = jnp.linalg.norm(part)
+            return jnp.where(size > 0, length / 2 / jnp.where(size > 0, size, 1.0), 0.0) * part
+
+        chord = vec.subtract(y, x)
+        m = retraction(x, jax.tree.map(out, chord, project(x, chord), project(x, off)))
+        for _ in range(4):
+            m = retraction(m, project(m, vec.subtract(vec.scale(0.5, vec.add(x, y)), m)))
+        return (self.layout.flat(m),)
 
     def _projection_of(self, q: Array, p: Array) -> tuple[Array]:
         return (self.layout.flat(self.problem.manifold.projection(self.layout.point(q), self.layout.point(p))),)

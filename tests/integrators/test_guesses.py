@@ -1,0 +1,66 @@
+"""Guesses from controls and through waypoints."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Guess, OptimalControlProblem, default_guess, solve
+from retrax.manifolds import DomainError, Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+
+from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation
+
+START, END = (IDENTITY, REST), (SLEW_END, REST)
+METHOD = Midpoint(Cayley(RIGID))
+
+
+def difference(a, b):
+    return max(np.max(np.abs(x - y)) for x, y in zip(jax.tree.leaves(a), jax.tree.leaves(b), strict=True))
+
+
+def test_the_controls_of_a_solution_lead_to_its_states_to_second_order():
+    off = []
+    for steps in (10, 20, 40):
+        solution = solve(SLEW, METHOD, START, END, 60.0, steps)
+        guess = Guess.from_controls(SLEW, METHOD, START, solution.controls, 60.0, steps)
+        off.append(difference(guess.states, solution.stage_states))
+    assert off[0] < 0.03
+    np.testing.assert_allclose(np.log2(np.divide(off[:-1], off[1:])), 2, atol=0.2)
+
+
+def test_a_function_of_time_is_evaluated_at_the_stages_of_uneven_steps():
+    method, steps = Gauss(3, default_retraction(RIGID)), [1.0, 2.0, 1.0]
+    guess = Guess.from_controls(SLEW, method, START, lambda t: np.array([t, 0.0, 0.0]), 8.0, steps)
+    places = np.array([0.0, 2.0, 6.0])[:, None] + np.array([2.0, 4.0, 2.0])[:, None] * method.nodes
+    np.testing.assert_allclose(guess.controls[:, 0], places.ravel(), rtol=1e-14)
+
+
+@pytest.mark.parametrize("method", [METHOD, Gauss(2, default_retraction(RIGID))])
+def test_two_waypoints_are_the_default_guess(method):
+    assert difference(Guess.from_waypoints(SLEW, method, [START, END], 9), default_guess(SLEW, method, START, END, 9)) == 0
+
+
+def test_waypoints_are_passed_at_their_times():
+    aside = rotation([0.3, -0.2, 0.1]), REST
+    guess = Guess.from_waypoints(SLEW, METHOD, [START, aside, END], 40, times=[0.0, 15.5, 40.0])
+    np.testing.assert_allclose(guess.states[0][15], aside[0], atol=1e-12)
+    assert solve(SLEW, METHOD, START, END, 60.0, 40, guess=guess).success
+
+
+def test_what_is_no_guess_is_said():
+    with pytest.raises(InvalidInputError, match="at least two points"):
+        Guess.from_waypoints(SLEW, METHOD, [START], 9)
+    with pytest.raises(InvalidInputError, match="times must be 2 ascending numbers"):
+        Guess.from_waypoints(SLEW, METHOD, [START, END], 9, times=[1.0, 1.0])
+    with pytest.raises(NotOnManifoldError, match="start"):
+        Guess.from_waypoints(SLEW, METHOD, [START, (2 * IDENTITY, REST)], 9)
+    with pytest.raises(InvalidInputError, match="controls must have shapes"):
+        Guess.from_controls(SLEW, METHOD, START, np.zeros((8, 3)), 60.0, 9)
+    with pytest.raises(InvalidInputError, match="horizon must be"):
+        Guess.from_controls(SLEW, METHOD, START, np.zeros((9, 3)), 0.0, 9)
+
+
+def test_controls_that_lead_to_infinity_are_told_with_the_time():
+    runaway = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.exp(q) + u, half_square, 1)
+    with pytest.raises(DomainError, match="no finite state at time"):
+        Guess.from_controls(runaway, Midpoint(default_retraction(Euclidean(1))), np.zeros(1), lambda t: np.ones(1), 20.0, 20)
