@@ -23,10 +23,6 @@ def effort(_: Array, u: Array) -> Array:
 CART = OptimalControlProblem(PLANE, cart, effort, 1)
 BOUNDS, TIME = "bounds belong to OptimalControlProblem", "time_dependent=True"
 HORIZON = r"for a free one give horizon=Free\(guess\)"
-    "bounds belong to OptimalControlProblem",
-    r"for a free one give horizon=Free\(guess\)",
-    "time_dependent=True",
-)
 
 
 @pytest.mark.parametrize(
