@@ -107,9 +107,7 @@ def _merge(manifold: Manifold, given: Any, other: Any) -> Any:
         theirs = other if isinstance(other, tuple | list) else (other,) * count
         if len(mine) == len(theirs) == count:
             return tuple(_merge(m, a, b) for m, a, b in zip(manifold.factors, mine, theirs, strict=True))
-    if given is None or (is_free(given) and not (other is None or is_free(other))):
-        return guessed(other)
-    return guessed(given)
+    return guessed(other if given is None else given)
 
 
 def _parts(manifold: Manifold, given: Any, name: str) -> Iterator[_Given]:

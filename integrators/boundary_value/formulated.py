@@ -1,6 +1,7 @@
 """Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more states."""
 
 from collections.abc import Callable
+from dataclasses import astuple, replace
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -8,7 +9,7 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ..free import guessed, is_free
+from ..free import Free, guessed, is_free
 from ..problem import OptimalControlProblem
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
@@ -16,13 +17,18 @@ from .guess import Guess
 from .members import Member, members_of
 from .resampling import Mesh
 from .sensitivity import Sensitivity
-from .solution import Solution, Solutions
+from .solution import Solution, Solutions, Statistics
 
 SINGULAR = (
     "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters or an "
     "explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold the controls; a "
     "running cost that is constant with a free horizon is minimum time, and needs control_bounds or constraints"
 )
+LOST = (
+    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an upper bound, "
+    "or a guess of the trajectory."
+)
+FAR, TOO_FAR, AGAIN = 10.0, 1e6, 3  # from the guess: a horizon that is found again, or not believed; and how often
 Given = tuple[Any, Any, Any, Any, Any]  # start, end, horizon, guess, parameters
 
 
@@ -47,6 +53,28 @@ class Formulated:
 
     def solve(self, given: Given, throw: bool, **options: Any) -> Solution:
         """The extremal of a single trajectory."""
+        solution = self._in_own_units(given, self._solved(given, options), options)
+        return solution.require_success() if throw else solution
+
+    def _in_own_units(self, given: Given, solution: Solution, options: dict[str, Any]) -> Solution:
+        """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
+
+        A horizon that tends to zero takes all conditions with it.
+        """
+        start, end, horizon, _, parameters = given
+        for _ in range(AGAIN):
+            ratio = solution.horizon / guessed(horizon)
+            if not (solution.success and is_free(horizon) and not 1 / FAR < ratio < FAR):
+                return solution
+            if not 1 / TOO_FAR < ratio < TOO_FAR:
+                break
+            horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
+            before = solution.statistics
+            solution = self._solved((start, end, horizon, solution, self._near(parameters, solution)), options)
+            solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
+        return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
+
+    def _solved(self, given: Given, options: dict[str, Any]) -> Solution:
         start, end, horizon, guess, parameters = given
         if is_free(horizon):
             checked_horizon(horizon)
@@ -58,8 +86,7 @@ class Formulated:
         given_guess = self._guess(formulation, member, constants)
         own = formulation.parameters(horizon, parameters)
         found = solver.solve(*ends, member.horizon, given_guess, own, throw=False, **options)
-        solution = self._kept(formulation, solver, found, parameters)
-        return solution.require_success() if throw else solution
+        return self._kept(formulation, solver, found, parameters)
 
     def solve_many(self, given: Given, **options: Any) -> Solutions:
         """The extremals of a batch."""
@@ -80,7 +107,12 @@ class Formulated:
         own_guesses = [self._guess(formulation, member, c) for member, c in zip(members, constants, strict=True)]
         between = formulation.start(starts, constants), formulation.end(ends, times)
         found = solver.solve_many(*between, times[:, 0], own_guesses if members[0].guess else None, stacked, **options)
-        return Solutions([self._kept(formulation, solver, one, each[1]) for one, each in zip(found, asked, strict=True)])
+        solutions = []
+        for one, member, each in zip(found, members, asked, strict=True):
+            solution = self._kept(formulation, solver, one, each[1])
+            own_given = member.start, member.end, each[0], None, each[1]
+            solutions.append(self._in_own_units(own_given, solution, options))
+        return Solutions(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
         """Derivatives of a solution that was found here; None for any other."""
@@ -98,6 +130,25 @@ class Formulated:
         solution = formulation.solution(found, parameters, self.mesh.interpolant)
         self._found[solution] = formulation, solver, found
         return solution
+
+    def _renewed(self, solution: Solution, **changes: Any) -> Solution:
+        """The solution with changes, of which the derivatives can be asked for as before."""
+        changed = replace(solution, **changes)
+        self._found[changed] = self._found[solution]
+        return changed
+
+    @staticmethod
+    def _near(parameters: Any, solution: Solution) -> Any:
+        """Parameters of which those that are free are guessed as they were found."""
+
+        def near(asked: Any, found: Any) -> Any:
+            return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
+
+        return jax.tree.map(near, parameters, solution.parameters, is_leaf=is_free)
+
+
+def _sum(one: Statistics, other: Statistics) -> Statistics:
+    return Statistics(*(a + b for a, b in zip(astuple(one), astuple(other), strict=True)))
 
 
 def _guesses(parameters: Any) -> Any:

@@ -45,7 +45,7 @@ def test_a_free_horizon_is_found_from_far_above_and_below():
         assert found.cost == pytest.approx(T_BEST + 6 / T_BEST**3, rel=1e-12)
         assert np.max(np.abs(found.hamiltonians)) < 1e-11
         assert found.checks.hamiltonian_spread < 1e-11
-        assert found.checks.strict_minimum or not T_BEST / 10 < guess < 10 * T_BEST
+        assert found.checks.strict_minimum
     assert_same_extremal(found, solver.solve(REST, AHEAD, found.horizon))
 
 
