@@ -25,8 +25,8 @@ SINGULAR = (
     "running cost that is constant with a free horizon is minimum time, and needs control_bounds or constraints"
 )
 LOST = (
-    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an upper bound, "
-    "or a guess of the trajectory."
+    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an upper "
+    "bound, or a guess of the trajectory."
 )
 FAR, TOO_FAR, AGAIN = 10.0, 1e6, 3  # from the guess: a horizon that is found again, or not believed; and how often
 Given = tuple[Any, Any, Any, Any, Any]  # start, end, horizon, guess, parameters
