@@ -11,21 +11,15 @@ from ..manifolds import InvalidInputError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-TIME = (
-    "the functions of a problem have no explicit time; make a clock a state: a factor Euclidean(1) with the velocity "
-    "jnp.ones(1), (q0, np.zeros(1)) as start and (q1, None) as end"
-)
+TIME = "for explicit time give OptimalControlProblem time_dependent=True and functions of (q, u, t), a terminal cost of (q, t)"
 ENERGY_TIME = (
     "a Hamiltonian has no explicit time; make a clock s a coordinate: a factor Euclidean(1) with covector e, and the energy "
     "H(q, p, s) + e[0]"
 )
-HORIZON = (
-    "the horizon is a given number; make a free one a state: a factor Euclidean(1) with the velocity jnp.zeros(1), whose entry s "
-    "multiplies the dynamics and the running cost by exp(s), with horizon=1, None for this factor at both ends, and a guess"
-)
+HORIZON = "for a free one give horizon=Free(guess), or Free(guess, lower=..., upper=...)"
 BOUNDS = (
-    "controls and states have no bounds; for |u| <= a add the barrier -d * jnp.log(a**2 - u @ u) with a small d to the running "
-    "cost, or steer with a * jnp.tanh(u) and a small cost of u itself"
+    'bounds belong to OptimalControlProblem: control_bounds=(lower, upper), or constraints={"name": function} of (q, u) that is '
+    "is not positive where a state and a control are admissible"
 )
 # Parts of names, in the order in which they are looked for.
 ASKED_FOR = {

@@ -34,6 +34,7 @@ from .probing import (
     kink_words,
     probe,
 )
+from .statement import statement
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -126,6 +127,10 @@ class OptimalControlProblem(eqx.Module):
     @property
     def _shape(self) -> tuple[int, ...]:
         return self.controls.shape if isinstance(self.controls, Euclidean) else ()
+
+    def __repr__(self) -> str:
+        """The problem in mathematical notation."""
+        return f"OptimalControlProblem:\n{statement(self)}"
 
     def with_parameters(self, parameters: Any) -> "OptimalControlProblem":
         """The problem whose functions have the parameters; the problem itself if they take none."""

@@ -90,7 +90,7 @@ def check_problem(problem: Any, method: Any) -> None:
         raise InvalidInputError(
             f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
         )
-    problem.require_treated("solve", "control bounds", "constraints", "an explicit time")
+    problem.require_treated("solve", "control bounds", "constraints", "an initial cost", "an explicit time")
     problem.check_discretization(method)
 
 

@@ -1,6 +1,7 @@
 """Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more states."""
 
 from collections.abc import Callable
+from dataclasses import astuple, replace
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -8,19 +9,24 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ..free import guessed, is_free
+from ..free import Free, guessed, is_free
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
 from .members import Asked, MemberReader, Members
 from .sensitivity import Sensitivity
-from .solution import Solution, Solutions
+from .solution import Solution, Solutions, Statistics
 
 SINGULAR = (
     "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters or an "
     "explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold the controls; a "
     "running cost that is constant with a free horizon is minimum time, and needs control_bounds or constraints"
 )
+LOST = (
+    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an upper "
+    "bound, or a guess of the trajectory."
+)
+FAR, TOO_FAR, AGAIN = 10.0, 1e6, 3  # from the guess: a horizon that is found again, or not believed; and how often
 
 
 @final
@@ -44,6 +50,29 @@ class Formulated:
 
     def solve(self, asked: Asked, throw: bool, **options: Any) -> Solution:
         """The extremal of a single trajectory."""
+        solution = self._in_own_units(asked, self._solved(asked, options), options)
+        return solution.require_success() if throw else solution
+
+    def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any]) -> Solution:
+        """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
+
+        A horizon that tends to zero takes all conditions with it.
+        """
+        horizon, parameters = asked.horizon, asked.parameters
+        for _ in range(AGAIN):
+            ratio = solution.horizon / guessed(horizon)
+            if not (solution.success and is_free(horizon) and not 1 / FAR < ratio < FAR):
+                return solution
+            if not 1 / TOO_FAR < ratio < TOO_FAR:
+                break
+            horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
+            before, near = solution.statistics, self._near(parameters, solution)
+            again = asked._replace(horizon=horizon, guess=solution, parameters=near)
+            solution = self._solved(again, options)
+            solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
+        return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
+
+    def _solved(self, asked: Asked, options: dict[str, Any]) -> Solution:
         if is_free(asked.horizon):
             checked_horizon(asked.horizon)
         members = self.reader.one(_guesses(asked))
@@ -52,8 +81,7 @@ class Formulated:
         ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons)
         guess, own = self._guess(formulation, members, 0, constants), formulation.parameters(asked.horizon, asked.parameters)
         found = solver.solve(*ends, float(members.horizons[0]), guess, own, throw=False, **options)
-        solution = self._kept(formulation, solver, found, asked.parameters)
-        return solution.require_success() if throw else solution
+        return self._kept(formulation, solver, found, asked.parameters)
 
     def solve_many(self, asked: Asked, **options: Any) -> Solutions:
         """The extremals of a batch."""
@@ -71,8 +99,12 @@ class Formulated:
         guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
         ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons[:, None])
         found = solver.solve_many(*ends, members.horizons, None if members.guess is None else guesses, stacked, **options)
-        kept = [self._kept(formulation, solver, one, own[1]) for one, own in zip(found, each, strict=True)]
-        return Solutions.of(kept)
+        solutions = []
+        for k, (one, own) in enumerate(zip(found, each, strict=True)):
+            solution = self._kept(formulation, solver, one, own[1])
+            pair = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
+            solutions.append(self._in_own_units(Asked(*pair, own[0], None, own[1]), solution, options))
+        return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
         """Derivatives of a solution that was found here; None for any other."""
@@ -89,6 +121,25 @@ class Formulated:
         solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)
         self._found[solution] = formulation, solver, found
         return solution
+
+    def _renewed(self, solution: Solution, **changes: Any) -> Solution:
+        """The solution with changes, of which the derivatives can be asked for as before."""
+        changed = replace(solution, **changes)
+        self._found[changed] = self._found[solution]
+        return changed
+
+    @staticmethod
+    def _near(parameters: Any, solution: Solution) -> Any:
+        """Parameters of which those that are free are guessed as they were found."""
+
+        def near(asked: Any, found: Any) -> Any:
+            return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
+
+        return jax.tree.map(near, parameters, solution.parameters, is_leaf=is_free)
+
+
+def _sum(one: Statistics, other: Statistics) -> Statistics:
+    return Statistics(*(a + b for a, b in zip(astuple(one), astuple(other), strict=True)))
 
 
 def _guesses(asked: Asked) -> Asked:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from math import prod
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import jax.numpy as jnp
@@ -100,7 +100,7 @@ class Formulation:
         functions = self._of_state(self._velocity, 2), self._of_state(self._rate, 2)
         costs = (problem.terminal_cost, self._final, "terminal_cost"), (problem.initial_cost, self._first, "initial_cost")
         paid: Any = {name: self._of_state(f, 1) for given, f, name in costs if given is not None}
-        manifold, limits = Product(problem.manifold, *added), self._limits()
+        manifold, limits = Product(problem.manifold, *added), cast(Any, self._limits())
         self.problem = OptimalControlProblem(
             manifold, *functions, problem.controls, abnormal=problem.abnormal, constraints=limits, **paid
         )

@@ -112,6 +112,7 @@ def rolled_out(
 ) -> Guess:
     """The guess that controls lead to."""
     check_problem(problem, method)
+    problem.require_treated("Guess.from_controls", "control bounds", "constraints", "an initial cost")
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     begin = EndReader(problem.manifold).point(start)

@@ -264,6 +264,7 @@ class Solver:
         self, members: Members, options: Options, method: tuple[Classification, SingularIntegrator | None]
     ) -> Solution:
         """The extremal of a singular problem."""
+        problem.require_treated("solve of a singular problem", "control bounds", "constraints")
         if not isinstance(self.method, DiscretizationMap):
             raise InvalidInputError(
                 f"the problem is singular, and solve takes a discretization map for it, got {self.method!r}; try "

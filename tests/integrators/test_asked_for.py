@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import Guess, OptimalControlProblem, SymplecticIntegrator, integrate, solve
+from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.retractions import Addition, CotangentLift, Exponential, Midpoint
+from retrax.retractions import Addition, CotangentLift, Midpoint
 
 from tests.integrators.test_kinks import Priced, cart
 
@@ -21,7 +21,8 @@ def effort(_: Array, u: Array) -> Array:
 
 
 CART = OptimalControlProblem(PLANE, cart, effort, 1)
-BOUNDS, HORIZON, TIME = "the barrier -d", "multiplies the dynamics and the running cost by exp", "make a clock a state"
+BOUNDS, TIME = "bounds belong to OptimalControlProblem", "time_dependent=True"
+HORIZON = r"for a free one give horizon=Free\(guess\)"
 
 
 @pytest.mark.parametrize(
@@ -125,61 +126,6 @@ def test_other_costs_that_vanish_somewhere_are_not_constant():
     for cost in (lambda q, u: q @ q, lambda q, u: jnp.maximum(u[0] ** 2 - 50.0, 0.0)):
         OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST, REST)
     OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST, REST)
-
-
-@pytest.mark.slow
-def test_a_clock_makes_time_a_state():
-    """``x' = u`` at the cost ``(u - sin t)^2 / 2``: ``u = sin t + c``."""
-    space = LINE * LINE
-    moving = OptimalControlProblem(
-        space, lambda q, u: (u, jnp.ones(1)), lambda q, u: (u[0] - jnp.sin(q[1][0])) ** 2 / 2, controls=1
-    )
-    solution = solve(moving, Midpoint(Exponential(space)), (np.zeros(1), np.zeros(1)), (np.ones(1), None), 1.0, 20)
-    assert solution.cost == pytest.approx(np.cos(1.0) ** 2 / 2, rel=1e-3)
-    assert solution.states[1][-1] == pytest.approx(1.0)
-
-
-@pytest.mark.slow
-def test_a_state_makes_the_horizon_free():
-    """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``, least at ``T^4 = 18``."""
-    space, steps = PLANE * LINE, 20
-
-    def scaled(q: tuple, u: Array) -> tuple:
-        return jnp.exp(q[1][0]) * cart(q[0], u), jnp.zeros(1)
-
-    free = OptimalControlProblem(space, scaled, lambda q, u: jnp.exp(q[1][0]) * (1 + u @ u / 2), 1)
-    path = np.stack([np.linspace(0, 1, steps), np.ones(steps)], axis=1)
-    guess = Guess((path, np.zeros((steps, 1))), np.zeros((steps, 1)))
-    solution = solve(free, Midpoint(Exponential(space)), (REST, None), (AHEAD, None), 1.0, steps, guess=guess)
-    assert np.exp(solution.states[1][0, 0]) == pytest.approx(18**0.25, rel=2e-3)
-    assert np.max(np.abs(solution.hamiltonians)) < 1e-2  # of the free horizon: zero, to the order of the steps
-
-
-class Saturated(eqx.Module):
-    """``x1' = x2``, ``x2' = a tanh u``."""
-
-    bound: Array
-
-    def __call__(self, q: Array, u: Array) -> Array:
-        return cart(q, self.bound * jnp.tanh(u))
-
-
-BOUNDED = {
-    "barrier": (lambda a: cart, lambda u, a: u @ u / 2 - 1e-2 * jnp.log(a**2 - u @ u), lambda u, a: u),
-    "saturation": (Saturated, lambda u, a: (a * jnp.tanh(u[0])) ** 2 / 2 + 1e-2 * u @ u, lambda u, a: a * np.tanh(u)),
-}
-
-
-@pytest.mark.parametrize("name", ["barrier", pytest.param("saturation", marks=pytest.mark.slow)])
-def test_a_bound_is_kept_from_where_it_does_not_matter_to_where_it_does(name):
-    """The unbounded control reaches 6; below 4 there is none."""
-    dynamics, price, steer = BOUNDED[name]
-    for a in (10.0, 6.0, 5.0):
-        bounded = OptimalControlProblem(PLANE, dynamics(jnp.asarray(a)), Priced(price, jnp.asarray(a)), 1)
-        solution = solve(bounded, MIDPOINT, REST, AHEAD, 1.0, 20)
-        used = np.abs(steer(solution.controls, a))
-        assert np.max(used) < a
-        assert (np.sum(used > 0.95 * a) > 2) == (a < 6)
 
 
 def test_what_is_missing_is_named():

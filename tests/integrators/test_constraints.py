@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, classify, integrate, solve
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, classify, integrate
 from retrax.integrators.dirac import DiracSystem
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
@@ -215,7 +215,24 @@ def test_what_treats_no_inequalities_says_so(name):
         lambda: classify(given),
         lambda: integrate(given, PresymplecticIntegrator(CotangentLift(MIDPOINT)), begin, 0.1, 2),
         lambda: DiracSystem.controlled(given, lambda q: jnp.ones((1, 2))),
-        lambda: solve(given, MIDPOINT, np.zeros(2), np.ones(2), 1.0, 3),
     ):
         with pytest.raises(InvalidInputError, match=words):
             call()
+
+
+def test_a_problem_prints_in_mathematical_notation():
+    assert repr(LIMITED).splitlines() == [
+        "OptimalControlProblem:",
+        "minimise    int_0^T effort(q, u) dt",
+        "subject to  q' = turning(q, u),  q in SO(3) x R^3,  u in R^3",
+        "            -1 <= u[0] <= 3, u[1] <= 3, -2 <= u[2] <= 3",
+        "            rate(q, u) <= 0",
+        "            cone(q, u) <= 0",
+        "            any(q, u) <= 0",
+    ]
+    paid = cart(control_bounds=(-1, 1), initial_cost=lambda q: q[0], terminal_cost=lambda q, given: q[1] * given)
+    assert str(paid).splitlines()[1:] == [
+        "minimise    (lambda)(q(0), p) + int_0^T effort(q, u, p) dt + (lambda)(q(T), p)",
+        "subject to  q' = (lambda)(q, u, p),  q in R^2,  u in R^1",
+        "            -1 <= u <= 1",
+    ]

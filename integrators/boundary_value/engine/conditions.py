@@ -34,6 +34,7 @@ class Assembled(NamedTuple):
     costates: np.ndarray
     terminal: Terminal
     cost: np.ndarray
+    initial: Terminal | None
     distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
 
 
@@ -143,21 +144,23 @@ class Conditions:
         terminal = self.at_nodes.terminal(nodes[:, -1], self.data.parameters)
         coordinates = np.einsum("bkne,bke->bkn", frames, iterate.costates)
         coordinates[:, -1] += terminal.slope
+        initial = self.at_nodes.initial(nodes[:, 0], self.data.parameters)
+        if initial is not None:
+            coordinates[:, 0] -= initial.slope
         for values in (gap, asked, coordinates):
             values[:, 0] *= self.ends.start_coordinates
             values[:, -1] *= self.ends.end_coordinates
         costates = np.einsum("bkne,bkn->bke", frames, coordinates)
         costates[:, -1] -= terminal.derivative
+        if initial is not None:
+            costates[:, 0] += initial.derivative
         blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
-        last = blocks.right[:, -1]
-        blocks.hessian[:, -1] += last.mT @ terminal.curvature @ last
-        blocks.gradient[:, -1] += np.einsum("bn,bnz->bz", terminal.slope, last)
-        if blocks.inner is not None:  # what the condensed velocities move the end by, the terminal cost's slope is moved with
-            pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
-            pushed[:, -1] += np.einsum("bnz,bnj,bj->bz", last, terminal.curvature, blocks.inner.after[:, -1])
-        cost = np.sum(blocks.costs, axis=1) + terminal.value
+        for place, paid, end in ((-1, terminal, blocks.right[:, -1]), (0, initial, blocks.left[:, 0])):
+            if paid is not None:
+                _pay(blocks, place, paid, end)
+        cost = np.sum(blocks.costs, axis=1) + terminal.value + (0.0 if initial is None else initial.value)
         distance = np.max(np.abs(gaps), axis=1)
-        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, terminal, cost, distance)
+        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, terminal, cost, initial, distance)
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
@@ -168,6 +171,8 @@ class Conditions:
         covectors = assembled.coordinates + part[:, None, None] * multipliers
         costates = np.einsum("bkne,bkn->bke", assembled.frames, covectors)
         costates[:, -1] -= assembled.terminal.derivative
+        if assembled.initial is not None:
+            costates[:, 0] += assembled.initial.derivative
         slacks = iterate.slacks
         if slacks is not None and step.turn is not None:
             slacks = bounds.moved(slacks, step.turn, fraction)
@@ -339,6 +344,8 @@ class Conditions:
         inner = blocks.inner
         if inner is not None:
             ahead += np.sum(assembled.terminal.slope * inner.after[:, -1], axis=1)
+            if assembled.initial is not None:
+                ahead += np.sum(assembled.initial.slope * inner.before[:, 0], axis=1)
             velocities, multipliers = step.inner
             direct = inner.kept[2][..., : step.unknowns.shape[2]]
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
@@ -380,12 +387,16 @@ class Conditions:
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
     def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
-        """Steps of the covectors at the nodes: of the multipliers, and at the last of the terminal cost's slope, which moves."""
+        """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which move."""
         moved = np.einsum("bnz,bz->bn", assembled.blocks.right[:, -1], step.unknowns[:, -1])
         if assembled.blocks.inner is not None:
             moved += assembled.blocks.inner.after[:, -1]
         turned = np.array(step.multipliers)
         turned[:, -1] -= np.einsum("bnj,bj->bn", assembled.terminal.curvature, moved)
+        if assembled.initial is not None:
+            begun = np.einsum("bnz,bz->bn", assembled.blocks.left[:, 0], step.unknowns[:, 0])
+            begun += 0.0 if assembled.blocks.inner is None else assembled.blocks.inner.before[:, 0]
+            turned[:, 0] += np.einsum("bnj,bj->bn", assembled.initial.curvature, begun)
         return turned
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
@@ -475,6 +486,16 @@ class Conditions:
         scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
         slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
         return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))
+
+
+def _pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:
+    """Add the cost of an end to the blocks of the step there; ``end``: the derivative of that, shape (B, n, z)."""
+    blocks.hessian[:, place] += end.mT @ paid.curvature @ end
+    blocks.gradient[:, place] += np.einsum("bn,bnz->bz", paid.slope, end)
+    if blocks.inner is not None:  # what the condensed velocities move the end by, the slope of its cost is moved with
+        pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
+        moved = blocks.inner.after[:, -1] if place else blocks.inner.before[:, 0]
+        pushed[:, place] += np.einsum("bnz,bnj,bj->bz", end, paid.curvature, moved)
 
 
 def _some(leaves: Any, members: np.ndarray) -> list[np.ndarray | None]:

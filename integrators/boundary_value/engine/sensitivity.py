@@ -4,6 +4,7 @@ Where ``F(y, theta) = 0`` are the conditions, with the regular Jacobian ``K`` of
 the implicit function theorem [Fiacco 1976]; and the cost has the derivative ``dL/dtheta`` of the Lagrangian.
 """
 
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -56,7 +57,8 @@ class Sensitivities:
         )
         n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
         m, u = nodes.problem.controls.dimension, nodes.control.size
-        self._terminal = evaluator.derivatives(self._terminal_of, n + k, e, k)
+        names = ["final_cost", *([] if nodes.problem.initial_cost is None else ["first_cost"])]
+        self._paid = [evaluator.derivatives(partial(self._cost_of, name), n + k, e, k) for name in names]
         self._turned = evaluator.values(self._turned_of, u, m)
         self._carried = evaluator.values(self._carried_of, e, e, e, e)
 
@@ -67,9 +69,12 @@ class Sensitivities:
         fractions = data.steps / np.sum(data.steps, axis=1)[:, None]
         share = np.concatenate([fractions[:, :, None], np.ones((*data.steps.shape, data.parameters.shape[1]))], axis=2)
         own = Columns(*(a * (share if a.ndim == 3 else share[:, :, None]) for a in own))
-        curvature, slope = self._of_terminal(assembled, data.parameters)
+        (curvature, slope), first, *_ = self._of_ends(assembled, data.parameters)
         right, held = blocks.right[:, -1], assembled.terminal.curvature
         own.slope[:, -1] += right.mT @ (held @ own.end[:, -1] + curvature)
+        initial = assembled.initial
+        if initial is not None:
+            own.slope[:, 0] += blocks.left[:, 0].mT @ (initial.curvature @ own.begin[:, 0] + first[0])
         gap = np.zeros((*assembled.gap.shape, 2 * n + share.shape[2]))
         gap[:, :-1, :, 2 * n :] += own.begin
         gap[:, 1:, :, 2 * n :] -= own.end
@@ -81,7 +86,10 @@ class Sensitivities:
         turned = np.array(multipliers)
         turned[:, -1] -= held @ moved[:, -1]
         turned[:, -1, :, 2 * n :] -= curvature
-        lagrangian = np.sum(own.lagrangian, axis=1) + slope
+        if initial is not None:
+            turned[:, 0] += initial.curvature @ moved[:, 0]
+            turned[:, 0, :, 2 * n :] += first[0]
+        lagrangian = np.sum(own.lagrangian, axis=1) + slope + first[1]
         ends = assembled.coordinates[:, 0], assembled.coordinates[:, -1]
         cost = np.concatenate([-ends[0], ends[1], lagrangian], axis=1)
         return Derivatives(cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), smallest)
@@ -102,14 +110,17 @@ class Sensitivities:
         end[..., -own.end.shape[3] :] += own.end[:, -1:]
         return np.concatenate([begin, end], axis=1)
 
-    def _of_terminal(self, assembled: Assembled, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by horizon and parameters of the terminal cost's slope, (B, n, K), and of its value, (B, K)."""
-        n = self.nodes.problem.manifold.dimension
-        hessian, gradient, *_ = at_points(self._terminal, 1, assembled.nodes[:, -1], parameters)
-        terminal = assembled.terminal
-        _require_unchanged((hessian[:, :n, :n], terminal.curvature), (gradient[:, :n], terminal.slope))
-        rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
-        return np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2), np.concatenate([none, gradient[:, n:]], axis=1)
+    def _of_ends(self, assembled: Assembled, parameters: np.ndarray) -> list[tuple[Any, Any]]:
+        """Derivatives by horizon and parameters of the slopes, (B, n, K), and values, (B, K), of terminal and initial cost."""
+        n, found = self.nodes.problem.manifold.dimension, list[tuple[Any, Any]]()
+        ends: Any = (-1, assembled.terminal), (0, assembled.initial)
+        for function, (place, paid) in zip(self._paid, ends, strict=False):
+            hessian, gradient, *_ = at_points(function, 1, assembled.nodes[:, place], parameters)
+            _require_unchanged((hessian[:, :n, :n], paid.curvature), (gradient[:, :n], paid.slope))
+            rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
+            mixed = np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2)
+            found.append((mixed, np.concatenate([none, gradient[:, n:]], axis=1)))
+        return [*found, (0.0, 0.0)]
 
     def _ambient(self, assembled: Assembled, moved: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""
@@ -125,10 +136,10 @@ class Sensitivities:
         (found,) = at_points(self._turned, 4, u[:, :, :, None], np.moveaxis(turns, 4, 3))
         return np.moveaxis(found, 3, 1).reshape(len(u), columns, -1, u.shape[3])
 
-    def _terminal_of(self, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
+    def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
         n, point = self.nodes.problem.manifold.dimension, self.nodes.layout.point(q)
         bound = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters + d[n:]))
-        return bound.final_cost(vec.add(point, vec.combine(bound.manifold.basis(point), d[:n]))), jnp.zeros(0)
+        return getattr(bound, name)(vec.add(point, vec.combine(bound.manifold.basis(point), d[:n]))), jnp.zeros(0)
 
     def _turned_of(self, u: Array, du: Array) -> tuple[Array]:
         point, turn = self.nodes.control.point(u), default_retraction(self.nodes.problem.controls)
@@ -174,7 +185,8 @@ class _OneStageColumns:
             limits = jacobian[:, :, 2 * n + 1 :]
             pushed = limits[..., :z].mT @ (stiff[..., None] * limits)
             own, mixed = own + pushed[..., :z], mixed + pushed[..., z:]
-        _require_unchanged((own[:, :-1], blocks.hessian[:, :-1]))
+        free = slice(0 if assembled.initial is None else 1, -1)  # the steps at the ends have the costs of these too
+        _require_unchanged((own[:, free], blocks.hessian[:, free]))
         ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
         return Columns(mixed, *ends, gradient[:, :, z:])
 

@@ -1,6 +1,7 @@
 """From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
 
 import math
+from functools import partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -72,7 +73,7 @@ class Moves(NamedTuple):
 
 
 class Terminal(NamedTuple):
-    """The terminal cost at the last node: value (B,), ambient derivative (B, E), slope (B, n) and curvature (B, n, n)."""
+    """The cost of the last node, or of the first: value (B,), ambient derivative (B, E), slope (B, n), curvature (B, n, n)."""
 
     value: np.ndarray
     derivative: np.ndarray
@@ -207,14 +208,17 @@ def _given(data: Data) -> tuple[np.ndarray, np.ndarray]:
 
 @final
 class Nodes:
-    """What belongs to the nodes: frames, and the terminal cost at the last."""
+    """What belongs to the nodes: frames, the terminal cost at the last, and the initial cost at the first."""
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self.layout, self.parameter = problem, Layout.of(problem.manifold), parameter_layout(parameters)
         self.control = Layout.of(problem.controls)
         self._frame = evaluator.values(self._frame_of, self.layout.size)
-        sizes, paid = (self.layout.size, self.parameter.size), problem.terminal_cost is not None
-        self._terminal = evaluator.values(self._terminal_of, *sizes) if paid else None
+        costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
+        sizes = self.layout.size, self.parameter.size
+        self._paid = {
+            name: evaluator.values(partial(self._cost_of, name), *sizes) for name, cost in costs.items() if cost is not None
+        }
         self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
         self._middle = evaluator.values(self._middle_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
@@ -226,11 +230,17 @@ class Nodes:
 
     def terminal(self, last: np.ndarray, parameters: np.ndarray) -> Terminal:
         """The terminal cost at last nodes, shape (B, E)."""
-        if self._terminal is None:
+        if "final_cost" not in self._paid:
             n = self.problem.manifold.dimension
             shapes = (), last.shape[1:], (n,), (n, n)
             return Terminal(*(np.zeros((len(last), *shape)) for shape in shapes))
-        return Terminal(*at_points(self._terminal, 1, last, parameters))
+        return Terminal(*at_points(self._paid["final_cost"], 1, last, parameters))
+
+    def initial(self, first: np.ndarray, parameters: np.ndarray) -> Terminal | None:
+        """The initial cost at first nodes, shape (B, E), if there is one."""
+        if "first_cost" not in self._paid:
+            return None
+        return Terminal(*at_points(self._paid["first_cost"], 1, first, parameters))
 
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
         """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s, U)."""
@@ -296,11 +306,11 @@ class Nodes:
     def _directions_of(self, u: Array) -> tuple[Array]:
         return (self.control.flat_frame(self.problem.controls.basis(self.control.point(u))),)
 
-    def _terminal_of(self, q: Array, parameters: Array) -> tuple[Array, ...]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
+    def _cost_of(self, name: str, q: Array, parameters: Array) -> tuple[Array, ...]:
+        cost = getattr(self.problem.with_parameters(self.parameter.point(parameters)), name)
         point, layout = self.layout.point(q), self.layout
-        frame = bound.manifold.basis(point)
-        derivative = vec.gradient(bound.final_cost, point)
-        push = jax.vmap(lambda e: jax.jvp(lambda x: vec.gradient(bound.final_cost, x), (point,), (e,))[1])(frame)
+        frame = self.problem.manifold.basis(point)
+        derivative = vec.gradient(cost, point)
+        push = jax.vmap(lambda e: jax.jvp(lambda x: vec.gradient(cost, x), (point,), (e,))[1])(frame)
         curvature = jax.vmap(lambda image: vec.components(frame, image))(push)
-        return bound.final_cost(point), layout.flat(derivative), vec.components(frame, derivative), curvature
+        return cost(point), layout.flat(derivative), vec.components(frame, derivative), curvature

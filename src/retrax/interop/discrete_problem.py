@@ -69,6 +69,7 @@ def posed(
 ) -> DiscreteProblem:
     """The program of a problem as it is given, checked."""
     check_problem(problem, method)
+    problem.require_treated("to_casadi", "control bounds", "constraints")
     check_parameters(problem, parameters)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
