@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from .boundary_value import (
     Checks,
+    Continuation,
     Derivative,
     DiscretizationError,
     Extremal,
@@ -20,6 +21,7 @@ from .boundary_value import (
     Solutions,
     Solver,
     Statistics,
+    continuation,
     default_guess,
     discretization_error,
     load_solution,
@@ -71,6 +73,7 @@ __all__ = [
     "TRIPLE_JUMP",
     "YOSHIDA_6",
     "Checks",
+    "Continuation",
     "Classification",
     "Composition",
     "ControlStage",
@@ -102,6 +105,7 @@ __all__ = [
     "SymplecticIntegrator",
     "Trajectory",
     "classify",
+    "continuation",
     "default_guess",
     "discretization_error",
     "form_defect",

@@ -48,7 +48,7 @@ def extremal_of(
         with jax.core.eval_context():  # else JAX would record the solver too, for the tangents
             solution = solved(_values(*primals))
             derivatives = sensitivity(solution)
-        return _arrays(solution), _pushed(manifold, solution, derivatives, *tangents)
+        return _arrays(solution), pushed(manifold, solution, derivatives, *tangents)
 
     extremal.defjvp(with_tangent)
     return extremal(_numbers(given))
@@ -80,7 +80,7 @@ def _arrays(solution: Solution) -> Extremal:
     return Extremal(*(jax.tree.map(jnp.asarray, getattr(solution, name)) for name in Extremal._fields))
 
 
-def _pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
+def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
     """The derivative of the extremal along a tangent, to which it is linear."""
     first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], solution.states) for k in (0, -1))
     ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
