@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...retractions import default_retraction
+from ..free import Free, guessed, is_free
 from ..options import known_options
 from ..results import Result
 from .differentiable import Given, pushed
@@ -127,8 +128,8 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
 def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, options: dict[str, Any]) -> _Trial:
     """The solution at the end of a step, corrected from what is predicted."""
     guess, solver = predictor(last, *way), predictor.solver
-    with np.errstate(all="ignore"):
-        found = solver.solve(**way[1]._asdict(), guess=last if guess is None else guess, throw=False, **options)
+    asked = _informed(way[1], last)
+    found = solver.solve(**asked._asdict(), guess=last if guess is None else guess, throw=False, **options)
     if not found.success:
         return _Trial(found, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
@@ -165,7 +166,7 @@ class Predictor:
             derivatives = self.solver.sensitivity(solution)
         except ConvergenceError:
             return None
-        change = jax.tree.map(lambda a, b: np.asarray(b, float) - np.asarray(a, float), before, after)
+        change = jax.tree.map(_change, before, after, is_leaf=is_free)
         along = pushed(self.manifold, solution, derivatives, change)
         states, costates = self.state.rows(along.states, 1), self.state.rows(along.costates, 1)
         nodes, at_nodes = self._pair(solution.states, states, solution.costates, costates)
@@ -192,6 +193,22 @@ class Predictor:
     def _steered_of(self, u: Array, v: Array) -> tuple[Array]:
         turn = default_retraction(self.solver.problem.controls)
         return (self.control.flat(turn(self.control.point(u), self.control.point(v))),)
+
+
+def _change(a: Any, b: Any) -> np.ndarray:
+    """The difference of two values; of what is free there is none."""
+    first, second = (np.asarray(guessed(value), float) for value in (a, b))
+    return np.zeros_like(first) if is_free(a) or is_free(b) else second - first
+
+
+def _informed(given: Given, last: Solution) -> Given:
+    """The problem with what is free first guessed as it was found last."""
+
+    def near(value: Any, found: Any) -> Any:
+        return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
+
+    horizon, parameters = jax.tree.map(near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free)
+    return given._replace(horizon=horizon, parameters=parameters)
 
 
 def _between(solution: Solution, at_nodes: np.ndarray) -> np.ndarray:

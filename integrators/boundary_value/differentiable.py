@@ -86,9 +86,9 @@ def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Giv
     ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
     pairs = [*zip(ends, (by.start, by.end), strict=True), (tangent.horizon, by.horizon)]
     if tangent.parameters is not None:
-        derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: isinstance(leaf, Derivative))
+        derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Derivative))
         pairs += zip(jax.tree.leaves(tangent.parameters), derivatives, strict=True)
-    parts = [_along(v, own) for v, own in pairs]
+    parts = [_along(v, own) for v, own in pairs if own is not None]  # by what is free there are none
     return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
 
 

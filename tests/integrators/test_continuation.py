@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver, continuation
+from retrax.integrators import Free, OptimalControlProblem, Solver, continuation
 from retrax.integrators.boundary_value.continuation import Predictor, problem_at
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Midpoint, Projection
@@ -156,6 +156,21 @@ def test_a_path_is_a_function_that_returns_a_problem(sphere, path, words):
 
 
 def test_its_beginning_must_be_solved():
-    solver = Solver(PENDULUM, Midpoint(Exponential(PLANE)), 10)
+    """No control moves the second coordinate."""
+    stuck = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([u[0], 0 * q[1]]), lambda q, u: u @ u / 2, controls=1)
     with pytest.raises(ConvergenceError):
-        continuation(solver, lambda place: {**swing_up(place), "parameters": 1e9})
+        continuation(Solver(stuck, Midpoint(Exponential(PLANE)), 4), lambda place: {**swing_up(place), "parameters": None})
+
+
+def test_a_free_horizon_is_followed():
+    """In the time T a motion by d costs ``T + 6 d^2 / T^3``, least where ``T^4 = 18 d^2``."""
+    moved = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: 1 + u @ u / 2, controls=1)
+    solver = Solver(moved, Gauss(2, Exponential(PLANE)), 4)
+
+    def further(place):
+        return {"start": REST[:2], "end": np.array([1 + 30 * place, 0.0]), "horizon": Free(2.0, lower=0.1)}
+
+    found = continuation(solver, further)
+    assert found.success
+    for place, solution in zip(found.places, found.solutions, strict=True):
+        assert solution.horizon == pytest.approx((18 * (1 + 30 * place) ** 2) ** 0.25, rel=1e-9)
