@@ -23,9 +23,9 @@ from .solution import Solution, Solutions
 from .solver import Solver
 
 FIRST = 0.1  # of the path
-USUAL = 6  # iterations of Newton's method, to all digits, that leave a step as long as it is
-LONGER, SHORTER = 3.0, 0.3
-NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no other extremal
+LONGER, SHORTER = 2.0, 0.3
+CORRECTED = 0.4  # of the predicted change: a correction by that much leaves a step as long as it is
+NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no other extremal, however small the change
 
 
 @final
@@ -53,9 +53,10 @@ class Continuation:
 
 
 class _Trial(NamedTuple):
-    """A solution further along the path, with the guess it was found from, and why it is not taken; empty if it is."""
+    """A solution further along the path, its correction relative to what is allowed, and why it is not taken, if it is not."""
 
     solution: Solution
+    correction: float
     refusal: str
 
 
@@ -74,8 +75,9 @@ def continuation(
     ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and ``parameters`` of
     ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and with the problem that is
     wanted at 1. Each step predicts the next extremal by the tangent, from ``solver.sensitivity``, and corrects it by Newton's
-    method. Steps become longer where that takes few iterations [Seydel, Practical Bifurcation and Stability Analysis, 2010,
-    4.6], and shorter where it fails within ``max_iterations``, goes to another extremal, or loses the strict minimum.
+    method. Steps become longer where the correction is small beside what was predicted [den Heijer, Rheinboldt, On steplength
+    algorithms for a class of continuation methods, SIAM J. Numer. Anal. 18, 1981], and shorter where it is large, leads to
+    another extremal, takes more than ``max_iterations``, or loses the strict minimum.
 
     Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``: called
     with each place and solution; the way ends where it returns something true. Regular problems only. Raises what
@@ -98,7 +100,7 @@ def continuation(
         if not trial.refusal:
             places.append(place)
             found.append(trial.solution)
-            step *= min(LONGER, max(SHORTER, USUAL / max(trial.solution.statistics.iterations, 1)))
+            step = max(step * min(LONGER, max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))), smallest_step)
             stopped = callback is not None and callback(place, trial.solution)
         elif trial.solution.result == Result[Result.stopped]:
             stopped = True
@@ -131,16 +133,16 @@ def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, opt
     asked = _informed(way[1], last)
     found = solver.solve(**asked._asdict(), guess=last if guess is None else guess, throw=False, **options)
     if not found.success:
-        return _Trial(found, found.result)
+        return _Trial(found, np.inf, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
-        return _Trial(found, "The extremals there are not strict minima any more, as behind a conjugate point.")
+        return _Trial(found, np.inf, "The extremals there are not strict minima any more, as behind a conjugate point.")
     old, new = _parts(last.guess()), _parts(found.guess())
-    expected = old if guess is None else _parts(guess)
-    for a, b, c in zip(old, expected, new, strict=True):
-        size = np.max(np.abs(c), initial=0.0)
-        if np.max(np.abs(c - b), initial=0.0) > max(np.max(np.abs(b - a), initial=0.0), NEAR * size):
-            return _Trial(found, "Newton's method leads to another extremal from there.")
-    return _Trial(found, "")
+    expected, correction = old if guess is None else _parts(guess), 0.0
+    for before, aim, after in zip(old, expected, new, strict=True):
+        change, missed, size = (np.max(np.abs(a), initial=0.0) for a in (aim - before, after - aim, after))
+        allowed = max(change, NEAR * size)
+        correction = max(correction, missed / allowed if allowed > 0 else 0.0)
+    return _Trial(found, correction, "Newton's method leads to another extremal from there." if correction > 1 else "")
 
 
 def _parts(guess: Guess) -> list[np.ndarray]:
