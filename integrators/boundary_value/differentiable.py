@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import eval_context
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
@@ -45,7 +46,7 @@ def extremal_of(
         return _arrays(solved(_values(given)))
 
     def with_tangent(primals: tuple[Given], tangents: tuple[Given]) -> tuple[Extremal, Extremal]:
-        with jax.core.eval_context():  # else JAX would record the solver too, for the tangents
+        with eval_context():  # else JAX would record the solver too, for the tangents
             solution = solved(_values(*primals))
             derivatives = sensitivity(solution)
         return _arrays(solution), pushed(manifold, solution, derivatives, *tangents)

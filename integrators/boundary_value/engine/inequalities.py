@@ -167,9 +167,7 @@ def products(slacks: Slacks, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     both = slacks.slacks * slacks.multipliers, slacks.excess * np.where(slacks.elastic, slacks.rest, 0.0)
     places = asked, asked & slacks.elastic
     largest = [np.max(np.where(a, p, 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
-    off = [
-        np.max(np.where(a, np.abs(p - slacks.mu), 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)
-    ]
+    off = [np.max(np.where(a, np.abs(p - slacks.mu), 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
     return np.maximum(*largest), np.maximum(*off)
 
 
