@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from .boundary_value import (
     Checks,
+    Continuation,
     Derivative,
     DiscretizationError,
     Extremal,
@@ -22,6 +23,7 @@ from .boundary_value import (
     Solutions,
     Solver,
     Statistics,
+    continuation,
     default_guess,
     discretization_error,
     load_solution,
@@ -75,6 +77,7 @@ __all__ = [
     "Checks",
     "Classification",
     "Composition",
+    "Continuation",
     "ControlStage",
     "Derivative",
     "DiracIntegrator",
@@ -106,6 +109,7 @@ __all__ = [
     "SymplecticIntegrator",
     "Trajectory",
     "classify",
+    "continuation",
     "default_guess",
     "discretization_error",
     "form_defect",

@@ -1,5 +1,6 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
+from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
 from .propagation import DiscretizationError, discretization_error
@@ -10,6 +11,7 @@ from .solver import Solver
 
 __all__ = [
     "Checks",
+    "Continuation",
     "Derivative",
     "DiscretizationError",
     "Extremal",
@@ -22,6 +24,7 @@ __all__ = [
     "Solutions",
     "Solver",
     "Statistics",
+    "continuation",
     "default_guess",
     "discretization_error",
     "load_solution",

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.core import eval_context
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
@@ -45,10 +46,10 @@ def extremal_of(
         return _arrays(solved(_values(given)))
 
     def with_tangent(primals: tuple[Given], tangents: tuple[Given]) -> tuple[Extremal, Extremal]:
-        with jax.core.eval_context():  # else JAX would record the solver too, for the tangents
+        with eval_context():  # else JAX would record the solver too, for the tangents
             solution = solved(_values(*primals))
             derivatives = sensitivity(solution)
-        return _arrays(solution), _pushed(manifold, solution, derivatives, *tangents)
+        return _arrays(solution), pushed(manifold, solution, derivatives, *tangents)
 
     extremal.defjvp(with_tangent)
     return extremal(_numbers(given))
@@ -80,15 +81,15 @@ def _arrays(solution: Solution) -> Extremal:
     return Extremal(*(jax.tree.map(jnp.asarray, getattr(solution, name)) for name in Extremal._fields))
 
 
-def _pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
+def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
     """The derivative of the extremal along a tangent, to which it is linear."""
     first, last = (jax.tree.map(lambda leaf, k=k: leaf[k], solution.states) for k in (0, -1))
     ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
     pairs = [*zip(ends, (by.start, by.end), strict=True), (tangent.horizon, by.horizon)]
     if tangent.parameters is not None:
-        derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: isinstance(leaf, Derivative))
+        derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Derivative))
         pairs += zip(jax.tree.leaves(tangent.parameters), derivatives, strict=True)
-    parts = [_along(v, own) for v, own in pairs]
+    parts = [_along(v, own) for v, own in pairs if own is not None]  # by what is free there are none
     return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
 
 

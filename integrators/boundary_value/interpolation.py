@@ -1,7 +1,7 @@
 """An extremal between its nodes: the polynomials of its method in the charts of its steps."""
 
 from functools import cached_property
-from typing import Any, NamedTuple, Protocol, Self, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
@@ -18,6 +18,9 @@ from .engine.layout import Layout
 from .engine.transcription import at_points
 from .stored import as_text, from_text
 
+if TYPE_CHECKING:
+    from .solution import Solution
+
 ROUNDING = 8 * float(np.finfo(float).eps)  # relative to the horizon, and for each step: what the sum of the steps loses
 
 
@@ -28,18 +31,6 @@ class Sample(NamedTuple):
     states: Any
     controls: Any
     costates: Any
-
-
-class Record(Protocol):
-    """What an extremal is interpolated from."""
-
-    times: np.ndarray
-    states: Any
-    costates: Any
-    stage_times: np.ndarray
-    stage_states: Any
-    stage_costates: Any
-    controls: Any
 
 
 class _Step(NamedTuple):
@@ -108,7 +99,7 @@ class Interpolant:
             if expected != got:
                 raise InvalidInputError(f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}")
 
-    def __call__(self, record: Record, t: Any) -> Sample:
+    def __call__(self, record: "Solution", t: Any) -> Sample:
         """The extremal at a time, or at an array of times.
 
         Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a chart.
@@ -130,7 +121,7 @@ class Interpolant:
         q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
         return Sample(times, q, u, p)
 
-    def _steps(self, record: Record, k: np.ndarray) -> _Step:
+    def _steps(self, record: "Solution", k: np.ndarray) -> _Step:
         """The steps of these numbers."""
         count = len(record.times) - 1
         nodes, points = (self.state.rows(part, 1) for part in (record.states, record.stage_states))

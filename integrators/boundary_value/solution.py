@@ -337,7 +337,7 @@ def load_solution(path: str | Path, retraction: Retraction | None = None, contro
     """
     values = _FILE.read(path)
     text = values.pop("geometry")
-    own = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
+    own: Any = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
     if retraction is not None:
         found = Interpolant(retraction, controls or own)
         found.require_fits("", values["states"], values["controls"])

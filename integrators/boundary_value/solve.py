@@ -39,7 +39,7 @@ def solve(
     ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1, None)``
     prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at every
     step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of the
-    retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or a ``Solution`` with as many steps.
+    retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or any ``Solution``.
 
     A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the steps of
     ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.

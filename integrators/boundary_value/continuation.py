@@ -1,0 +1,220 @@
+"""From an easy problem to a hard one: the extremals along a path of parameters, ends and horizons."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds.numerics.ambient import is_finite_number
+from ...retractions import default_retraction
+from ..free import Free, guessed, is_free
+from ..options import known_options
+from ..results import Result
+from .differentiable import Given, pushed
+from .engine.evaluator import Automatic
+from .engine.layout import Layout
+from .engine.transcription import at_points
+from .guess import Guess
+from .solution import Solution, Solutions
+from .solver import Solver
+
+FIRST = 0.1  # of the path
+LONGER, SHORTER = 2.0, 0.3
+CORRECTED = 0.4  # of the predicted change: a correction by that much leaves a step as long as it is
+NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no other extremal, however small the change
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Continuation:
+    """The extremals along a path, at ``places`` in [0, 1], up to the last that was reached.
+
+    ``success``: whether that is the end of the path; ``result`` says in words why not. ``solutions`` belong to the places;
+    ``solution`` is the last of them.
+    """
+
+    places: np.ndarray
+    solutions: Solutions
+    success: bool
+    result: str
+
+    @property
+    def solution(self) -> Solution:
+        """The solution at the last place."""
+        return self.solutions[-1]
+
+    def __repr__(self) -> str:
+        reached = f"reached {self.places[-1]:.6g} of the path by {len(self.places) - 1} steps, cost {self.solution.cost:.9g}"
+        return f"Continuation({reached}, result={self.result!r})"
+
+
+class _Trial(NamedTuple):
+    """A solution further along the path, its correction relative to what is allowed, and why it is not taken, if it is not."""
+
+    solution: Solution
+    correction: float
+    refusal: str
+
+
+@known_options
+def continuation(
+    solver: Solver,
+    path: Callable[[float], dict[str, Any]],
+    guess: Guess | Solution | None = None,
+    smallest_step: float = 1e-4,
+    tolerance: float | None = None,
+    max_iterations: int = 20,
+    callback: Callable[[float, Solution], Any] | None = None,
+) -> Continuation:
+    """The solution at the end of a path of problems, followed from its beginning [Allgower, Georg, Numerical Continuation, 1990].
+
+    ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and ``parameters`` of
+    ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and with the problem that is
+    wanted at 1. Each step predicts the next extremal by the tangent, from ``solver.sensitivity``, and corrects it by Newton's
+    method. Steps become longer where the correction is small beside what was predicted [den Heijer, Rheinboldt, On steplength
+    algorithms for a class of continuation methods, SIAM J. Numer. Anal. 18, 1981], and shorter where it is large, leads to
+    another extremal, takes more than ``max_iterations``, or loses the strict minimum.
+
+    Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``: called
+    with each place and solution; the way ends where it returns something true. Regular problems only. Raises what
+    ``solver.solve`` raises at the beginning of the path.
+    """
+    if not (isinstance(solver, Solver) and callable(path)):
+        raise InvalidInputError(
+            f"continuation takes a Solver and a path, a function of a number, got {solver!r:.60}, {path!r:.60}"
+        )
+    if not (is_finite_number(smallest_step) and 0 < smallest_step <= 1):
+        raise InvalidInputError(f"smallest_step must be a number in (0, 1], got {smallest_step!r}")
+    options = {"tolerance": tolerance, "max_iterations": max_iterations}
+    first = solver.solve(**problem_at(path, 0.0)._asdict(), guess=guess, tolerance=tolerance)
+    predictor, places, found = Predictor(solver), [0.0], [first]
+    step, result = FIRST, ""
+    stopped = callback is not None and callback(0.0, first)
+    while not stopped and places[-1] < 1:
+        place = min(places[-1] + step, 1.0)
+        trial = _tried(predictor, (problem_at(path, places[-1]), problem_at(path, place)), found[-1], options)
+        if not trial.refusal:
+            places.append(place)
+            found.append(trial.solution)
+            step = max(step * min(LONGER, max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))), smallest_step)
+            stopped = callback is not None and callback(place, trial.solution)
+        elif trial.solution.result == Result[Result.stopped]:
+            stopped = True
+        elif step <= smallest_step:
+            result = f"No step beyond {places[-1]:.6g} of the path succeeds: {trial.refusal}"
+            break
+        else:
+            step = max(SHORTER * min(step, place - places[-1]), smallest_step)
+    reached = places[-1] == 1
+    words = "The end of the path was reached." if reached else result or f"The way was stopped at {places[-1]:.6g} of the path."
+    return Continuation(np.array(places), Solutions(found), reached, words)
+
+
+def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
+    """The problem at a place of the path; raises unless the path returns one."""
+    given = path(place)
+    names = {"start", "end", "horizon"}
+    if not isinstance(given, dict) or not names <= set(given) <= set(Given._fields):
+        came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
+        raise InvalidInputError(
+            f"the path returned {came} at {place:.6g}, expected a dictionary with start, end, horizon and, where functions take "
+            "them, parameters"
+        )
+    return Given(**{"parameters": None, **given})
+
+
+def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, options: dict[str, Any]) -> _Trial:
+    """The solution at the end of a step, corrected from what is predicted."""
+    guess, solver = predictor(last, *way), predictor.solver
+    asked = _informed(way[1], last)
+    found = solver.solve(**asked._asdict(), guess=last if guess is None else guess, throw=False, **options)
+    if not found.success:
+        return _Trial(found, np.inf, found.result)
+    if last.checks.strict_minimum and not found.checks.strict_minimum:
+        return _Trial(found, np.inf, "The extremals there are not strict minima any more, as behind a conjugate point.")
+    old, new = _parts(last.guess()), _parts(found.guess())
+    expected, correction = old if guess is None else _parts(guess), 0.0
+    for before, aim, after in zip(old, expected, new, strict=True):
+        change, missed, size = (np.max(np.abs(a), initial=0.0) for a in (aim - before, after - aim, after))
+        allowed = max(change, NEAR * size)
+        correction = max(correction, missed / allowed if allowed > 0 else 0.0)
+    return _Trial(found, correction, "Newton's method leads to another extremal from there." if correction > 1 else "")
+
+
+def _parts(guess: Guess) -> list[np.ndarray]:
+    """The arrays of states and controls of a trajectory."""
+    return [np.asarray(leaf) for leaf in jax.tree.leaves((guess.nodes, guess.controls))]
+
+
+@final
+class Predictor:
+    """Moves extremals of a solver along their derivatives; its functions are traced once."""
+
+    def __init__(self, solver: Solver) -> None:
+        self.solver, self.manifold = solver, solver.problem.manifold
+        self.state, self.control = Layout.of(self.manifold), Layout.of(solver.problem.controls)
+        values, e, u = Automatic().values, self.state.size, self.control.size
+        self._moved = values(self._moved_of, e, e)
+        self._projected = values(self._projected_of, e, e)
+        self._steered = values(self._steered_of, u, u)
+
+    def __call__(self, solution: Solution, before: Given, after: Given) -> Guess | None:
+        """The extremal of a problem near that of a solution, to first order; None where that has no derivatives."""
+        try:
+            derivatives = self.solver.sensitivity(solution)
+        except ConvergenceError:
+            return None
+        change = jax.tree.map(_change, before, after, is_leaf=is_free)
+        along = pushed(self.manifold, solution, derivatives, change)
+        states, costates = self.state.rows(along.states, 1), self.state.rows(along.costates, 1)
+        nodes, at_nodes = self._pair(solution.states, states, solution.costates, costates)
+        states, costates = (_between(solution, part) for part in (states, costates))
+        stages, at_stages = self._pair(solution.stage_states, states, solution.stage_costates, costates)
+        turned = self.control.rows(solution.controls, 1), self.control.rows(along.controls, 1)
+        (controls,) = at_points(self._steered, 1, *turned)
+        point = self.state.points
+        found = Guess(point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages))
+        return found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found)) else None
+
+    def _pair(self, states: Any, moves: np.ndarray, costates: Any, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """States and costates, moved."""
+        (moved,) = at_points(self._moved, 1, self.state.rows(states, 1), moves)
+        return moved, at_points(self._projected, 1, moved, self.state.rows(costates, 1) + turns)[0]
+
+    def _moved_of(self, q: Array, v: Array) -> tuple[Array]:
+        point = self.state.point(q)
+        return (self.state.flat(self.solver.method.retraction(point, self.manifold.projection(point, self.state.point(v)))),)
+
+    def _projected_of(self, q: Array, p: Array) -> tuple[Array]:
+        return (self.state.flat(self.manifold.projection(self.state.point(q), self.state.point(p))),)
+
+    def _steered_of(self, u: Array, v: Array) -> tuple[Array]:
+        turn = default_retraction(self.solver.problem.controls)
+        return (self.control.flat(turn(self.control.point(u), self.control.point(v))),)
+
+
+def _change(a: Any, b: Any) -> np.ndarray:
+    """The difference of two values; of what is free there is none."""
+    first, second = (np.asarray(guessed(value), float) for value in (a, b))
+    return np.zeros_like(first) if is_free(a) or is_free(b) else second - first
+
+
+def _informed(given: Given, last: Solution) -> Given:
+    """The problem with what is free first guessed as it was found last."""
+
+    def near(value: Any, found: Any) -> Any:
+        return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
+
+    horizon, parameters = jax.tree.map(near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free)
+    return given._replace(horizon=horizon, parameters=parameters)
+
+
+def _between(solution: Solution, at_nodes: np.ndarray) -> np.ndarray:
+    """Vectors at the stages, linear in time between those at the nodes of each step."""
+    k = np.repeat(np.arange(solution.steps), len(solution.stage_times) // solution.steps)
+    share = ((solution.stage_times - solution.times[k]) / np.diff(solution.times)[k])[:, None]
+    return (1 - share) * at_nodes[k] + share * at_nodes[k + 1]
