@@ -132,8 +132,11 @@ def test_each_member_of_a_batch_is_shown_to_be_regular(solver, place):
 
 def test_records_of_a_batch_are_made_once_and_are_those_of_its_fields(solver):
     ends = tuple(np.stack(part) for part in zip(*(at(angle) for angle in (0.5, 1.0, 2.0)), strict=True))
-    many = solver.solve_many(START, ends, HORIZON, parameters=np.array([1.0, 2.0, 3.0]))
+    weights = np.array([1.0, 2.0, 3.0])
+    many = solver.solve_many(START, ends, HORIZON, parameters=weights)
+    weights[:], ends[0][:] = 0.0, 0.0  # what was given changes after the call
     last = many[2]
+    assert last.parameters == 3.0
     assert last is many[-1] is many[1:][1] is list(many)[2]
     assert isinstance(last.checks, RegularChecks)
     assert [len(many[1:]), len(many[5:])] == [2, 0]
