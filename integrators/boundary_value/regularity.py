@@ -69,7 +69,7 @@ class Regularity:
         all of them, the member is classified.
         """
         self._require_regular(members, 0)
-        if self._posing.problem.limits.along:
+        if self._posing.problem.limits.along or not members.rows.size:
             return
         _, left = np.unique(members.rows, axis=0, return_index=True)
         states = np.broadcast_to(members.ends.start, (len(members), self._posing.state.size))
