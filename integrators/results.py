@@ -31,6 +31,10 @@ class Result(eqx.Enumeration):
         "this trajectory, or the cost does not determine the controls; check that the end point is reachable and that the "
         "running cost is strictly convex in every control, or give a guess that moves."
     )
+    infeasible = (
+        "The inequalities contradict each other or the ends, or a better guess is needed: this is the trajectory near the guess "
+        "that violates them least; try wider bounds, a longer horizon, or free ends."
+    )
     wrong_point = (
         "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."
     )

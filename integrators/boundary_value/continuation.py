@@ -111,7 +111,7 @@ def continuation(
             step = max(SHORTER * min(step, place - places[-1]), smallest_step)
     reached = places[-1] == 1
     words = "The end of the path was reached." if reached else result or f"The way was stopped at {places[-1]:.6g} of the path."
-    return Continuation(np.array(places), Solutions(found), reached, words)
+    return Continuation(np.array(places), Solutions.of(found), reached, words)
 
 
 def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:

@@ -102,8 +102,8 @@ class Formulated:
         solutions = []
         for k, (one, own) in enumerate(zip(found, each, strict=True)):
             solution = self._kept(formulation, solver, one, own[1])
-            pair = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
-            solutions.append(self._in_own_units(Asked(*pair, own[0], None, own[1]), solution, options))
+            start, end = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
+            solutions.append(self._in_own_units(Asked(start, end, own[0], None, own[1]), solution, options))
         return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:

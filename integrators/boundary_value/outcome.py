@@ -34,6 +34,7 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.nd
     ways = {
         "not_finite": ~finite,
         "successful": found.claimed,
+        "infeasible": found.contradictory,
         "wrong_point": apart,
         "singular": (~found.solvable & ~meets) | undetermined,
         "stopped": np.full(len(largest), found.stopped),

@@ -10,11 +10,12 @@ from ...retractions import Gauss, Midpoint
 from ..problem import OptimalControlProblem, resting_control
 from .arguments import Method, structure_of
 from .engine.collocation import Collocation
-from .engine.conditions import Conditions, Ends, Iterate
+from .engine.conditions import Conditions
 from .engine.diagnosis import Diagnosis
 from .engine.evaluator import Evaluator
 from .engine.layout import Layout
 from .engine.start import Start
+from .engine.system import Ends, Iterate
 from .engine.transcription import Data, Known, Nodes, OneStage
 from .given_guess import FlatGuess
 from .members import Members

@@ -15,6 +15,8 @@ from .outcome import outcomes
 from .posed import Posed, Traced
 from .solution import RegularChecks, Solution, Statistics
 
+SMALL = 1e-3  # of the largest violation: smaller ones are not named
+
 
 @final
 class Recording:
@@ -57,14 +59,22 @@ class Recording:
             "success": success,
             "multipliers": _multipliers(traced, found),
         }
-        residuals = found.residuals.gap.tolist(), found.residuals.stationarity.tolist()
+        results = [words + _excesses(traced, found, k) for k, words in enumerate(results)]
+        residuals, limits = (found.residuals.gap.tolist(), found.residuals.stationarity.tolist()), found.residuals.limits
+        violation = np.maximum(limits.violation, limits.excess).tolist()
+        complementarity = limits.complementarity.tolist()
+        if self.problem.limits.functions:  # they may break the symmetries
+            brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
+            diagnostics = diagnostics._replace(brackets=brackets)
 
         def member(k: int) -> Solution:
             own: Any = jax.tree.map(lambda leaf: leaf[k], diagnostics)
+            more = {"violation": violation[k], "complementarity": complementarity[k]}
+            more |= {"strict_minimum": bool(found.strict_minimum[k])}
             return Solution(
                 **jax.tree.map(lambda leaf: leaf[k] if leaf.ndim > 1 else leaf[k].item(), fields),
                 result=results[k],
-                checks=RegularChecks.of(own, *(part[k] for part in residuals), strict_minimum=bool(found.strict_minimum[k])),
+                checks=RegularChecks.of(own, *(part[k] for part in residuals), **more),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 interpolant=self.interpolant,
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
@@ -80,3 +90,14 @@ def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:
         return {}
     rows = slacks.multipliers
     return traced.named(rows.reshape(len(rows), -1, rows.shape[3]))
+
+
+def _excesses(traced: Traced, found: Found, k: int) -> str:
+    """By how much a member violates which inequalities, if these contradict each other."""
+    slacks = found.iterate.slacks
+    if slacks is None or not found.contradictory[k]:
+        return ""
+    worst = traced.named(np.max(slacks.excess[k], axis=(0, 1)))
+    least = SMALL * np.max(slacks.excess[k])
+    named = [f"{name} by up to {np.max(rows):.3g}" for name, rows in worst.items() if np.max(rows) > least]
+    return f" It violates {', '.join(named)}."

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..singular.words import many, table
-from .solution import SingularArc, Solution
+from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
+ACTIVE = 1e-3  # of the largest multiplier
 
 
 def report_text(solution: Solution) -> str:
@@ -26,6 +27,18 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
+    if solution.multipliers and isinstance(checks, RegularChecks):
+        held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
+        yield "inequalities", held
+        for name, rows in solution.multipliers.items():
+            yield "", f"{name}: {_active(rows)}"
+
+
+def _active(rows: np.ndarray) -> str:
+    """At how many stages multipliers show that an inequality holds a trajectory."""
+    largest = np.max(rows, initial=0.0)
+    count = int(np.sum(np.any(rows > ACTIVE * largest, axis=1))) if largest > 0 else 0
+    return f"largest multiplier {largest:.3g}, more than a thousandth of it at {count} of {len(rows)} stages"
 
 
 def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:

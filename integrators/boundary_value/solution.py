@@ -91,10 +91,14 @@ class RegularChecks(Checks):
     """The checks of a regular extremal.
 
     ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem conserves
-    by symmetry. ``strict_minimum``: whether the Hessian is positive definite on the null space of the constraints.
+    by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the Hessian is
+    positive definite on the null space of the constraints. ``violation`` of the inequalities and ``complementarity``: largest
+    product of a multiplier and its inequality, both at the stages and relative.
     """
 
     strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
+    violation: float = 0.0
+    complementarity: float = 0.0
 
 
 @final

@@ -264,6 +264,7 @@ class Solver:
         self, members: Members, options: Options, method: tuple[Classification, SingularIntegrator | None]
     ) -> Solution:
         """The extremal of a singular problem."""
+        problem, guess = members.problem_of(0), members.guess_of(0)
         problem.require_treated("solve of a singular problem", "control bounds", "constraints")
         if not isinstance(self.method, DiscretizationMap):
             raise InvalidInputError(
@@ -272,7 +273,6 @@ class Solver:
             )
         if np.ptp(self.fractions) > 1e-12:
             raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
-        problem, guess = members.problem_of(0), members.guess_of(0)
         h = np.asarray(members.horizons[0] / self.steps, working_precision())
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
         conditions = EndConditions(problem, *members.conditions_of(0))

@@ -170,6 +170,10 @@ class Collocation:
         found = expand(condensed, step.steps[..., None], step.multipliers[..., None])
         return found.dnu[..., 0], found.dlambda[..., 0]
 
+    def scaled(self, unknowns: GaussUnknowns, factor: np.ndarray) -> GaussUnknowns:
+        """The unknowns with all costates among them times factors, shape (B,)."""
+        return unknowns._replace(costates=factor[:, None, None, None] * unknowns.costates)
+
     def at_each(self, moves: Moves, data: Data) -> np.ndarray:
         """The steps of the unknowns ``(dx, dxi, dnu, du)`` of each point, shape (B, N, s, 3 n + m)."""
         n, velocities = self.manifold.dimension, moves.inner[0]

@@ -4,88 +4,15 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from . import inequalities as bounds
+from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
-from .inequalities import Slacks, Turn
+from .inequalities import Slacks, moved, potential_slope, turned
 from .scaling import SHARE, Units, natural_units, unscaled
+from .system import Assembled, Ends, Iterate, Residuals, Step
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 FAR = 1e-2  # times the largest entry of the nodes: ends further apart meet along an arc
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
-
-
-class Iterate(NamedTuple):
-    """Unknowns of the steps, and covectors at the nodes, shape (B, N + 1, E)."""
-
-    unknowns: Any
-    costates: np.ndarray
-    slacks: Slacks | None = None  # of the inequalities, if there are any
-
-
-class Assembled(NamedTuple):
-    """The KKT system at an iterate, in the units of the problem, and what tells how far the iterate is from satisfying it."""
-
-    blocks: Blocks
-    gap: np.ndarray  # what the nodes lack in the frames there, shape (B, N + 1, n)
-    asked: np.ndarray  # what a step is asked to move by in the coordinates of the frames, which see it foreshortened
-    frames: np.ndarray  # (B, N + 1, n, E)
-    coordinates: np.ndarray  # multipliers in the frames, (B, N + 1, n)
-    nodes: np.ndarray  # (B, N + 1, E)
-    costates: np.ndarray
-    terminal: Terminal
-    cost: np.ndarray
-    initial: Terminal | None
-    distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
-
-
-class Step(NamedTuple):
-    """A step of the unknowns and of the multipliers, and what its elimination tells of the system."""
-
-    unknowns: np.ndarray
-    multipliers: np.ndarray
-    strict: np.ndarray  # positive definite on the null space of the constraints, beyond rounding
-    convex: np.ndarray  # the inertia is that of one that is
-    finite: np.ndarray
-    inner: Any = None  # of what was condensed
-    turn: Turn | None = None  # of the slacks
-
-    @property
-    def reach(self) -> np.ndarray | float:
-        """The share of the step that the inequalities let it go."""
-        return 1.0 if self.turn is None else self.turn.reach
-
-
-class Residuals(NamedTuple):
-    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made of."""
-
-    gap: np.ndarray
-    stationarity: np.ndarray
-    violation: np.ndarray  # of the inequalities with their slacks and excesses
-    excess: np.ndarray  # the largest
-    complementarity: np.ndarray  # largest product of slack and multiplier
-    centring: np.ndarray  # largest difference of it from the barrier
-
-    @property
-    def final(self) -> np.ndarray:
-        """The largest residual of the problem itself."""
-        worst = np.maximum(self.excess, np.maximum(self.violation, self.complementarity))
-        return np.maximum(np.maximum(self.gap, self.stationarity), worst)
-
-    @property
-    def largest(self) -> np.ndarray:
-        """The largest residual of the problem with its barrier."""
-        return np.maximum(np.maximum(self.gap, self.stationarity), np.maximum(self.violation, self.centring))
-
-
-class Ends(NamedTuple):
-    """Flat points at the ends, shape (B, E), and which of their entries and coordinates are prescribed."""
-
-    start: np.ndarray
-    end: np.ndarray
-    start_entries: np.ndarray
-    end_entries: np.ndarray
-    start_coordinates: np.ndarray
-    end_coordinates: np.ndarray
 
 
 class _Sizes(NamedTuple):
@@ -105,7 +32,7 @@ class _Sizes(NamedTuple):
 class Conditions:
     """The conditions of a batch of trajectories.
 
-    ``units``, and ``limits``, the units of inequalities, shape (B, c), are those of the iterates that it began with.
+    ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with.
     """
 
     def __init__(
@@ -115,18 +42,21 @@ class Conditions:
         ends: Ends,
         data: Data,
         units: Units | None = None,
-        limits: np.ndarray | None = None,
+        barrier: Barrier | None = None,
     ) -> None:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
-        self.units, self.limits = units, limits
+        self.units, self.barrier = units, barrier
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
         if len(members) == len(self.data.steps):
             return self
         ends = Ends(self.ends.start[members], self.ends.end[members], *self.ends[2:])
-        data, units = Data(*_some(self.data, members)), self.units and Units(*_some(self.units, members))
-        return Conditions(self.transcription, self.at_nodes, ends, data, units, *_some([self.limits], members))
+        asked = None if self.data.asked is None else self.data.asked[members]
+        data = Data(self.data.steps[members], self.data.parameters[members], asked)
+        units = None if self.units is None else Units(*(leaf[members] for leaf in self.units))
+        barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
+        return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier)
 
     @property
     def measured(self) -> Units:
@@ -175,7 +105,7 @@ class Conditions:
             costates[:, 0] += assembled.initial.derivative
         slacks = iterate.slacks
         if slacks is not None and step.turn is not None:
-            slacks = bounds.moved(slacks, step.turn, fraction)
+            slacks = moved(slacks, step.turn, fraction)
         return Iterate(unknowns, costates, slacks)
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
@@ -185,16 +115,12 @@ class Conditions:
             self.units = self._natural(guess, assembled)
             return guess, assembled
         shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
-        none = Slacks(np.ones(shape), np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.zeros(shape[0]))
-        first = guess._replace(slacks=none)
+        first = guess._replace(slacks=Slacks.none(shape))
         assembled = self.assemble(first)
-        self.units = self._natural(first, assembled)
-        self.limits, held = self._limits(assembled), assembled.blocks.held
-        inside = held.values < -bounds.INSIDE * self._units_of_limits
-        price = np.where(inside, np.inf, bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits)
-        elastic = np.any((held.weights > 0) & ~inside, axis=(1, 2, 3))
-        barrier = np.where(elastic, np.maximum(bounds.FIRST, bounds.SHARE * bounds.PRICE), bounds.FIRST) * self._rate
-        begun = guess._replace(slacks=bounds.central(held, barrier, price))
+        self.units, held = self._natural(first, assembled), assembled.blocks.inequalities
+        rate = self.measured.cost / np.mean(self.data.steps, axis=1)
+        self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
+        begun = guess._replace(slacks=self.barrier.first(held))
         return begun, self.assemble(begun)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
@@ -212,42 +138,20 @@ class Conditions:
 
     def _room(self, assembled: Assembled) -> np.ndarray:
         """How far the controls can go before an inequality holds them, shape (B, s m)."""
-        held, m = assembled.blocks.held, self.transcription.controls.dimension
-        slopes = np.abs(held.jacobian[..., -m:]) * (held.weights > 0)[..., None] if m else np.zeros((*held.values.shape, 0))
+        held, m = assembled.blocks.inequalities, self.transcription.controls.dimension
+        slopes = np.abs(held.jacobian[..., -m:]) * held.asked[..., None] if m else np.zeros((*held.values.shape, 0))
         with np.errstate(all="ignore"):
             way = np.where(slopes > 0, np.abs(held.values)[..., None] / slopes, 0.0)
         way = np.max(way, axis=1)
         room = np.min(np.where(way > 0, way, np.inf), axis=2, initial=np.inf)
         return np.where(np.isfinite(room), room, 0.0).reshape(len(room), -1)
 
-    def _limits(self, assembled: Assembled) -> np.ndarray:
-        """Units of the inequalities: what the unknowns change them by, shape (B, c)."""
-        slopes = np.abs(assembled.blocks.held.jacobian) * self.transcription.sizes(self.measured)[:, :, :, None]
-        size = np.max(np.sum(slopes, axis=4), axis=(1, 2))
-        return np.where((size > 0) & np.isfinite(size), size, 1.0)
-
-    @property
-    def _rate(self) -> np.ndarray:
-        """The unit of the cost per unit of time."""
-        return self.measured.cost / np.mean(self.data.steps, axis=1)
-
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
         gap, stationarity = self._gap(assembled, self._sizes(iterate, assembled)), self._stationarity(assembled)
-        held, slacks = assembled.blocks.held, iterate.slacks
-        if held is None or slacks is None:
-            return Residuals(gap, stationarity, *np.zeros((4, len(gap))))
-        asked = held.weights > 0
-        values = np.max(np.where(asked, np.abs(held.values), 0.0), axis=(1, 2), keepdims=True)
-        unit = np.maximum(self._units_of_limits, VALUE * values)
-        parts = np.abs(held.missing(slacks)), slacks.excess
-        missed = (np.max(np.where(asked, a / unit, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
-        largest, off = bounds.products(slacks, asked)
-        return Residuals(gap, stationarity, *missed, largest / self._rate, off / self._rate)
-
-    @property
-    def _units_of_limits(self) -> np.ndarray:
-        return np.ones(1) if self.limits is None else self.limits[:, None, None]
+        if self.barrier is None or iterate.slacks is None:
+            return Residuals(gap, stationarity, Missed.none(len(gap)))
+        return Residuals(gap, stationarity, self.barrier.missed(assembled.blocks.inequalities, iterate.slacks))
 
     def lowered(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
@@ -256,72 +160,49 @@ class Conditions:
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
-        slacks, rate, held = iterate.slacks, self._rate, assembled.blocks.held
-        none = np.zeros(len(rate), bool)
-        if slacks is None or held is None:
+        if self.barrier is None or iterate.slacks is None:
+            none = np.zeros(len(residuals.gap), bool)
             return iterate, none, none
-        last, asked, begun, off = bounds.LAST * tolerance, held.weights > 0, slacks.barrier, residuals.centring
-        cheap = bounds.is_cheap(slacks, rate[:, None, None, None] / self._units_of_limits)
-        cheap &= self._is_solved(residuals, off, slacks.barrier / rate)
-        while True:
-            barrier = slacks.barrier / rate
-            solved = self._is_solved(residuals, off, barrier) & (barrier > last) & ~cheap
-            if not np.any(solved):
-                break
-            less = np.maximum(last, np.minimum(bounds.LESS * barrier, barrier**bounds.FASTER))
-            slacks = slacks._replace(barrier=np.where(solved, less, barrier) * rate)
-            off = bounds.products(slacks, asked)[1] / rate
-        changed = slacks.barrier != begun
+        slacks, cheap = self.barrier.lowered(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
+        changed = slacks.barrier != iterate.slacks.barrier
         iterate = iterate._replace(slacks=slacks)
-        return (self._scaled(iterate, np.where(cheap, bounds.DEARER, 1.0)) if np.any(cheap) else iterate), changed, cheap
-
-    def _is_solved(self, residuals: Residuals, off: np.ndarray, barrier: np.ndarray) -> np.ndarray:
-        """Whether the problem with a barrier is solved to a few times that."""
-        error = np.maximum(np.maximum(residuals.gap, residuals.stationarity), np.maximum(residuals.violation, off))
-        return error <= bounds.SOLVED * barrier
-
-    def _scaled(self, iterate: Iterate, factor: np.ndarray) -> Iterate:
-        """The iterate of a problem whose cost counts less: all multipliers, prices and barriers times factors."""
-        slacks, times = iterate.slacks, factor[:, None, None, None]
-        scaled = times * slacks.multipliers, slacks.excess, times * slacks.price, factor * slacks.barrier
-        slacks = Slacks(slacks.slacks, *scaled)
-        unknowns = iterate.unknowns
-        if hasattr(unknowns, "costates"):
-            unknowns = unknowns._replace(costates=times * unknowns.costates)
-        return Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks)
+        if np.any(cheap):
+            factor = np.where(cheap, DEARER, 1.0)
+            unknowns = self.transcription.scaled(iterate.unknowns, factor)
+            iterate = Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks.scaled(factor))
+        return iterate, changed, cheap
 
     def softened(self, iterate: Iterate, assembled: Assembled, where: np.ndarray) -> Iterate:
         """The iterate with all inequalities elastic in some members."""
-        slacks, held = iterate.slacks, assembled.blocks.held
-        if slacks is None or held is None:
+        if self.barrier is None or iterate.slacks is None:
             return iterate
-        price = bounds.PRICE * self._rate[:, None, None, None] / self._units_of_limits
-        price = np.where(where[:, None, None, None], np.minimum(slacks.price, price), slacks.price)
-        barrier = np.where(where, np.maximum(slacks.barrier, bounds.SHARE * bounds.PRICE * self._rate), slacks.barrier)
-        fresh = bounds.central(held, barrier, price)
-        kept = [np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True)]
-        return iterate._replace(slacks=Slacks(*kept))
+        return iterate._replace(slacks=self.barrier.softened(assembled.blocks.inequalities, iterate.slacks, where))
 
-    def barrier(self, iterate: Iterate) -> np.ndarray:
-        """The barrier relative to the unit of the cost rate, zero without inequalities."""
-        return np.zeros(len(self.data.steps)) if iterate.slacks is None else iterate.slacks.barrier / self._rate
+    def is_infeasible(self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float) -> np.ndarray:
+        """Whether inequalities contradict each other, or the ends: where what they lack is least and is not zero."""
+        if self.barrier is None or iterate.slacks is None:
+            return np.zeros(len(residuals.gap), bool)
+        return self.barrier.is_infeasible(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
+
+    def barriers(self, iterate: Iterate) -> np.ndarray:
+        """The barriers relative to the unit of the cost rate, zero without inequalities."""
+        if self.barrier is None or iterate.slacks is None:
+            return np.zeros(len(self.data.steps))
+        return iterate.slacks.barrier / self.barrier.rate
 
     def is_hard(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Whether a member has inequalities that are not elastic."""
-        held = assembled.blocks.held
-        if held is None or iterate.slacks is None:
+        if iterate.slacks is None:
             return np.zeros(len(assembled.gap), bool)
-        return np.any((held.weights > 0) & ~iterate.slacks.elastic, axis=(1, 2, 3))
+        return np.any(assembled.blocks.inequalities.asked & ~iterate.slacks.elastic, axis=(1, 2, 3))
 
     def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes, points and inequalities lack."""
         blocks, missing = assembled.blocks, np.sum(np.abs(assembled.gap) / self.measured.nodes[:, None], axis=(1, 2))
         if blocks.inner is not None:
             missing = missing + np.sum(np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
-        if blocks.held is not None and iterate.slacks is not None:
-            share = blocks.held.weights / np.mean(self.data.steps, axis=1)[:, None, None, None]
-            off = share * np.abs(blocks.held.missing(iterate.slacks)) / self._units_of_limits
-            missing = missing + np.sum(off, axis=(1, 2, 3))
+        if self.barrier is not None and iterate.slacks is not None:
+            missing = missing + self.barrier.infeasibility(blocks.inequalities, iterate.slacks, np.mean(self.data.steps, axis=1))
         return missing
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
@@ -330,10 +211,10 @@ class Conditions:
         cost = np.array(assembled.cost)
         if blocks.inner is not None:
             held += np.sum(blocks.inner.multipliers * blocks.inner.defect, axis=(1, 2, 3))
-        if blocks.held is not None and iterate.slacks is not None:
-            slacks, weights = iterate.slacks, blocks.held.weights
-            cost += bounds.potential(slacks, weights, self._units_of_limits)
-            held += np.sum(weights * slacks.multipliers * blocks.held.missing(slacks), axis=(1, 2, 3))
+        if self.barrier is not None and iterate.slacks is not None:
+            slacks, limits = iterate.slacks, blocks.inequalities
+            cost += self.barrier.potential(limits, slacks)
+            held += np.sum(limits.weights * slacks.multipliers * limits.missing(slacks), axis=(1, 2, 3))
         return cost / self.measured.cost, held / self.measured.cost
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
@@ -351,10 +232,11 @@ class Conditions:
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
             ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
             turned += np.sum(multipliers * inner.defect, axis=(1, 2, 3))
-        if blocks.held is not None and step.turn is not None and iterate.slacks is not None:
-            slacks, weights = iterate.slacks, blocks.held.weights
-            ahead += bounds.potential_slope(slacks, step.turn, weights)
-            dual = step.turn.dual * np.sum(weights * step.turn.multipliers * blocks.held.missing(slacks), axis=(1, 2, 3))
+        if step.turn is not None and iterate.slacks is not None:
+            slacks, limits = iterate.slacks, blocks.inequalities
+            ahead += potential_slope(slacks, step.turn, limits.weights)
+            lacking = limits.weights * step.turn.multipliers * limits.missing(slacks)
+            dual = step.turn.dual * np.sum(lacking, axis=(1, 2, 3))
             return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
         return ahead / self.measured.cost, turned / self.measured.cost
 
@@ -371,8 +253,8 @@ class Conditions:
             if blocks.inner is not None:
                 moves = moves._replace(inner=self.transcription.whole(blocks, moves, self.data, iterate.slacks))
             turn = None
-            if blocks.held is not None and iterate.slacks is not None:
-                turn = bounds.turned(blocks.held, iterate.slacks, self.transcription.at_each(moves, self.data))
+            if iterate.slacks is not None:
+                turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
         return step, found.curvature, found.size
 
@@ -496,8 +378,3 @@ def _pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:
         pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
         moved = blocks.inner.after[:, -1] if place else blocks.inner.before[:, 0]
         pushed[:, place] += np.einsum("bnz,bnj,bj->bz", end, paid.curvature, moved)
-
-
-def _some(leaves: Any, members: np.ndarray) -> list[np.ndarray | None]:
-    """Some members of arrays, where there are any."""
-    return [None if leaf is None else leaf[members] for leaf in leaves]

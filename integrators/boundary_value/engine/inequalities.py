@@ -16,13 +16,6 @@ import numpy as np
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
-INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
-FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
-SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
-LAST = 0.1  # of the tolerance: the last barrier, relative
-PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
-NEAR = 0.5  # of its price, a multiplier says that it is too low
-SHARE = 1e-2  # of the price, the first barrier of elastic inequalities: then their excesses are central
 
 
 @final
@@ -42,6 +35,17 @@ class Slacks(NamedTuple):
     def rest(self) -> np.ndarray:
         """``zeta = rho - nu``."""
         return self.price - self.multipliers
+
+    @classmethod
+    def none(cls, shape: tuple[int, ...]) -> "Slacks":
+        """Those of inequalities that do not pull."""
+        zero = np.zeros(shape)
+        return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
+
+    def scaled(self, factor: np.ndarray) -> "Slacks":
+        """All multipliers, prices and barriers times factors, shape (B,)."""
+        times = factor[:, None, None, None]
+        return Slacks(self.slacks, times * self.multipliers, self.excess, times * self.price, factor * self.barrier)
 
     @property
     def mu(self) -> np.ndarray:
@@ -63,9 +67,14 @@ class Held(NamedTuple):
     jacobian: np.ndarray
     weights: np.ndarray
 
+    @property
+    def asked(self) -> np.ndarray:
+        """Where an inequality is to hold."""
+        return self.weights > 0
+
     def missing(self, slacks: Slacks) -> np.ndarray:
         """``g + s - t`` where it is asked for, shape (B, N, s, c)."""
-        return np.where(self.weights > 0, self.values + slacks.slacks - slacks.excess, 0.0)
+        return np.where(self.asked, self.values + slacks.slacks - slacks.excess, 0.0)
 
 
 @final
@@ -82,7 +91,7 @@ class Turn(NamedTuple):
 def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
     """Slacks, multipliers and excesses with ``g + s = t``, ``nu s = zeta t = mu``; where the price is infinite ``s = -g``."""
     g, mu = held.values, barrier[:, None, None, None]
-    asked, elastic = held.weights > 0, np.isfinite(price)
+    asked, elastic = held.asked, np.isfinite(price)
     rho = np.where(elastic, price, 1.0)
     # mu / nu - mu / (rho - nu) = -g has one solution between 0 and rho.
     a, b = g, g * rho - 2 * mu
@@ -97,18 +106,11 @@ def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
     return Slacks(slacks, nu, excess, np.where(asked & elastic, price, np.inf), barrier)
 
 
-def is_cheap(slacks: Slacks, unit: np.ndarray) -> np.ndarray:
-    """Whether multipliers come near to the price of an excess, shape (B,). ``unit``: of the prices."""
-    price = np.where(slacks.elastic, slacks.price, 1.0)
-    low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * unit)
-    return np.any(low, axis=(1, 2, 3))
-
-
 def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -> tuple[np.ndarray, np.ndarray]:
     """The Hessian (B, N, s, q, q) of the points and their slope in two columns, the second times the barrier."""
     stiff = held.weights * stiffness(slacks)
     hessian = hessian + held.jacobian.mT @ (stiff[..., None] * held.jacobian)
-    columns = np.stack([stiff * np.where(held.weights > 0, held.values, 0.0), stiff * _aside(slacks)], axis=-1)
+    columns = np.stack([stiff * np.where(held.asked, held.values, 0.0), stiff * _aside(slacks)], axis=-1)
     slopes = held.jacobian.mT @ columns
     slopes[..., 0] += slope
     return hessian, slopes
@@ -128,7 +130,7 @@ def _aside(slacks: Slacks) -> np.ndarray:
 
 def turned(held: Held, slacks: Slacks, steps: np.ndarray) -> Turn:
     """The step of slacks and multipliers that belongs to steps of the unknowns of the points, shape (B, N, s, q)."""
-    asked, elastic, mu, nu = held.weights > 0, slacks.elastic, slacks.mu, slacks.multipliers
+    asked, elastic, mu, nu = held.asked, slacks.elastic, slacks.mu, slacks.multipliers
     ahead = held.values + np.einsum("bkicq,bkiq->bkic", held.jacobian, steps)
     turn = np.where(asked, stiffness(slacks) * (ahead + mu * _aside(slacks)), 0.0)
     s = np.where(asked, (mu - slacks.slacks * turn) / np.where(asked, nu, 1.0) - slacks.slacks, 0.0)
@@ -160,7 +162,8 @@ def products(slacks: Slacks, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     both = slacks.slacks * slacks.multipliers, slacks.excess * np.where(slacks.elastic, slacks.rest, 0.0)
     places = asked, asked & slacks.elastic
     largest = [np.max(np.where(a, p, 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
-    off = [np.max(np.where(a, np.abs(p - slacks.mu), 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
+    apart = (np.where(a, np.abs(p - slacks.mu), 0.0) for a, p in zip(places, both, strict=True))
+    off = [np.max(a, axis=(1, 2, 3), initial=0.0) for a in apart]
     return np.maximum(*largest), np.maximum(*off)
 
 

@@ -15,7 +15,8 @@ from typing import Any, NamedTuple, final
 import jax
 import numpy as np
 
-from .conditions import Assembled, Conditions, Iterate, Residuals, Step
+from .conditions import Conditions
+from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 0.99
@@ -84,6 +85,7 @@ class Found(NamedTuple):
     solvable: np.ndarray
     stopped: bool
     missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
+    contradictory: np.ndarray  # the inequalities, or they and the ends
 
 
 def newton(
@@ -128,6 +130,7 @@ class _Search:
             self.state = state
             self.report(state, state.descends)
             finished = state.done | ~_solvable(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
+            finished |= self.contradictory(state)
             state = self.leave(state, finished)
             if state is None or self.stopped:
                 return
@@ -249,7 +252,8 @@ class _Search:
             shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
             places = np.flatnonzero(going)
             part = conditions if len(places) == len(going) else conditions.of(places)
-            again, curvature, size = part.eliminate(*taken((iterate, assembled), places), shift[places])
+            own, kept = taken((iterate, assembled), places)
+            again, curvature, size = part.eliminate(own, kept, shift[places])
             step = put(step, places, again)
             convex = again.convex | (shift[places] >= CONVEX) | loose[places]
             descends[places] = (curvature >= CURVATURE * size) & convex
@@ -280,14 +284,19 @@ class _Search:
         met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
+    def contradictory(self, state: _State) -> np.ndarray:
+        """Whether inequalities contradict each other, or the ends."""
+        own = state.iterate, state.assembled, state.residuals
+        return self.conditions.of(state.member).is_infeasible(*own, self.tolerance)
+
     def report(self, state: _State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""
         if self.callback is None:
             return
         residuals, length = state.residuals, state.fraction * state.step.reach
-        barrier = self.conditions.of(state.member).barrier(state.iterate)
-        seen = residuals.gap, residuals.stationarity, state.shift, length, accepted
-        seen = *seen, np.maximum(residuals.violation, residuals.excess), barrier
+        barrier = self.conditions.of(state.member).barriers(state.iterate)
+        violation = np.maximum(residuals.limits.violation, residuals.limits.excess)
+        seen = residuals.gap, residuals.stationarity, state.shift, length, accepted, violation, barrier
         self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 
     def leave(self, state: _State, finished: np.ndarray) -> _State | None:
@@ -311,7 +320,7 @@ class _Search:
         joined = joined if len(states) == 1 else taken(joined, order)
         strict = joined.step.strict & (joined.shift == 0) & joined.isolated
         missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.measured.nodes
-        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped, missing
+        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped, missing, self.contradictory(joined)
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 
 

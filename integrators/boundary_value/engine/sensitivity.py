@@ -17,10 +17,11 @@ from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
 from .collocation import Collocation
 from .condensing import condense
-from .conditions import Assembled, Conditions, Iterate
+from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .evaluator import Evaluator
 from .scaling import unscaled
+from .system import Assembled, Iterate
 from .transcription import Nodes, OneStage, at_points
 
 CHANGED = 1e-9  # relative: more than rounding
@@ -181,7 +182,7 @@ class _OneStageColumns:
         _require_unchanged((values[:, :, 2 * n], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
         own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
         if slacks is not None:
-            stiff = blocks.held.weights[:, :, 0] * slacks.multipliers[:, :, 0] / slacks.slacks[:, :, 0]
+            stiff = blocks.inequalities.weights[:, :, 0] * slacks.multipliers[:, :, 0] / slacks.slacks[:, :, 0]
             limits = jacobian[:, :, 2 * n + 1 :]
             pushed = limits[..., :z].mT @ (stiff[..., None] * limits)
             own, mixed = own + pushed[..., :z], mixed + pushed[..., z:]
@@ -217,7 +218,7 @@ class _CollocationColumns:
         found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
         hessian, gradient, jacobian, values = found[:4]
         if slacks is not None:  # a slack that changes changes its multiplier, which pulls
-            stiff = assembled.blocks.held.weights * slacks.multipliers / slacks.slacks
+            stiff = assembled.blocks.inequalities.weights * slacks.multipliers / slacks.slacks
             limits = jacobian[..., n + 1 :, :]
             hessian = hessian + limits.mT @ (stiff[..., None] * limits)
         _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (jacobian[..., :n, :q], inner.points.constraints))

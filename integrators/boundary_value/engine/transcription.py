@@ -62,6 +62,13 @@ class Blocks(NamedTuple):
     held: Held | None = None  # the inequalities, if there are any; then the Hessian has their share
     pushed: np.ndarray | None = None  # (B, N, z, 2): the slope with the share of the inequalities, the second times the barrier
 
+    @property
+    def inequalities(self) -> Held:
+        """The inequalities, where there are some."""
+        if self.held is None:
+            raise RuntimeError("there are no inequalities; assemble an iterate that has slacks")
+        return self.held
+
 
 class Moves(NamedTuple):
     """Steps of the unknowns (B, N, z) and of the nodes' multipliers (B, N + 1, n), and what fraction (B,) of them is made."""
@@ -144,6 +151,11 @@ class OneStage:
         held = Held(values[:, :, None, 2 * n + 1 :], limits[:, :, None], weights)
         stiff, pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
         return blocks._replace(hessian=stiff[:, :, 0], held=held, pushed=pushed[:, :, 0])
+
+    def scaled(self, unknowns: Unknowns, factor: np.ndarray) -> Unknowns:
+        """The unknowns with all costates among them times factors: there are none."""
+        del factor
+        return unknowns
 
     def at_each(self, moves: Moves, data: Data) -> np.ndarray:
         """The steps of the unknowns of each point, shape (B, N, 1, z)."""

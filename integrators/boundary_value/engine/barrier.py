@@ -1,0 +1,120 @@
+"""The barrier of the inequalities of a batch: its units, its first slacks, when it is lowered and when excesses cost more."""
+
+from typing import NamedTuple, final
+
+import numpy as np
+
+from .inequalities import Held, Slacks, central, potential, products
+
+INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
+FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
+SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
+LAST = 0.1  # of the tolerance: the last barrier, relative
+PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
+NEAR = 0.5  # of its price, a multiplier says that it is too low
+VALUE = 1e-2  # of its value, which is rounded, an inequality is measured by where its unit is less than that
+
+
+@final
+class Missed(NamedTuple):
+    """Largest residuals, shape (B,), relative: of ``g + s = t``, of ``t = 0``, of ``nu s = 0``, and of ``nu s = mu``."""
+
+    violation: np.ndarray
+    excess: np.ndarray
+    complementarity: np.ndarray
+    centring: np.ndarray
+
+    @classmethod
+    def none(cls, count: int) -> "Missed":
+        """Of no inequalities."""
+        return cls(*np.zeros((4, count)))
+
+
+@final
+class Barrier(NamedTuple):
+    """Units of the cost per time, shape (B,), and of the inequalities, (B, c)."""
+
+    rate: np.ndarray
+    limits: np.ndarray
+
+    @classmethod
+    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray) -> "Barrier":
+        """The units where the unknowns of the points have these sizes: what these change an inequality by."""
+        size = np.max(np.sum(np.abs(held.jacobian) * sizes[:, :, :, None], axis=4), axis=(1, 2))
+        return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
+
+    @property
+    def unit(self) -> np.ndarray:
+        """The units of the inequalities with the axes of the points."""
+        return self.limits[:, None, None]
+
+    @property
+    def price(self) -> np.ndarray:
+        """The unit of the prices."""
+        return self.rate[:, None, None, None] / self.unit
+
+    def first(self, held: Held) -> Slacks:
+        """The slacks to begin with: those of inequalities that do not hold by enough are elastic."""
+        price = np.where(held.values < -INSIDE * self.unit, np.inf, PRICE * self.price)
+        return central(held, FIRST * self.rate, price)
+
+    def softened(self, held: Held, slacks: Slacks, where: np.ndarray) -> Slacks:
+        """The slacks with all inequalities elastic in some members."""
+        price = np.where(where[:, None, None, None], np.minimum(slacks.price, PRICE * self.price), slacks.price)
+        fresh = central(held, np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price)
+        return Slacks(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True)))
+
+    def missed(self, held: Held, slacks: Slacks) -> Missed:
+        """How far the inequalities and their multipliers are from what is asked of them."""
+        asked = held.asked
+        values = np.max(np.where(asked, np.abs(held.values), 0.0), axis=(1, 2), keepdims=True)
+        unit = np.maximum(self.unit, VALUE * values)
+        parts = np.abs(held.missing(slacks)), slacks.excess
+        violation, excess = (np.max(np.where(asked, a / unit, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
+        largest, off = products(slacks, asked)
+        return Missed(violation, excess, largest / self.rate, off / self.rate)
+
+    def lowered(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> tuple[Slacks, np.ndarray]:
+        """The slacks with a lower barrier where its problem is solved, and where excesses are too cheap instead.
+
+        ``error``: the largest residual but for that of ``nu s = mu``.
+        """
+        cheap = self._is_cheap(slacks) & self._is_solved(held, slacks, error)
+        while True:
+            barrier = slacks.barrier / self.rate
+            solved = self._is_solved(held, slacks, error) & (barrier > LAST * tolerance) & ~cheap
+            if not np.any(solved):
+                return slacks, cheap
+            less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))
+            slacks = slacks._replace(barrier=np.where(solved, less, barrier) * self.rate)
+
+    def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
+        """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
+
+        ``error``: the largest residual but for those of the multipliers.
+        """
+        dear = slacks.elastic & (slacks.multipliers > NEAR * np.where(slacks.elastic, slacks.price, np.inf))
+        dear &= np.where(slacks.elastic, slacks.price, 0.0) >= DEAREST * self.price
+        left = np.max(np.where(dear, slacks.excess / self.unit, 0.0), axis=(1, 2, 3), initial=0.0)
+        small = slacks.barrier <= np.sqrt(tolerance) * self.rate
+        return small & (error <= tolerance) & (left > np.sqrt(tolerance))
+
+    def infeasibility(self, held: Held, slacks: Slacks, step: np.ndarray) -> np.ndarray:
+        """The sum of what the inequalities lack; ``step``: the mean length of the steps, shape (B,)."""
+        share = held.weights / step[:, None, None, None]
+        return np.sum(share * np.abs(held.missing(slacks)) / self.unit, axis=(1, 2, 3))
+
+    def potential(self, held: Held, slacks: Slacks) -> np.ndarray:
+        """What the barrier and the excesses cost."""
+        return potential(slacks, held.weights, self.unit)
+
+    def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray) -> np.ndarray:
+        """Whether the problem with its barrier is solved to a few times that."""
+        off = products(slacks, held.asked)[1] / self.rate
+        return np.maximum(error, off) <= SOLVED * slacks.barrier / self.rate
+
+    def _is_cheap(self, slacks: Slacks) -> np.ndarray:
+        """Whether multipliers come near to the price of an excess."""
+        price = np.where(slacks.elastic, slacks.price, 1.0)
+        low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * self.price)
+        return np.any(low, axis=(1, 2, 3))

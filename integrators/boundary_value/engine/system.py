@@ -1,0 +1,84 @@
+"""The KKT system of a batch of trajectories at an iterate, and a step of Newton's method on it."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .barrier import Missed
+from .inequalities import Slacks, Turn
+from .transcription import Blocks, Terminal
+
+
+class Iterate(NamedTuple):
+    """Unknowns of the steps, and covectors at the nodes, shape (B, N + 1, E)."""
+
+    unknowns: Any
+    costates: np.ndarray
+    slacks: Slacks | None = None  # of the inequalities, if there are any
+
+
+class Assembled(NamedTuple):
+    """The KKT system at an iterate, in the units of the problem, and what tells how far the iterate is from satisfying it."""
+
+    blocks: Blocks
+    gap: np.ndarray  # what the nodes lack in the frames there, shape (B, N + 1, n)
+    asked: np.ndarray  # what a step is asked to move by in the coordinates of the frames, which see it foreshortened
+    frames: np.ndarray  # (B, N + 1, n, E)
+    coordinates: np.ndarray  # multipliers in the frames, (B, N + 1, n)
+    nodes: np.ndarray  # (B, N + 1, E)
+    costates: np.ndarray
+    terminal: Terminal
+    cost: np.ndarray
+    initial: Terminal | None
+    distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
+
+
+class Step(NamedTuple):
+    """A step of the unknowns and of the multipliers, and what its elimination tells of the system."""
+
+    unknowns: np.ndarray
+    multipliers: np.ndarray
+    strict: np.ndarray  # positive definite on the null space of the constraints, beyond rounding
+    convex: np.ndarray  # the inertia is that of one that is
+    finite: np.ndarray
+    inner: Any = None  # of what was condensed
+    turn: Turn | None = None  # of the slacks
+
+    @property
+    def reach(self) -> np.ndarray | float:
+        """The share of the step that the inequalities let it go."""
+        return 1.0 if self.turn is None else self.turn.reach
+
+
+class Residuals(NamedTuple):
+    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made of."""
+
+    gap: np.ndarray
+    stationarity: np.ndarray
+    limits: Missed  # of the inequalities
+
+    @property
+    def final(self) -> np.ndarray:
+        """The largest residual of the problem itself."""
+        return np.maximum(self.steady, np.maximum(self.limits.excess, self.limits.complementarity))
+
+    @property
+    def largest(self) -> np.ndarray:
+        """The largest residual of the problem with its barrier."""
+        return np.maximum(self.steady, self.limits.centring)
+
+    @property
+    def steady(self) -> np.ndarray:
+        """The largest residual but for those that the barrier moves."""
+        return np.maximum(np.maximum(self.gap, self.stationarity), self.limits.violation)
+
+
+class Ends(NamedTuple):
+    """Flat points at the ends, shape (B, E), and which of their entries and coordinates are prescribed."""
+
+    start: np.ndarray
+    end: np.ndarray
+    start_entries: np.ndarray
+    end_entries: np.ndarray
+    start_coordinates: np.ndarray
+    end_coordinates: np.ndarray
