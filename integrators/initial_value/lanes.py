@@ -9,8 +9,8 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.threads import in_threads
 from ...tape import NotTraceableError, Tape
+from ...threads import in_threads
 from ..compilation import call_compiled
 from .integrator import Integrator
 from .loop import Nodes

@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax import threads
 from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
-from retrax.manifolds.numerics import threads
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module

@@ -11,7 +11,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from ....manifolds.numerics.threads import in_threads
+from ....threads import in_threads
 from .arrays import plain, whole
 from .elimination import BlockSystem
 

@@ -5,7 +5,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from ....manifolds.numerics.threads import in_threads
+from ....threads import in_threads
 from .arrays import LANES, plain, whole
 from .scaling import Units
 

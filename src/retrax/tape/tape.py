@@ -12,7 +12,7 @@ import casadi as ca
 import jax
 import numpy as np
 
-from ..manifolds.numerics.threads import in_threads
+from ..threads import in_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled

@@ -1,0 +1,156 @@
+"""Bounds and constraints: optima known in other ways, units, what is active and what is not, and what contradicts."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, Solver, solve
+from retrax.manifolds import SO, Euclidean, Sphere, hat
+from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+PLANE = Euclidean(2)
+STEPS = 40
+
+
+def cart(bound=None, constraints=None):
+    """A cart of unit mass with the force ``u``, in the state (position, velocity)."""
+
+    def dynamics(q, u):
+        return jnp.stack([q[1], u[0]])
+
+    bounds = None if bound is None else (-bound, bound)
+    return OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u / 2, 1, control_bounds=bounds, constraints=constraints)
+
+
+def clipped_forces(bound):
+    """The least effort over a unit of way and time in midpoint steps, and its slope: forces are linear in time, and cut off."""
+    t = (np.arange(STEPS) + 0.5) / STEPS
+
+    def forces(slope):
+        return np.clip(slope * (t - 0.5), -bound, bound)
+
+    slope = brentq(lambda slope: np.sum(forces(slope) * (1 - t)) / STEPS - 1, -1e4, -1.0, xtol=1e-12, rtol=1e-15)
+    return forces(slope), slope
+
+
+@pytest.mark.parametrize("bound", [4.2, 4.5, 5.0, 5.8, 5.84, 5.86, 5.9, 6.5, 100.0])
+def test_forces_are_those_of_the_conditions_as_a_bound_becomes_active(bound):
+    solution = solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    expected, slope = clipped_forces(bound)
+    # At 5 a bound is met with the multiplier zero: there s = nu = sqrt(mu).
+    np.testing.assert_allclose(solution.controls[:, 0], expected, atol=1e-5 if bound == 5 else 1e-8)
+    assert solution.checks.strict_minimum
+    lower, upper = (solution.multipliers[f"control_bounds {side}"][:, 0] for side in ("lower", "upper"))
+    unbounded = slope * (solution.stage_times - 0.5)
+    np.testing.assert_allclose(
+        upper - lower, unbounded - expected, atol=(1e-5 if bound == 5 else 1e-7) * max(1, np.max(np.abs(unbounded)))
+    )
+    assert np.all(lower >= 0)
+    assert np.all(upper >= 0)
+
+
+@pytest.mark.parametrize(("length", "time"), [(1, 1), (1e-9, 1), (1e9, 1), (1, 1e4), (1e4, 1e-3), (1e-6, 1e6)])
+def test_units_do_not_matter(length, time):
+    bound = 4.5 * length / time**2
+    end = np.array([length, 0.0])
+    solution = solve(cart(bound), Gauss(2, default_retraction(PLANE)), np.zeros(2), end, float(time), STEPS)
+    here = solve(cart(4.5), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    assert solution.cost * time**3 / length**2 == pytest.approx(here.cost, rel=1e-9)
+    assert abs(solution.statistics.iterations - here.statistics.iterations) <= 2
+
+
+@pytest.mark.parametrize("bound", [3.0, 3.9, 3.99])
+def test_bounds_that_do_not_reach_the_end_are_named(bound):
+    solution = solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS, throw=False)
+    assert not solution.success
+    assert "contradict" in solution.result
+    assert "control_bounds upper" in solution.result
+
+
+@pytest.mark.parametrize("bound", [4.01, 4.1])
+def test_bounds_that_barely_reach_the_end_do(bound):
+    assert solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS).success
+
+
+@pytest.mark.parametrize("limit", [1 / 12, 1 / 9, 1 / 6, 0.2, 0.3])
+def test_a_state_that_is_kept_below_a_limit(limit):
+    """Bryson and Denham's problem, through the limits at which the state touches at a point (1/4) and along an arc (1/6)."""
+    optimum = 4 / (9 * limit) if limit <= 1 / 6 else 2 + 6 * max(0.0, 1 - 4 * limit) ** 2
+    problem = cart(constraints={"height": lambda q, u: q[0] - limit})
+    solution = solve(problem, Gauss(3, default_retraction(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0, 60)
+    assert solution.cost == pytest.approx(optimum, rel=2e-4)
+    assert np.max(solution.stage_states[:, 0]) <= limit * (1 + 1e-9)
+    assert (np.max(solution.multipliers["height"]) > 1e-6) == (limit < 1 / 4)
+
+
+@pytest.mark.parametrize("steps", [10, 30])
+@pytest.mark.parametrize("method", [Midpoint, lambda r: Gauss(3, r)], ids=["midpoint", "Gauss"])
+def test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it(steps, method):
+    axis, sphere = np.array([0.0, 0.6, 0.8]), Sphere(2)
+    cone = {"cone": lambda q, u: q @ axis - np.cos(np.deg2rad(25))}
+    problem = OptimalControlProblem(sphere, lambda q, u: jnp.cross(u, q), lambda q, u: u @ u / 2, 3, constraints=cone)
+    end = np.array([0.05, 0.0, 1.0]) / np.hypot(0.05, 1.0)
+    solution = solve(problem, method(default_retraction(sphere)), np.array([0.0, 1.0, 0.0]), end, 1.0, steps)
+    # Two arcs of great circles that touch the cone, and the piece of its rim between them.
+    rim = np.deg2rad(25)
+
+    def aside(point):
+        away = np.arccos(point @ axis)
+        tangent, turned = np.arccos(np.cos(away) / np.cos(rim)), np.arccos(np.tan(rim) / np.tan(away))
+        return tangent, turned
+
+    first, last = aside(np.array([0.0, 1.0, 0.0])), aside(end)
+    sides = [point - (point @ axis) * axis for point in (np.array([0.0, 1.0, 0.0]), end)]
+    whole = np.arccos(sides[0] @ sides[1] / np.linalg.norm(sides[0]) / np.linalg.norm(sides[1]))
+    length = first[0] + last[0] + (whole - first[1] - last[1]) * np.sin(rim)
+    assert solution.cost == pytest.approx(length**2 / 2, rel=2e-2 if steps == 10 else 2e-3)
+    assert solution.checks.violation <= 1e-10
+    assert solution.checks.conserved == dict.fromkeys(solution.checks.conserved, 0)
+
+
+def test_wide_bounds_change_nothing():
+    free = solve(cart(), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    for bound in (10.0, 1e3, 1e6):
+        bounded = solve(cart(bound), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+        np.testing.assert_allclose(bounded.controls, free.controls, atol=1e-9)
+
+
+def limited_slew(bound):
+    """A rest-to-rest slew of a spacecraft with limited torques."""
+    inertia, attitudes = np.array([5621.0, 4547.0, 2364.0]), SO(3)
+
+    def dynamics(q, u):
+        return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
+
+    return OptimalControlProblem(
+        attitudes * Euclidean(3), dynamics, lambda q, u: u @ u / 2, 3, control_bounds=None if bound is None else (-bound, bound)
+    )
+
+
+def test_a_batch_of_limited_slews_is_its_members():
+    problem = limited_slew(10.0)
+    solver = Solver(problem, Gauss(2, Cayley(problem.manifold)), 20)
+    targets = Rotation.from_rotvec(np.random.default_rng(1).uniform(-0.7, 0.7, (5, 3)))
+    start = np.eye(3), np.zeros(3)
+    ends = targets.as_matrix(), np.zeros((5, 3))
+    many = solver.solve_many(start, ends, 60.0)
+    assert np.all(many.success)
+    for k, one in enumerate(many):
+        alone = solver.solve(start, (ends[0][k], np.zeros(3)), 60.0)
+        assert one.cost == pytest.approx(alone.cost, rel=1e-9)
+        assert np.max(np.abs(one.controls)) <= 10 * (1 + 1e-9)
+
+
+@pytest.mark.parametrize("method", [Midpoint, lambda r: Gauss(2, r)], ids=["midpoint", "Gauss"])
+def test_derivatives_with_active_bounds(method):
+    problem = limited_slew(10.0)
+    solver = Solver(problem, method(Cayley(problem.manifold)), 20)
+    start = np.eye(3), np.zeros(3)
+    end = Rotation.from_rotvec(np.deg2rad(150) * np.array([1, 2, -2]) / 3).as_matrix(), np.zeros(3)
+    solution = solver.solve(start, end, 60.0)
+    assert np.max(np.abs(solution.controls)) == pytest.approx(10, rel=1e-9)
+    near = [solver.solve(start, end, 60.0 + step) for step in (-1e-3, 1e-3)]
+    found = solver.sensitivity(solution).horizon
+    assert found.cost == pytest.approx((near[1].cost - near[0].cost) / 2e-3, rel=1e-5)
+    np.testing.assert_allclose(found.controls, (near[1].controls - near[0].controls) / 2e-3, atol=2e-4)
