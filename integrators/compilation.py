@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from ..manifolds.numerics.reading import one_reading, traced
+from ..reading import one_reading, traced
 from .functions import is_transformed
 from .programs import PLAIN, content_key, program_key
 

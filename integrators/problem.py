@@ -14,7 +14,7 @@ from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldErr
 from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.reading import traced
+from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from ...manifolds import DomainError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.reading import one_reading
+from ...reading import one_reading
 from ...retractions import Retraction, default_retraction
 from .engine.chart import Chart, lagrange
 from .engine.evaluator import Automatic, Evaluated

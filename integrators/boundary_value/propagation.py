@@ -15,7 +15,7 @@ from scipy.integrate import DOP853
 from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.reading import reads_once
+from ...reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters

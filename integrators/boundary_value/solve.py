@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from ...manifolds.numerics.reading import reads_once
+from ...reading import reads_once
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem

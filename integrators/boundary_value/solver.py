@@ -10,7 +10,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import working_precision
-from ...manifolds.numerics.reading import is_reading, one_reading
+from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
 from ..functions import require_concrete
 from ..options import known_options

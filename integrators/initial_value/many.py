@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.reading import reads_once
+from ...reading import reads_once
 from ..compilation import call_compiled
 from ..functions import require_concrete
 from .choice import tape_steps

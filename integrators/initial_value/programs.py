@@ -10,7 +10,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.reading import traced
+from ...reading import traced
 from ...tape import Tape
 from ...tape.program import CODES, Program, assembled
 from ..programs import content_key

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
-from ...manifolds.numerics.reading import reads_once
+from ...reading import reads_once
 from ..compilation import compiled
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes

@@ -11,7 +11,7 @@ from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, clas
 from retrax.integrators.compilation import call_compiled
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.manifolds.numerics.reading import traced
+from retrax.reading import traced
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 from retrax.tape import Tape
 

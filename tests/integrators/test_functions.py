@@ -8,7 +8,7 @@ from retrax.integrators import SymplecticIntegrator, compilation, integrate
 from retrax.integrators.compilation import call_compiled, digest
 from retrax.integrators.functions import is_transformed, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.manifolds.numerics.reading import one_reading, reads_once
+from retrax.reading import one_reading, reads_once
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
 LINE = Euclidean(1)

@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ....manifolds import InvalidInputError
 from ....manifolds.manifold import working_precision
-from ....manifolds.numerics.reading import traced
+from ....reading import traced
 from ...compilation import compiler_options
 
 Arrays = tuple[np.ndarray, ...]

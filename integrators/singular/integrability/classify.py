@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
-from ....manifolds.numerics.reading import reads_once
+from ....reading import reads_once
 from ...functions import require_concrete
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import InvalidInputError
-from ....manifolds.numerics.reading import reads_once
+from ....reading import reads_once
 from ....retractions import CotangentLift, DiscretizationMap
 from ...functions import require_concrete
 from ..integrability import Classification

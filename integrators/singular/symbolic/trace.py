@@ -13,7 +13,7 @@ import sympy
 
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
-from ....manifolds.numerics.reading import traced
+from ....reading import traced
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
