@@ -11,7 +11,7 @@ from .scaling import SHARE, Units, natural_units, unscaled
 from .system import Assembled, Ends, Iterate, Residuals, Step
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
-FAR = 1e-2  # times the largest entry of the nodes: ends further apart meet along an arc
+FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 
 
