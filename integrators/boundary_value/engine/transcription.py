@@ -231,7 +231,6 @@ class Nodes:
         self._paid = {
             name: evaluator.values(partial(self._cost_of, name), *sizes) for name, cost in costs.items() if cost is not None
         }
-        self._projected = evaluator.values(self._projection_of, self.layout.size, self.layout.size)
         self._middle = evaluator.values(self._middle_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
@@ -261,10 +260,6 @@ class Nodes:
             directions = np.max(np.abs(at_points(self._directions, 3, controls)[0]), axis=1)
             largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
         return largest.reshape(len(largest), -1)
-
-    def projected(self, nodes: np.ndarray, costates: np.ndarray) -> np.ndarray:
-        """Covectors projected to the tangent spaces at the nodes."""
-        return at_points(self._projected, 2, nodes, costates)[0]
 
     def amid(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by entry.
@@ -308,9 +303,6 @@ class Nodes:
         for _ in range(4):
             m = retraction(m, project(m, vec.subtract(vec.scale(0.5, vec.add(x, y)), m)))
         return (self.layout.flat(m),)
-
-    def _projection_of(self, q: Array, p: Array) -> tuple[Array]:
-        return (self.layout.flat(self.problem.manifold.projection(self.layout.point(q), self.layout.point(p))),)
 
     def _frame_of(self, q: Array) -> tuple[Array]:
         return (self.layout.flat_frame(self.problem.manifold.basis(self.layout.point(q))),)

@@ -30,7 +30,8 @@ class Transcription:
     ``c(x) = 0`` of the manifolds. For a Gauss method with several points also its velocities ``v_i``, ambient vectors with
     ``Dc(x) v_i = 0``, and slacks ``s_i`` in ``D R_x(xi_i)[v_i] = X(q_i, u_i) + Dc(q_i)' s_i``: the equation holds in the
     tangent space, whose codimension the slacks have. So do ends meet: ``begin - end = Dc(m)' s`` with ``m`` in the middle. For a
-    manifold whose equations are quadratic this and ``c(begin) = c(end)`` give ``s = 0``, so that no other points meet.
+    manifold whose equations are quadratic this and ``c(begin) = c(end)`` give ``s = 0`` unless ``m`` is zero: exactly opposite
+    ends meet too, by slacks without bound, and an optimum with large slacks is none.
     """
 
     def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap | Gauss) -> None:

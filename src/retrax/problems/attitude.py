@@ -56,7 +56,7 @@ def rest_to_rest_slew() -> KnownProblem:
         source=f"spacecraft of {BETTS}, section 6.8",
         optimum=2504.24655710,
         digits=10,
-        origin="limit of the discrete optima as the steps shrink, and of a shooting method",
+        origin="limit of the discrete optima as the steps shrink",
     )
 
 
