@@ -60,27 +60,36 @@ class Recording:
             "multipliers": _multipliers(traced, found),
         }
         results = [words + _excesses(traced, found, k) for k, words in enumerate(results)]
-        residuals, limits = (found.residuals.gap.tolist(), found.residuals.stationarity.tolist()), found.residuals.limits
-        violation = np.maximum(limits.violation, limits.excess).tolist()
-        complementarity = limits.complementarity.tolist()
         if self.problem.limits.functions:  # they may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
+        known = _known(found)
 
         def member(k: int) -> Solution:
             own: Any = jax.tree.map(lambda leaf: leaf[k], diagnostics)
-            more = {"violation": violation[k], "complementarity": complementarity[k]}
-            more |= {"strict_minimum": bool(found.strict_minimum[k])}
             return Solution(
                 **jax.tree.map(lambda leaf: leaf[k] if leaf.ndim > 1 else leaf[k].item(), fields),
                 result=results[k],
-                checks=RegularChecks.of(own, *(part[k] for part in residuals), **more),
+                checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 interpolant=self.interpolant,
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
         return {**fields, "parameters": parameters}, member
+
+
+def _known(found: Found) -> dict[str, list[Any]]:
+    """What the iteration knows of the checks of each member."""
+    residuals, limits = found.residuals, found.residuals.limits
+    values = {
+        "gap": residuals.gap,
+        "stationarity": residuals.stationarity,
+        "strict_minimum": found.strict_minimum,
+        "violation": np.maximum(limits.violation, limits.excess),
+        "complementarity": limits.complementarity,
+    }
+    return {name: array.tolist() for name, array in values.items()}
 
 
 def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:

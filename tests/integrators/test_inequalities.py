@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver, solve
-from retrax.manifolds import SO, Euclidean, Sphere, hat
+from retrax.integrators import Guess, OptimalControlProblem, Solver, solve
+from retrax.manifolds import SO, ConvergenceError, Euclidean, Sphere, hat
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
@@ -154,3 +154,44 @@ def test_derivatives_with_active_bounds(method):
     found = solver.sensitivity(solution).horizon
     assert found.cost == pytest.approx((near[1].cost - near[0].cost) / 2e-3, rel=1e-5)
     np.testing.assert_allclose(found.controls, (near[1].controls - near[0].controls) / 2e-3, atol=2e-4)
+
+
+@pytest.fixture(scope="module", params=[Midpoint, lambda r: Gauss(2, r)], ids=["midpoint", "Gauss"])
+def avoiding(request):
+    """A direction that keeps ``cos`` of its angle from an axis below a number."""
+    sphere, axis = Sphere(2), np.array([0.0, 0.6, 0.8])
+    cone = {"cone": lambda q, u, p: q @ axis - p}
+    problem = OptimalControlProblem(sphere, lambda q, u, p: jnp.cross(u, q), lambda q, u, p: u @ u / 2, 3, constraints=cone)
+    return Solver(problem, request.param(default_retraction(sphere)), 10)
+
+
+@pytest.mark.parametrize("angle", [1.0, 2.0, 2.2, 2.4, 3.0, 10.0, 25.0])
+def test_derivatives_and_minima_as_a_cone_becomes_active(avoiding, angle):
+    """The way is 2.3 degrees from the axis; around a wider cone, the curvature beside it is not lost in its stiffness."""
+    ends = np.array([0.0, 1.0, 0.0]), np.array([0.05, 0.0, 1.0]) / np.hypot(0.05, 1.0)
+    limit, step = np.cos(np.deg2rad(angle)), 1e-6
+    solution = avoiding.solve(*ends, 1.0, parameters=limit)
+    assert solution.checks.strict_minimum
+    found = avoiding.sensitivity(solution)
+    later = [avoiding.solve(*ends, 1.0 + way * step, solution, limit) for way in (-1, 1)]
+    wider = [avoiding.solve(*ends, 1.0, solution, limit + way * step) for way in (-1, 1)]
+    for derivative, near in ((found.horizon, later), (found.parameters, wider)):
+        assert derivative.cost == pytest.approx((near[1].cost - near[0].cost) / (2 * step), rel=1e-6, abs=1e-8)
+        for name in ("states", "costates", "controls"):
+            difference = (getattr(near[1], name) - getattr(near[0], name)) / (2 * step)
+            np.testing.assert_allclose(getattr(derivative, name), difference, atol=1e-4 * max(1.0, np.max(np.abs(difference))))
+
+
+@pytest.mark.parametrize("degrees", [90.0, 150.0, 179.0, 179.9, 180.0])
+def test_an_inactive_cone_leaves_conjugate_ends_conjugate(avoiding, degrees):
+    turn, start = np.deg2rad(degrees), np.array([1.0, 0.0, 0.0])
+    problem, controls = avoiding.problem.with_parameters(2.0), np.array([0.0, 0.0, turn])
+    guess = Guess.from_controls(problem, avoiding.method, start, lambda t: controls, 1.0, 10)
+    solution = avoiding.solve(start, np.array([np.cos(turn), np.sin(turn), 0.0]), 1.0, guess, 2.0)
+    assert solution.cost == pytest.approx(turn**2 / 2, rel=1e-2)
+    assert solution.checks.strict_minimum == (degrees < 180)
+    if degrees == 180:
+        with pytest.raises(ConvergenceError, match="conjugate"):
+            avoiding.sensitivity(solution)
+    else:
+        assert avoiding.sensitivity(solution).horizon.cost == pytest.approx(-solution.cost, rel=1e-6)

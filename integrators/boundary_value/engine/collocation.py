@@ -189,6 +189,22 @@ class Collocation:
         nodes = np.repeat(units.nodes[:, None], s, axis=1)
         return np.concatenate([nodes, nodes, np.zeros_like(nodes), controls], axis=2)[:, None]
 
+    def limits(self, blocks: Blocks, data: Data, maps: np.ndarray | None = None) -> np.ndarray:
+        """Derivatives of the inequalities of all points in the unknowns of the condensed steps, shape (B, N, s c, z).
+
+        With ``maps`` of steps that were condensed with other right-hand sides, columns follow by which their defects change them.
+        """
+        held, points, ends = blocks.inequalities, blocks.inner.points, blocks.inner.ends
+        n, s, z = self.manifold.dimension, self.stages, self.dimension
+        maps = blocks.inner.kept[2][..., :z] if maps is None else maps
+        slope = np.einsum("ij,bkicq->bkiqjc", np.eye(s), held.jacobian)
+        slope = slope.reshape(*slope.shape[:4], -1)
+        none = ends._replace(slope=np.zeros((*slope.shape[:2], 2 * n, slope.shape[4])))
+        full = full_slope(points._replace(slope=slope), none, data.steps, self.tableau)
+        found = full[:, :, n : n + s * n].mT @ maps
+        found[..., :z] += np.concatenate([full[:, :, :n], full[:, :, n + s * n :]], axis=2).mT
+        return found
+
     def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> AtStages:
         """States, controls and costates at the points, (B, N s, ...)."""
         del costates

@@ -84,13 +84,18 @@ class Conditions:
         costates[:, -1] -= terminal.derivative
         if initial is not None:
             costates[:, 0] += initial.derivative
-        blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
-        for place, paid, end in ((-1, terminal, blocks.right[:, -1]), (0, initial, blocks.left[:, 0])):
-            if paid is not None:
-                _pay(blocks, place, paid, end)
+        blocks = self.blocks(iterate, nodes, costates, terminal, initial)
         cost = np.sum(blocks.costs, axis=1) + terminal.value + (0.0 if initial is None else initial.value)
         distance = np.max(np.abs(gaps), axis=1)
         return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, terminal, cost, initial, distance)
+
+    def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None) -> Blocks:
+        """The blocks of the steps, with the costs of the last node and of the first."""
+        blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
+        _pay(blocks, -1, last, blocks.right[:, -1])
+        if first is not None:
+            _pay(blocks, 0, first, blocks.left[:, 0])
+        return blocks
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, final
 import jax
 import numpy as np
 
+from .bordered import is_isolated_minimum
 from .conditions import Conditions
 from .system import Assembled, Iterate, Residuals, Step
 
@@ -318,9 +319,19 @@ class _Search:
         joined = states[0] if len(states) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *states)
         order = np.argsort(joined.member)
         joined = joined if len(states) == 1 else taken(joined, order)
-        strict = joined.step.strict & (joined.shift == 0) & joined.isolated
+        strict = joined.step.strict & (joined.shift == 0)
+        if joined.iterate.slacks is not None:
+            strict = is_isolated_minimum(self.conditions, joined.iterate, joined.assembled)
         missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.measured.nodes
-        ended = strict, counts[order] - 1, joined.claimed, _solvable(joined), self.stopped, missing, self.contradictory(joined)
+        ended = (
+            strict & joined.isolated,
+            counts[order] - 1,
+            joined.claimed,
+            _solvable(joined),
+            self.stopped,
+            missing,
+            self.contradictory(joined),
+        )
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 
 

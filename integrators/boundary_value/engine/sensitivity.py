@@ -15,14 +15,13 @@ from jaxtyping import Array
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
+from .bordered import of_lagrangian, solved
 from .collocation import Collocation
-from .condensing import condense
+from .condensing import Condensed, condense
 from .conditions import Conditions
-from .elimination import BlockSystem, eliminate
 from .evaluator import Evaluator
-from .scaling import unscaled
 from .system import Assembled, Iterate
-from .transcription import Nodes, OneStage, at_points
+from .transcription import Data, Nodes, OneStage, at_points
 
 CHANGED = 1e-9  # relative: more than rounding
 SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, leaves derivatives few digits
@@ -65,24 +64,27 @@ class Sensitivities:
 
     def __call__(self, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Derivatives:
         """The derivatives of the extremals ``iterate`` whose KKT systems are ``assembled``."""
-        data, blocks, n = conditions.data, assembled.blocks, self.nodes.problem.manifold.dimension
-        own = self.columns(iterate, assembled, conditions)
+        data, n = conditions.data, self.nodes.problem.manifold.dimension
+        blocks = of_lagrangian(conditions, iterate, assembled)
+        own = self.columns(iterate, assembled._replace(blocks=blocks), conditions)
         fractions = data.steps / np.sum(data.steps, axis=1)[:, None]
         share = np.concatenate([fractions[:, :, None], np.ones((*data.steps.shape, data.parameters.shape[1]))], axis=2)
         own = Columns(*(a * (share if a.ndim == 3 else share[:, :, None]) for a in own))
         (curvature, slope), first, *_ = self._of_ends(assembled, data.parameters)
         right, held = blocks.right[:, -1], assembled.terminal.curvature
-        own.slope[:, -1] += right.mT @ (held @ own.end[:, -1] + curvature)
+        z = blocks.hessian.shape[3]
+        own.slope[:, -1, :z] += right.mT @ (held @ own.end[:, -1] + curvature)
         initial = assembled.initial
         if initial is not None:
-            own.slope[:, 0] += blocks.left[:, 0].mT @ (initial.curvature @ own.begin[:, 0] + first[0])
+            own.slope[:, 0, :z] += blocks.left[:, 0].mT @ (initial.curvature @ own.begin[:, 0] + first[0])
         gap = np.zeros((*assembled.gap.shape, 2 * n + share.shape[2]))
         gap[:, :-1, :, 2 * n :] += own.begin
         gap[:, 1:, :, 2 * n :] -= own.end
         gap[:, 0, :, :n] -= np.diag(conditions.ends.start_coordinates)
         gap[:, -1, :, n : 2 * n] += np.diag(conditions.ends.end_coordinates)
         before = np.zeros((*own.slope.shape[:3], 2 * n))
-        steps, multipliers, smallest = self._solved(conditions, assembled, np.concatenate([before, own.slope], axis=3), gap)
+        found = solved(conditions, iterate, blocks, np.concatenate([before, own.slope], axis=3), gap)
+        steps, multipliers = found.steps[:, :, :z], found.multipliers
         moved = self._moved(blocks, own, steps)
         turned = np.array(multipliers)
         turned[:, -1] -= held @ moved[:, -1]
@@ -93,16 +95,7 @@ class Sensitivities:
         lagrangian = np.sum(own.lagrangian, axis=1) + slope + first[1]
         ends = assembled.coordinates[:, 0], assembled.coordinates[:, -1]
         cost = np.concatenate([-ends[0], ends[1], lagrangian], axis=1)
-        return Derivatives(cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), smallest)
-
-    def _solved(
-        self, conditions: Conditions, assembled: Assembled, slope: np.ndarray, gap: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        blocks, count, units = assembled.blocks, len(gap), conditions.measured
-        coordinates = conditions.ends.start_coordinates, conditions.ends.end_coordinates
-        fixed = (np.broadcast_to(c, (count, c.size)) for c in coordinates)
-        found = eliminate(BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed), units)
-        return *unscaled(found, units), found.smallest
+        return Derivatives(cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), found.smallest)
 
     def _moved(self, blocks: Any, own: Columns, steps: np.ndarray) -> np.ndarray:
         """Displacements of the nodes in their frames, shape (B, N + 1, n, K)."""
@@ -181,15 +174,11 @@ class _OneStageColumns:
         hessian, gradient, jacobian, values = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
         _require_unchanged((values[:, :, 2 * n], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
         own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
-        if slacks is not None:
-            stiff = blocks.inequalities.weights[:, :, 0] * slacks.multipliers[:, :, 0] / slacks.slacks[:, :, 0]
-            limits = jacobian[:, :, 2 * n + 1 :]
-            pushed = limits[..., :z].mT @ (stiff[..., None] * limits)
-            own, mixed = own + pushed[..., :z], mixed + pushed[..., z:]
         free = slice(0 if assembled.initial is None else 1, -1)  # the steps at the ends have the costs of these too
         _require_unchanged((own[:, free], blocks.hessian[:, free]))
         ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
-        return Columns(mixed, *ends, gradient[:, :, z:])
+        slope = np.concatenate([mixed, jacobian[:, :, 2 * n + 1 :, z:]], axis=2)
+        return Columns(slope, *ends, gradient[:, :, z:])
 
     def _row_of(self, d: Array, *given: Array) -> tuple[Array, Array]:
         z, (*at, h, parameters, pull) = self.steps.dimension, given
@@ -217,10 +206,6 @@ class _CollocationColumns:
         pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
         found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
         hessian, gradient, jacobian, values = found[:4]
-        if slacks is not None:  # a slack that changes changes its multiplier, which pulls
-            stiff = assembled.blocks.inequalities.weights * slacks.multipliers / slacks.slacks
-            limits = jacobian[..., n + 1 :, :]
-            hessian = hessian + limits.mT @ (stiff[..., None] * limits)
         _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (jacobian[..., :n, :q], inner.points.constraints))
         _require_unchanged((np.sum(values[..., n], axis=2), assembled.blocks.costs))
         far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
@@ -239,12 +224,27 @@ class _CollocationColumns:
         )
         none = np.zeros((*ends.slope.shape[:3], data.parameters.shape[1]))
         outer = np.concatenate([np.einsum("bkzy,bky->bkz", ends.hessian[..., n:], far)[..., None], none], axis=3)
-        parts, _ = condense(wanted, ends._replace(slope=outer), h, table)
+        parts, condensed = condense(wanted, ends._replace(slope=outer), h, table)
         begin, finish = parts.before, parts.after
         begin[..., 0] += np.einsum("bkny,bky->bkn", ends.left[..., n:], far)
         finish[..., 0] += np.einsum("bkny,bky->bkn", ends.right[..., n:], far)
         whole = np.concatenate([lagrangian[..., None], np.sum(gradient[..., q:], axis=2)], axis=2)
-        return Columns(parts.slope, begin, finish, whole)
+        rows = parts.slope
+        if slacks is not None:
+            rows = np.concatenate([rows, self._limits(assembled, condensed, jacobian, turned, data)], axis=2)
+        return Columns(rows, begin, finish, whole)
+
+    def _limits(
+        self, assembled: Assembled, condensed: Condensed, jacobian: np.ndarray, turned: np.ndarray, data: Data
+    ) -> np.ndarray:
+        """Derivatives of the inequalities of all points, shape (B, N, s c, K)."""
+        n, q, z = self.steps.manifold.dimension, self.dimension, self.steps.dimension
+        own = jacobian[..., n + 1 :, :]
+        by_h = np.einsum("bkicy,bkiy->bkic", own[..., n : 2 * n], turned)
+        direct = np.concatenate([by_h[..., None], own[..., q:]], axis=4)
+        maps = condensed.kept[2].reshape(*data.steps.shape, *condensed.kept[2].shape[1:])
+        mended = self.steps.limits(assembled.blocks, data, maps)
+        return direct.reshape(*direct.shape[:2], -1, direct.shape[4]) + mended[..., z : z + direct.shape[4]]
 
     def _point_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
         *at, parameters, pull = given

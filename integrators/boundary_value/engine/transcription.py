@@ -166,6 +166,11 @@ class OneStage:
         """Units of the unknowns of each point, shape (B, 1, 1, z)."""
         return units.unknowns[:, None, None]
 
+    def limits(self, blocks: Blocks, data: Data) -> np.ndarray:
+        """Derivatives of the inequalities in the unknowns of the steps, shape (B, N, c, z)."""
+        del data
+        return blocks.inequalities.jacobian[:, :, 0]
+
     def begin(
         self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
     ) -> Unknowns:

@@ -1,0 +1,81 @@
+"""The KKT system with the multipliers of the inequalities among the unknowns of the steps.
+
+Where an inequality is active its stiffness D grows without bound as the barrier vanishes: ``H + w J' D J`` then has a
+curvature beside it that is small relative to its entries, and lost in their rounding. Newton's steps bear that [Wright 1998];
+the inertia and derivatives by data do not. With ``e = w dnu`` as unknowns,
+
+    [H  J'         ]
+    [J  -1 / (w D) ],
+
+the system has no large entries and the inertia of the other with one negative eigenvalue more for each inequality.
+"""
+
+import numpy as np
+
+from .conditions import Conditions
+from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
+from .inequalities import Held, Slacks, stiffness
+from .scaling import Units, unscaled
+from .system import Assembled, Iterate
+from .transcription import Blocks
+
+
+def of_lagrangian(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Blocks:
+    """The blocks without the share of the inequalities in the Hessians."""
+    slacks = iterate.slacks
+    if slacks is None:
+        return assembled.blocks
+    free = slacks._replace(slacks=np.full_like(slacks.slacks, np.inf))  # inequalities this far away have no stiffness
+    around = assembled.nodes, assembled.costates, assembled.terminal, assembled.initial
+    return conditions.blocks(iterate._replace(slacks=free), *around)
+
+
+def solved(conditions: Conditions, iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray) -> BlockSolution:
+    """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a step.
+
+    ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c, k).
+    """
+    units, ends = conditions.measured, (conditions.ends.start_coordinates, conditions.ends.end_coordinates)
+    fixed = (np.broadcast_to(a, (len(gap), a.size)) for a in ends)
+    system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed)
+    if iterate.slacks is not None:
+        limits = conditions.transcription.limits(blocks, conditions.data)
+        system, units = bordered(system, units, limits, blocks.inequalities, iterate.slacks)
+    found = eliminate(system, units)
+    steps, multipliers = unscaled(found, units)
+    return found._replace(steps=steps, multipliers=multipliers)
+
+
+def is_isolated_minimum(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+    """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding, (B,).
+
+    An inequality counts by its stiffness: as a constraint where it is active, not at all elsewhere.
+    """
+    blocks, held = of_lagrangian(conditions, iterate, assembled), assembled.blocks.inequalities
+    batch, count, stages, c = held.values.shape
+    slope = np.zeros((batch, count, blocks.hessian.shape[3] + stages * c, 1))
+    found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)))
+    others = count * stages * c  # each has a negative eigenvalue of its own
+    return is_strict_minimum(found._replace(negative=found.negative - others), assembled.gap[0].size)
+
+
+def bordered(system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks) -> tuple[BlockSystem, Units]:
+    """The system of the Lagrangian alone with its inequalities, and their units.
+
+    ``limits``: derivatives in the unknowns of the steps, shape (B, N, c, z) with the inequalities of all points of a step. The
+    slope of the system comes with their rows, shape (B, N, z + c, k).
+    """
+    shape, (c, z) = limits.shape[:2], limits.shape[2:]
+    with np.errstate(all="ignore"):
+        give = (1 / (held.weights * stiffness(slacks))).reshape(*shape, c)
+        limits = np.where(np.isfinite(give)[..., None], limits, 0.0)  # else it is not asked for
+        reach = np.max(np.sum(np.abs(limits) * units.unknowns[:, None, None], axis=3), axis=1)
+        own = np.where(reach > 0, units.cost[:, None] / reach, units.cost[:, None])
+    give = np.where(np.isfinite(give), give, (units.cost[:, None] / own**2)[:, None])
+    hessian = np.zeros((*shape, z + c, z + c))
+    hessian[..., :z, :z], hessian[..., :z, z:], hessian[..., z:, :z] = system.hessian, limits.mT, limits
+    hessian[..., z:, z:] = -give[..., None] * np.eye(c)
+    none = np.zeros((*system.left.shape[:3], c))
+    left, right = (np.concatenate([ends, none], axis=3) for ends in (system.left, system.right))
+    wider = units._replace(unknowns=np.concatenate([units.unknowns, own], axis=1))
+    return system._replace(hessian=hessian, left=left, right=right), wider
