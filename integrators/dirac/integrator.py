@@ -11,6 +11,7 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.manifold import default_tolerance, same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
 from ..compilation import compiled
@@ -70,19 +71,19 @@ class DiracIntegrator(Integrator):
         if not same_manifold(system.manifold, self.manifold):
             raise InvalidInputError(f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold")
         _check_shapes(system, q, p)
-        residual, mobility, speed = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
+        residual, mobility, parts = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
         if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
             raise InvalidInputError(
                 f"the constraints and their derivatives along the forms are {residual} and {mobility} at the start, expected "
                 "finite numbers: give a smooth Hamiltonian, or one whose controls dH/du = 0 determines"
             )
-        values = np.linalg.svd(mobility, compute_uv=False)
-        if not values[-1] > 1e-10 * max(values[0], 1e-300):
+        values = pivotal_values(mobility)
+        if not is_regular(values):
             raise InvalidInputError(
-                f"the matrix <mu^a, H_pp mu^b> has the singular values {values} at the start, expected all positive: "
-                "give independent one-forms"
+                f"the matrix <mu^a, H_pp mu^b> has the singular values {values} in units of its diagonal at the start, expected "
+                "all positive: give independent one-forms"
             )
-        if not np.max(np.abs(residual)) <= default_tolerance() * (1 + speed):
+        if not np.all(np.abs(residual) <= default_tolerance() * parts):
             raise NotOnManifoldError(
                 f"start violates the constraints: <mu^a, dH/dp> - c^a is {residual}, expected 0; try system.project(q, p)"
             )
@@ -102,11 +103,12 @@ class DiracIntegrator(Integrator):
             allowed = system.constraint(x, vec.scale(1 / h, v))
             return jnp.concatenate([allowed, equations.residual(c[m:], q, system.kick(q, p, c[:m]))])
 
-        sizes = jnp.concatenate([jnp.ones(m), equations.sizes])
+        impulses = system.impulse_sizes(q, p, h)
+        sizes = jnp.concatenate([impulses, equations.sizes])
         root, landed = find_root(residual, jnp.concatenate([predicted, equations.first]), sizes)
         q1, p1, _ = equations.end(root[m:])
         q1 = self.manifold.restore(q1)
-        last, found = system.impulse(q1, p1, root[:m])
+        last, found = system.impulse(q1, p1, root[:m], impulses)
         p1 = system.kick(q1, p1, last)
         memory = _Memory(last, (root[:m] + last) / h)
         return StepResult(q1, p1, memory, landed & found & jnp.isfinite(vec.size((q1, p1))))
@@ -132,11 +134,11 @@ def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
 
 @compiled
 def _facts(system: DiracSystem, q: Ambient, p: Ambient) -> tuple[Array, Array, Array]:
-    """The constraints at ``(q, p)``, their derivative along impulses there, and the size of the velocity."""
+    """The constraints at ``(q, p)``, their derivatives along impulses there, and the sizes of their parts."""
 
-    def after(r: Array) -> Array:
-        return system.constraint(q, system.velocity(q, system.kick(q, p, r)))
-
-    v = system.velocity(q, p)
+    v, nothing = system.velocity(q, p), jnp.zeros_like(system.constraint(q, p))
     residual = system.constraint(q, v)
-    return residual, jax.jacfwd(after)(jnp.zeros_like(residual)), vec.size(v)
+    parts = jax.vmap(lambda form: vec.size(form) * vec.size(v))(system.forms(q))
+    if system.rates is not None:
+        parts = jnp.maximum(parts, jnp.abs(system.rates(q)))
+    return residual, system.mobility(q, p, nothing), parts

@@ -6,7 +6,7 @@ from typing import Any, Self, final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
@@ -75,9 +75,32 @@ class DiracSystem(eqx.Module):
         """The covector ``p + r_a mu^a(q)`` after an impulse ``r`` of the constraint forces."""
         return self.manifold.projection(q, vec.add(p, vec.combine(self.forms(q), impulse)))
 
-    def impulse(self, q: Ambient, p: Ambient, first: Multipliers) -> tuple[Multipliers, Bool[Array, ""]]:
-        """The impulse near ``first`` after which ``(q, p)`` satisfies the constraints, and whether it was found."""
-        return find_root(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))), first)
+    def impulse(
+        self, q: Ambient, p: Ambient, first: Multipliers, sizes: Multipliers | None = None
+    ) -> tuple[Multipliers, Bool[Array, ""]]:
+        """The impulse near ``first`` after which ``(q, p)`` satisfies the constraints, and whether it was found.
+
+        ``sizes``: those of impulses, by default ``impulse_sizes(q, p)``.
+        """
+        sizes = self.impulse_sizes(q, p) if sizes is None else sizes
+        return find_root(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))), first, sizes)
+
+    def impulse_sizes(self, q: Ambient, p: Ambient, h: ArrayLike = 0.0) -> Multipliers:
+        """Sizes of impulses that change ``p`` by its size, or by that of ``h dH/dq``, or lead from rest to the rates ``c``."""
+        q, p = jax.lax.stop_gradient((q, p))
+        pushed = vec.gradient(lambda q: real_number("the Hamiltonian", self.hamiltonian(q, p)), q)
+        momentum = jnp.maximum(vec.size(p), jnp.abs(h) * vec.size(pushed))
+        forms = jax.vmap(vec.size)(self.forms(q))
+        sizes = momentum / jnp.where(forms > 0, forms, 1.0)
+        if self.rates is not None:
+            nothing = jnp.zeros_like(sizes)
+            mobility = jnp.abs(jnp.diagonal(self.mobility(q, p, nothing)))
+            sizes = jnp.maximum(sizes, jnp.abs(self.rates(q)) / jnp.where(mobility > 0, mobility, jnp.inf))
+        return jnp.where((sizes > 0) & jnp.isfinite(sizes), sizes, 1.0)
+
+    def mobility(self, q: Ambient, p: Ambient, impulse: Multipliers) -> Array:
+        """``<mu^a, H_pp mu^b>``: what impulses change the constraints by, shape ``(m, m)``."""
+        return jax.jacfwd(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))))(impulse)
 
     def project(self, q: Ambient, p: Ambient) -> Ambient:
         """The covector that satisfies the constraints and differs from ``p`` by one of the ``mu^a(q)`` and their sums.

@@ -189,6 +189,75 @@ def test_the_form_changes_at_first_order_in_the_step():
     assert limits[1] > 0.1
 
 
+class Fast(eqx.Module):
+    """A relativistic particle, in units of length, momentum and of the form."""
+
+    length: jax.Array
+    momentum: jax.Array
+    form: jax.Array
+
+    def hamiltonian(self, q: Array, p: Array) -> Array:
+        return self.length * self.momentum * jnp.sqrt(1 + (p / self.momentum) @ (p / self.momentum))
+
+    def forms(self, q: Array) -> Array:
+        return self.form * contact_form(q / self.length)
+
+
+@pytest.mark.parametrize("units", [*((s * k) for k in np.eye(3, dtype=int) for s in (-12, -9, 9, 12)), (-6, 9, -9)])
+def test_nothing_depends_on_the_units(units):
+    def end(length: float, momentum: float, form: float) -> tuple[np.ndarray, np.ndarray]:
+        fast = Fast(*map(jnp.asarray, (length, momentum, form)))
+        system, start = DiracSystem(R3, fast.hamiltonian, fast.forms), (START[0] * length, START[1] * momentum)
+        (q, p), slip, solved = run(NODES, system, start, jnp.asarray(0.1), jnp.asarray(20))
+        assert solved
+        assert slip <= 1e-14 * length * form
+        return np.asarray(q) / length, np.asarray(p) / momentum
+
+    for found, expected in zip(end(*10.0 ** np.array(units)), end(1.0, 1.0, 1.0), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-12, 13, 6))
+def test_starts_are_judged_by_the_size_of_their_velocity(size):
+    off = jnp.array([0.0, 0.0, 1.0])
+    NODES.check(PARTICLE, START[0], size * (START[1] + 1e-12 * off))
+    with pytest.raises(NotOnManifoldError, match="violates the constraints"):
+        NODES.check(PARTICLE, START[0], size * (START[1] + 1e-6 * off))
+
+
+class Pair(eqx.Module):
+    """The form of the particle, and one at an angle to it and in a unit of its own."""
+
+    angle: jax.Array
+    unit: jax.Array
+
+    def forms(self, q: Array) -> Array:
+        other = jnp.cos(self.angle) * contact_form(q) + jnp.sin(self.angle) * jnp.array([[0.0, 1.0, 0.0]])
+        return jnp.concatenate([contact_form(q), self.unit * other])
+
+
+@pytest.mark.parametrize("unit", 10.0 ** np.arange(-12, 13, 6))
+def test_forms_are_independent_whatever_their_units(unit):
+    for angle in (np.pi / 2, 1.0, 1e-2, 1e-4, 1e-6, 0.0):
+        system = DiracSystem(R3, kinetic_energy, Pair(jnp.asarray(angle), jnp.asarray(unit)).forms)
+        if angle >= 1e-4:
+            NODES.check(system, START[0], jnp.array([1.0, 0.0, HEIGHT]))
+        else:
+            with pytest.raises(InvalidInputError, match="independent one-forms"):
+                NODES.check(system, START[0], jnp.array([1.0, 0.0, HEIGHT]))
+
+
+def test_the_multiplier_of_a_rod_is_its_force():
+    """Centripetal, ``-|p|^2 / r^2`` of the form ``q``; the midpoint keeps the length of the rod."""
+    rod, errors = DiracSystem(Euclidean(2), kinetic_energy, lambda q: q[None]), []
+    method = DiracIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))))
+    for count in COUNTS:
+        path = integrate(rod, method, (jnp.array([2.0, 0.0]), jnp.array([0.0, 3.0])), 1.0 / count, int(count))
+        np.testing.assert_allclose(np.linalg.norm(path.q, axis=1), 2.0, rtol=1e-14)
+        errors.append(np.max(np.abs(path.controls[:, 0] + 9 / 4)))
+    assert slope(1 / COUNTS, np.array(errors), 1e-13) == pytest.approx(2, abs=0.1)
+
+
 def hoop_forms(q: Array) -> Array:
     """On the sphere: no motion along the parallels."""
     return jnp.cross(jnp.array([0.0, 0.0, 1.0]), q)[None]

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solution, solve
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solution, solve
+from retrax.integrators.initial_value.integrator import extremal_control
 from retrax.manifolds import Euclidean, hat
-from retrax.retractions import Cayley, Exponential, Midpoint
+from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint
 
 from tests.support.numerics import norm
 
@@ -95,3 +96,15 @@ def test_powers_of_two_change_nothing_but_rounding(powers):
     one, other = shift(1.0, 1.0, 1.0, 1.0), shift(length, time, mass, price)
     assert norm(other.controls / (mass * length / time**2) - one.controls) < 1e-13 * norm(one.controls)
     assert norm(other.states / np.array([length, length / time]) - one.states) < 1e-13
+
+
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-12, 13, 6))
+def test_controls_of_a_costate_are_found_in_any_units(size):
+    """Those that minimise ``sum cosh A u - p u``, one in units of another."""
+    units, p = size * np.array([1.0, 1e-3, 1e4]), np.array([1.0, 0.3, -0.7])
+    a = np.array([[2, 0.3, 0.1], [0.3, 1, 0.7], [0, 0.7, 3]])
+    cost = lambda q, u: jnp.sum(jnp.cosh(a @ (u / units)))  # noqa: E731
+    problem = OptimalControlProblem(Euclidean(3), lambda q, u: u / units, cost, 3)
+    found = extremal_control(problem, jnp.zeros(3), jnp.asarray(p))
+    np.testing.assert_allclose(found / units, np.linalg.solve(a, np.arcsinh(np.linalg.solve(a.T, p))), rtol=1e-12)
+    PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(Euclidean(3))))).check(problem, jnp.zeros(3), jnp.asarray(p))
