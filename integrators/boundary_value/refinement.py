@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
+import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError, RetraxError
@@ -11,7 +12,8 @@ from ...retractions import Gauss
 from ..free import Free, is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
-from .arguments import Method
+from .arguments import Method, fractions_of
+from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
 from .solution import Solution
@@ -21,6 +23,7 @@ from .structure import ControlStructure, control_structure
 
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
+FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 SIGN = 1e-6  # relative to a switching function: a wrong sign that is none
@@ -62,11 +65,11 @@ class Refinement:
         self._solvers: dict[tuple[Any, Any], Solver] = {}
         self._arcs: dict[bytes, Arcs] = {}
         self._estimator: Estimator | None = None
-        self._effort = 0, 0.0, 0.0
+        self._effort, self._most = (0, 0.0, 0.0), MOST_STAGES
 
     def solve(self, steps: Any) -> Solution:
         """The solution on the last mesh."""
-        solution = self._on(self.problem, self.method, steps, self.asked)
+        solution = self._first(fractions_of(steps))
         if not solution.success:
             return solution
         if solution.singular is not None:
@@ -89,6 +92,18 @@ class Refinement:
                 why = "it no longer shrinks as the steps do"
                 break
         return self._recorded(best, why)
+
+    def _first(self, fractions: np.ndarray) -> Solution:
+        """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser one."""
+        first = self._on(self.problem, self.method, fractions, self.asked)
+        if first.success or isinstance(self.asked.guess, Guess):  # which belongs to its mesh
+            return first
+        while len(fractions) >= 2 * FEWEST:
+            fractions = np.add.reduceat(fractions, np.arange(0, len(fractions), 2))
+            coarse = self._on(self.problem, self.method, fractions, self.asked)
+            if coarse.success and coarse.checks.strict_minimum:
+                return coarse
+        return first
 
     def error(self, errors: StepErrors) -> float:
         """The sum of the errors of the steps, or the largest violation of an inequality."""
@@ -114,10 +129,18 @@ class Refinement:
 
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
-        solution, parts = found.solution, self._parts(found)
-        method = self._raised(solution, parts)
-        if method != self.method:
-            self.method, parts = method, np.ones_like(parts)
+        parts, method = self._parts(found), self.method
+        self.method = self._raised(parts)
+        if self.method is not method:
+            finer = self._finer(found, np.ones_like(parts))
+            if not isinstance(finer, str):
+                return finer
+            self.method, self._most = method, method.stages
+        return self._finer(found, parts)
+
+    def _finer(self, found: _Found, parts: np.ndarray) -> "_Found | str":
+        """The solution with each step in some parts, or why there is none."""
+        solution = found.solution
         lengths = np.repeat(np.diff(solution.times) / parts, parts)
         if len(lengths) > MOST_STEPS:
             return f"it would take more than {MOST_STEPS} steps"
@@ -143,10 +166,10 @@ class Refinement:
             needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
         return np.clip(np.ceil(np.nan_to_num(needed, nan=PARTS, posinf=PARTS)), 1, PARTS).astype(int)
 
-    def _raised(self, solution: Solution, parts: np.ndarray) -> Method:
-        """The method with more stages, where most steps are too long."""
+    def _raised(self, parts: np.ndarray) -> Method:
+        """The method with one stage more, where most steps are too long."""
         method = self.method
-        if isinstance(method, Gauss) and method.stages < MOST_STAGES and 2 * np.sum(parts > 1) > len(parts):
+        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
             return Gauss(method.stages + 1, method.retraction)
         return method
 
@@ -155,8 +178,6 @@ class Refinement:
 
         def near(asked: Any, found: Any) -> Any:
             return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
-
-        import jax
 
         parameters = jax.tree.map(near, self.asked.parameters, solution.parameters, is_leaf=is_free)
         return self.asked._replace(horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters)
@@ -182,7 +203,7 @@ class Refinement:
     def _in_arcs(
         self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
     ) -> tuple[Solution, ControlStructure]:
-        """The solution in arcs with steps of these lengths, and its structure; without success if a switch is at a wrong place."""
+        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place."""
         horizon, key = self._horizon(guess), structure.sides.tobytes()
         if key not in self._arcs:
             self._arcs[key] = Arcs(self.problem, structure.sides, horizon, abs(guess.cost) / guess.horizon or 1.0)

@@ -1,4 +1,4 @@
-"""The error of each step of a discrete solution by itself: of its states, its controls, and of inequalities between the points."""
+"""The error of each step of a discrete solution by itself: of states, controls, and of inequalities between the points."""
 
 from functools import cached_property
 from typing import Any, NamedTuple, final
@@ -27,9 +27,10 @@ class StepErrors(NamedTuple):
     ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative to the
     spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step from that through
     the stages of a neighbour too, at the ends of the step and relative to the size of the controls, times the share of the step
-    in the horizon; by as much the cost is too large where it is curved in the controls. ``violations``: of each of the
-    inequalities the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not
-    depend on the controls, relative to the largest value.
+    in the horizon; by as much the cost is too large where the Hamiltonian is curved in the controls. Times the share once more
+    for one in which it is linear, where a switch anywhere in the step costs as much. ``violations``: of each of the inequalities
+    the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not depend on the
+    controls, relative to the largest value.
     """
 
     states: np.ndarray
@@ -77,7 +78,8 @@ class Estimator:
         """The errors; controls may jump at the nodes that are ``switches``."""
         with one_reading(), np.errstate(all="ignore"):
             inequalities, violations = self._inequalities(solution, parameters)
-            return StepErrors(self._states(solution, parameters), self._controls(solution, switches), inequalities, violations)
+            controls = self._controls(solution, parameters, switches)
+            return StepErrors(self._states(solution, parameters), controls, inequalities, violations)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
         own = solution.times, solution.states, solution.stage_times, solution.controls
@@ -95,7 +97,7 @@ class Estimator:
             gaps[:, place][gaps[:, place] <= ROUNDING * size] = 0.0  # which no mesh mends
         return np.max(np.where(gaps > 0, gaps / np.where(spreads > 0, spreads, 1.0), 0.0), axis=1, initial=0.0)
 
-    def _controls(self, solution: Solution, switches: np.ndarray | None) -> np.ndarray:
+    def _controls(self, solution: Solution, parameters: Any, switches: np.ndarray | None) -> np.ndarray:
         times, count = solution.times, solution.steps
         rows = self.propagator.control.rows(solution.controls, 1).reshape(count, -1, self.propagator.control.size)
         at = solution.stage_times.reshape(count, -1)
@@ -103,14 +105,27 @@ class Estimator:
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
+        share = np.diff(times) / (times[-1] - times[0])
+        weights = np.where(self._is_linear(solution, parameters), share[:, None] ** 2, share[:, None])
         found = np.full(count, np.inf)
         for own, other in ((k, k + 1), (k + 1, k)):
             ends = np.stack([times[own], times[own + 1]], axis=1)
             alone = _through(at[own], rows[own], ends)
             both = _through(np.concatenate([at[own], at[other]], 1), np.concatenate([rows[own], rows[other]], 1), ends)
-            apart = np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=(1, 2), initial=0.0)
-            found[own] = np.minimum(found[own], apart)
-        return found**2 * np.diff(times) / (times[-1] - times[0])
+            apart = np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=1)
+            found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
+        return found
+
+    def _is_linear(self, solution: Solution, parameters: Any) -> np.ndarray:
+        """Whether the Hamiltonian is linear in each entry of the control, and in all together; on a curved space it is not."""
+        state, control = self.propagator.state, self.propagator.control
+        if not isinstance(self.problem.controls, Euclidean):
+            return np.zeros(control.size, bool)
+        layouts = (state, solution.stage_states), (state, solution.stage_costates), (control, solution.controls)
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        rows = (layout.rows(points, 1) for layout, points in layouts)
+        (curvatures,) = self._curvatures(*rows, solution.stage_times[:, None], given[None])
+        return np.max(curvatures, axis=0) == 0  # exactly: no entry of the control is in the derivative
 
     def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         if not self.problem.limits.any or solution.interpolant is None:
@@ -133,6 +148,21 @@ class Estimator:
     def _limits(self) -> Evaluated:
         sizes = self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
         return Automatic().values(self._limits_of, *sizes)
+
+    @cached_property
+    def _curvatures(self) -> Evaluated:
+        sizes = self.propagator.state.size, self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
+        return Automatic().values(self._curvatures_of, *sizes)
+
+    def _curvatures_of(self, q: Array, p: Array, u: Array, time: Array, parameters: Array) -> tuple[Array]:
+        """Sums of the sizes of the second derivatives of the Hamiltonian by the controls."""
+        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        layout = self.propagator.state
+
+        def hamiltonian(u: Array) -> Array:
+            return bound.hamiltonian(layout.point(q), layout.point(p), self.propagator.control.point(u))
+
+        return (jnp.sum(jnp.abs(jax.hessian(hamiltonian)(u)), axis=1),)
 
     def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
         """The inequalities, and sums of the sizes of their derivatives by the controls."""
