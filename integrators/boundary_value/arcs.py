@@ -11,11 +11,14 @@ from jaxtyping import Array
 from ..constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
 from ..free import Free, is_free
 from ..problem import OptimalControlProblem
-from .engine.evaluator import Automatic
+from .arguments import structure_of
+from .engine.chart import lagrange
+from .engine.evaluator import Automatic, Evaluated
 from .engine.layout import Layout, parameter_layout
 from .guess import Guess
 from .solution import Solution
 
+FINER = 4  # for each stage: where the signs of switching functions are looked at
 OWN, DURATIONS, LAST = "own", "durations", "duration of the last arc"
 
 
@@ -44,6 +47,8 @@ class Arcs:
     def __init__(self, problem: OptimalControlProblem, sides: np.ndarray, horizon: Any, unit: float) -> None:
         self.own, self.horizon, self.unit, self.count = problem, horizon, unit, len(sides)
         lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._slope: dict[Any, Evaluated] = {}
         self.sides, self.fixed = sides, (sides != 0).astype(float)
         self.values = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))
         both = np.isfinite(lower) & np.isfinite(upper)
@@ -95,8 +100,8 @@ class Arcs:
         """The arc to which a time belongs."""
         return np.clip(np.floor(tau).astype(int), 0, self.count - 1)
 
-    def solution(self, found: Solution) -> tuple[Solution, np.ndarray]:
-        """The solution of the problem, and the switching functions: ``d(<p, X> - F)/du`` at the stages, shape (N s, m)."""
+    def solution(self, found: Solution) -> Solution:
+        """The solution of the problem, with the multipliers of bounds that switching functions ``d(<p, X> - F)/du`` are."""
         durations = np.asarray(self.durations(found.parameters[DURATIONS]))
         ends = np.concatenate([[0.0], np.cumsum(durations)])
         arc, rates = self.arc(found.stage_times), durations[self.arc(found.stage_times)]
@@ -124,36 +129,60 @@ class Arcs:
                 hamiltonian_size=checks.hamiltonian_size / size,
             ),
         )
-        slopes = self._slopes(solution, multipliers)
+        along = solution.stage_states, solution.stage_costates, solution.controls, solution.stage_times
+        slopes = self._slopes(along, multipliers, own)
         for name, sign in ((LOWER, -1), (UPPER, 1)):
             if name in multipliers:
                 held = np.maximum(sign * slopes, 0.0)
                 multipliers[name] = np.where(
                     self.sides[arc] == sign, held, np.where(self.sides[arc] == 0, multipliers[name], 0.0)
                 )
-        return replace(solution, multipliers=multipliers), slopes
+        return replace(solution, multipliers=multipliers)
 
-    def _slopes(self, solution: Solution, multipliers: dict[str, np.ndarray]) -> np.ndarray:
-        """The switching functions at the stages, with the share of the constraints."""
-        state, control = Layout.of(self.own.manifold), Layout.of(self.own.controls)
-        parameter = parameter_layout(solution.parameters)
-        names = self.own.limits.names
-        held = np.concatenate([np.zeros((len(solution.stage_times), 0)), *(multipliers[name] for name in names)], axis=1)
+    def lack(self, solution: Solution, arcs: np.ndarray) -> float:
+        """By how much the cost falls, to first order and relative to it, if controls leave bounds to which nothing pulls them.
 
+        ``int max(-side d(<p, X> - F)/du, 0) room dt`` along the polynomials of the steps, of which ``arcs`` are the arcs.
+        """
+        interpolant: Any = solution.interpolant
+        stages = len(solution.stage_times) // solution.steps
+        places = (np.arange(FINER * stages) + 0.5) / (FINER * stages)
+        found = interpolant.within(solution, places)
+        rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.multipliers.items()}
+        at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
+        shares = lagrange(at, places)
+        own = {name: np.einsum("is,ksc->kic", shares, values).reshape(-1, values.shape[2]) for name, values in rows.items()}
+        flat = (
+            jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), part) for part in (found.states, found.costates, found.controls)
+        )
+        slopes = self._slopes((*flat, found.times.ravel()), own, solution.parameters).reshape(*found.times.shape, -1)
+        wrong = np.mean(np.maximum(-self.sides[arcs][:, None] * slopes, 0.0), axis=1) @ self.room
+        return float(np.diff(solution.times) @ wrong / (self.unit * (solution.times[-1] - solution.times[0])))
+
+    def _slopes(self, along: tuple[Any, Any, Any, np.ndarray], multipliers: dict[str, np.ndarray], parameters: Any) -> np.ndarray:
+        """The switching functions with the share of the constraints, at states, costates, controls and times in a row."""
+        parameter = parameter_layout(parameters)
+        held = np.concatenate([np.zeros((len(along[3]), 0)), *(multipliers[name] for name in self.own.limits.names)], axis=1)
+        key = structure_of(parameters), held.shape[1]
+        if key not in self._slope:
+            self._slope[key] = self._slope_of(parameter, held.shape[1])
+        given = parameter.rows(parameters, 0) if parameter.size else np.zeros(0)
+        layouts = self.state, self.state, self.control
+        rows = (layout.rows(points, 1) for layout, points in zip(layouts, along, strict=False))
+        return self._slope[key](*rows, along[3][:, None], held, given[None])[0]
+
+    def _slope_of(self, parameter: Layout, count: int) -> Evaluated:
         def slope(q: Array, p: Array, u: Array, time: Array, nu: Array, parameters: Array) -> tuple[Array]:
             bound = self.own.with_parameters(parameter.point(parameters)).at_time(time[0])
-            point, covector = state.point(q), state.point(p)
+            point, covector = self.state.point(q), self.state.point(p)
 
             def hamiltonian(u: Array) -> Array:
-                values = [jnp.zeros(0), *bound.limits.of_functions(point, control.point(u))]
-                return bound.hamiltonian(point, covector, control.point(u)) - nu @ jnp.concatenate(values)
+                values = [jnp.zeros(0), *bound.limits.of_functions(point, self.control.point(u))]
+                return bound.hamiltonian(point, covector, self.control.point(u)) - nu @ jnp.concatenate(values)
 
             return (jax.grad(hamiltonian)(u),)
 
-        sizes = state.size, state.size, control.size, 1, held.shape[1], parameter.size
-        given = parameter.rows(solution.parameters, 0) if parameter.size else np.zeros(0)
-        rows = state.rows(solution.stage_states, 1), state.rows(solution.stage_costates, 1), control.rows(solution.controls, 1)
-        return Automatic().values(slope, *sizes)(*rows, solution.stage_times[:, None], held, given[None])[0]
+        return Automatic().values(slope, self.state.size, self.state.size, self.control.size, 1, count, parameter.size)
 
     def _arc(self, tau: Array, given: Any) -> _Arc:
         durations = self.durations(given[DURATIONS])

@@ -16,17 +16,17 @@ from .arguments import Method, fractions_of
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
-from .solution import Solution
+from .solution import RegularChecks, Solution
 from .solver import Solver
 from .step_errors import Estimator, StepErrors
 from .structure import ControlStructure, control_structure
 
+ROUNDING = float(np.finfo(float).eps)
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
-SIGN = 1e-6  # relative to a switching function: a wrong sign that is none
 AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
 
@@ -79,14 +79,14 @@ class Refinement:
         best = self._switched(self._judged(solution))
         slow, why = 0, f"of the limit of {ROUNDS} refinements"
         for _ in range(ROUNDS):
-            if self.error(best.errors) <= self.accuracy:
+            if self.error(best) <= self.accuracy:
                 return self._recorded(best, "")
             found = self._refined(best)
             if isinstance(found, str):
                 why = found
                 break
             found = self._switched(found)
-            slow = slow + 1 if self.error(found.errors) > SLOW * self.error(best.errors) else 0
+            slow = slow + 1 if self.error(found) > SLOW * self.error(best) else 0
             best = found
             if slow == PATIENCE:
                 why = "it no longer shrinks as the steps do"
@@ -105,9 +105,11 @@ class Refinement:
                 return coarse
         return first
 
-    def error(self, errors: StepErrors) -> float:
-        """The sum of the errors of the steps, or the largest violation of an inequality."""
-        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities)))
+    def error(self, found: _Found) -> float:
+        """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than rounding."""
+        errors, checks = found.errors, found.solution.checks
+        left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
+        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, ROUNDING))
 
     def _on(self, problem: OptimalControlProblem, method: Method, steps: Any, asked: Asked) -> Solution:
         """The solution on a mesh, by a solver that is traced once for each number of stages."""
@@ -184,9 +186,11 @@ class Refinement:
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
-        if found.structure is not None or not any(self.problem.limits.bounded.values()):
+        if not any(self.problem.limits.bounded.values()):
             return found
-        structure = control_structure(self.problem, found.solution)
+        structure, known = control_structure(self.problem, found.solution), found.structure
+        if known is not None and np.array_equal(known.sides, structure.sides):
+            return found
         try:
             while structure.jumps:
                 arcs, lengths = _arc_mesh(structure, found.solution)
@@ -221,12 +225,11 @@ class Refinement:
         found = self._on(posed.problem, self.method, fractions, asked)
         if not found.success:
             return found, structure
-        solution, slopes = posed.solution(found)
+        solution = posed.solution(found)
         durations = posed.durations(found.parameters[DURATIONS])
         times = np.concatenate([[0.0], np.cumsum(durations)])
         lasting = structure._replace(times=times).without_vanished()
-        signs = np.min(slopes * posed.sides[posed.arc(found.stage_times)], axis=0)
-        right = np.all(signs >= -SIGN * np.max(np.abs(slopes), axis=0))
+        right = lasting.arcs < structure.arcs or posed.lack(solution, arcs) <= self.accuracy
         return replace(solution, success=bool(right)), lasting
 
     def _horizon(self, solution: Solution) -> Any:
@@ -243,7 +246,7 @@ class Refinement:
         solution, errors = found.solution, found.errors
         checks: Any = solution.checks
         between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
-        checks = replace(checks, error=self.error(errors), between=between)
+        checks = replace(checks, error=self.error(found), between=between)
         statistics = type(solution.statistics)(*self._effort)
         if not why:
             return replace(solution, checks=checks, statistics=statistics)
@@ -251,7 +254,7 @@ class Refinement:
         begin, end = solution.times[worst], solution.times[worst + 1]
         result = (
             f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error is "
-            f"{self.error(errors):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
+            f"{self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
         )
         return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
 

@@ -26,9 +26,10 @@ class StepErrors(NamedTuple):
 
     ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative to the
     spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step from that through
-    the stages of a neighbour too, at the ends of the step and relative to the size of the controls, times the share of the step
-    in the horizon; by as much the cost is too large where the Hamiltonian is curved in the controls. Times the share once more
-    for one in which it is linear, where a switch anywhere in the step costs as much. ``violations``: of each of the inequalities
+    the stages of a neighbour too, or from that of the neighbour, at the ends of the step and relative to the size of the
+    controls, times the share of the step in the horizon; by as much the cost is too large where the Hamiltonian is curved in the controls. Times the share once more
+    for one in which it is linear, where a switch anywhere in the step costs as much. No less than the squared relative excess
+    over a limit that depends on the controls, times the share. ``violations``: of each of the inequalities
     the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not depend on the
     controls, relative to the largest value.
     """
@@ -77,9 +78,12 @@ class Estimator:
     def __call__(self, solution: Solution, parameters: Any = None, switches: np.ndarray | None = None) -> StepErrors:
         """The errors; controls may jump at the nodes that are ``switches``."""
         with one_reading(), np.errstate(all="ignore"):
-            inequalities, violations = self._inequalities(solution, parameters)
-            controls = self._controls(solution, parameters, switches)
-            return StepErrors(self._states(solution, parameters), controls, inequalities, violations)
+            excess, free, violations = self._inequalities(solution, parameters)
+            share = np.diff(solution.times) / (solution.times[-1] - solution.times[0])
+            over = share * np.max(excess[:, ~free], axis=1, initial=0.0) ** 2
+            controls = np.maximum(self._controls(solution, parameters, switches), over)
+            alone = np.max(excess[:, free], axis=1, initial=0.0)
+            return StepErrors(self._states(solution, parameters), controls, alone, violations)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
         own = solution.times, solution.states, solution.stage_times, solution.controls
@@ -114,6 +118,10 @@ class Estimator:
             both = _through(np.concatenate([at[own], at[other]], 1), np.concatenate([rows[own], rows[other]], 1), ends)
             apart = np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=1)
             found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
+        ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
+        jumps = np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, size, 1.0)
+        for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
+            found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
         return found
 
     def _is_linear(self, solution: Solution, parameters: Any) -> np.ndarray:
@@ -127,9 +135,10 @@ class Estimator:
         (curvatures,) = self._curvatures(*rows, solution.stage_times[:, None], given[None])
         return np.max(curvatures, axis=0) == 0  # exactly: no entry of the control is in the derivative
 
-    def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The largest excess of each step over each inequality, relative; which are free of the controls; and in their units."""
         if not self.problem.limits.any or solution.interpolant is None:
-            return np.zeros(solution.steps), {}
+            return np.zeros((solution.steps, 0)), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1))
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
@@ -141,8 +150,8 @@ class Estimator:
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes)
         size = np.max(np.abs(values), axis=(0, 1))
         free = np.max(np.abs(slopes), axis=(0, 1)) == 0
-        relative = np.max(excess, axis=1)[:, free] / np.where(size > 0, size, 1.0)[free]
-        return np.max(relative, axis=1, initial=0.0), {name: np.max(rows, axis=1) for name, rows in violations.items()}
+        relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
+        return relative, free, {name: np.max(rows, axis=1) for name, rows in violations.items()}
 
     @cached_property
     def _limits(self) -> Evaluated:

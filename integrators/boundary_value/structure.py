@@ -74,12 +74,19 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
     sides = np.where(u - lower < AT_BOUND * room, -1, np.where(upper - u < AT_BOUND * room, 1, 0))
     stages = len(u) // solution.steps
     runs = [_runs(side, column, stages) for side, column in zip(sides.T, (u / room).T, strict=True)]
-    switches = [[(solution.stage_times[a.end - 1] + solution.stage_times[b.begin]) / 2 for a, b in pairwise(own)] for own in runs]
+    switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(own)] for own in runs]
     first, last = solution.times[[0, -1]]
     times = np.unique(np.concatenate([[first, last], *map(np.array, switches)]))
     middles = (times[1:] + times[:-1]) / 2
     found = [np.array([run.side for run in own])[np.searchsorted(at, middles)] for own, at in zip(runs, switches, strict=True)]
     return ControlStructure(times, np.stack(found, axis=1))
+
+
+def _between(solution: Solution, before: int, after: int) -> float:
+    """A time between two stages: the node if there is one, else the middle."""
+    begin, end = solution.stage_times[[before, after]]
+    nodes = solution.times[(solution.times > begin) & (solution.times < end)]
+    return float(nodes[0]) if len(nodes) == 1 else float(begin + end) / 2
 
 
 def _runs(sides: np.ndarray, u: np.ndarray, stages: int) -> list[_Run]:
