@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from .boundary_value import (
     Checks,
     Continuation,
+    ControlStructure,
     Derivative,
     DiscretizationError,
     Extremal,
@@ -23,11 +24,14 @@ from .boundary_value import (
     Solutions,
     Solver,
     Statistics,
+    StepErrors,
     continuation,
+    control_structure,
     default_guess,
     discretization_error,
     load_solution,
     solve,
+    step_errors,
 )
 from .dirac import DiracIntegrator, DiracSystem
 from .free import Free
@@ -79,6 +83,7 @@ __all__ = [
     "Composition",
     "Continuation",
     "ControlStage",
+    "ControlStructure",
     "Derivative",
     "DiracIntegrator",
     "DiracSystem",
@@ -105,11 +110,13 @@ __all__ = [
     "Solver",
     "Stage",
     "Statistics",
+    "StepErrors",
     "Stratum",
     "SymplecticIntegrator",
     "Trajectory",
     "classify",
     "continuation",
+    "control_structure",
     "default_guess",
     "discretization_error",
     "form_defect",
@@ -119,6 +126,7 @@ __all__ = [
     "load_trajectory",
     "singular_integrator",
     "solve",
+    "step_errors",
 ]
 
 

@@ -8,10 +8,13 @@ from .sensitivity import Derivative, Sensitivity
 from .solution import Checks, RegularChecks, SingularArc, SingularChecks, Solution, Solutions, Statistics, load_solution
 from .solve import solve
 from .solver import Solver
+from .step_errors import StepErrors, step_errors
+from .structure import ControlStructure, control_structure
 
 __all__ = [
     "Checks",
     "Continuation",
+    "ControlStructure",
     "Derivative",
     "DiscretizationError",
     "Extremal",
@@ -24,9 +27,12 @@ __all__ = [
     "Solutions",
     "Solver",
     "Statistics",
+    "StepErrors",
     "continuation",
+    "control_structure",
     "default_guess",
     "discretization_error",
     "load_solution",
     "solve",
+    "step_errors",
 ]

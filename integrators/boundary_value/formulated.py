@@ -38,6 +38,13 @@ class Formulated:
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
+    def on(self, reader: MemberReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
+        """The same on another mesh."""
+        other = Formulated(reader, self.method, make)
+        other._made = {kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()}
+        other._found = self._found
+        return other
+
     def of(self, horizon: Any, parameters: Any) -> tuple[Formulation, Any]:
         """The formulation for a horizon and parameters, and its solver."""
         kind = Kind.of(horizon, parameters)

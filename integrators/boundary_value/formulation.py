@@ -244,7 +244,7 @@ class Formulation:
                 names.append(name)
                 functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
                 begin += len(entries)
-        return Inequalities(own.lower, own.upper, (*own.names, *names), tuple(functions), frozenset(names))
+        return Inequalities(own.lower, own.upper, (*own.names, *names), tuple(functions), own.at_first | frozenset(names))
 
     def _limit(self, place: int) -> Callable:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:

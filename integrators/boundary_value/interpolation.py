@@ -121,6 +121,21 @@ class Interpolant:
         q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
         return Sample(times, q, u, p)
 
+    def within(self, record: "Solution", places: np.ndarray) -> Sample:
+        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own controls.
+
+        Entries are NaN where a step does not fit into a chart.
+        """
+        count = len(record.times) - 1
+        each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
+        with one_reading(), np.errstate(all="ignore"):
+            rows = self._evaluated(self._steps(record, np.arange(count)), each, at)
+        q, p, u = (
+            layout.points(a.reshape(count, len(places), -1))
+            for layout, a in zip((self.state, self.state, self.control), rows, strict=True)
+        )
+        return Sample(record.times[each].reshape(count, -1) + np.outer(np.diff(record.times), places), q, u, p)
+
     def _steps(self, record: "Solution", k: np.ndarray) -> _Step:
         """The steps of these numbers."""
         count = len(record.times) - 1

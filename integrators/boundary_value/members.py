@@ -1,6 +1,7 @@
 """The members of a batch: what each trajectory is asked for, checked, in flat arrays."""
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from numbers import Number
 from typing import Any, NamedTuple, final
@@ -104,6 +105,12 @@ class MemberReader:
         self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
         self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, Layout] = {}
+
+    def on(self, mesh: Mesh) -> "MemberReader":
+        """The same on another mesh."""
+        other = copy(self)
+        other.mesh, other.guesses = mesh, GuessReader(self.problem, len(mesh.fractions), len(mesh.stages))
+        return other
 
     def one(self, asked: Asked) -> Members:
         """A single trajectory."""

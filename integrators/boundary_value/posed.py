@@ -27,7 +27,7 @@ class Traced(NamedTuple):
     steps: OneStage | Collocation
     nodes: Nodes
     diagnosis: Diagnosis
-    asked: np.ndarray | None  # 1 at the points where an inequality is to hold, else 0, if there are any
+    mask: Callable[..., np.ndarray] | None  # of so many steps and stages: where each inequality holds, if there are any
     named: Callable[[np.ndarray], dict[str, np.ndarray]]  # what belongs to the inequalities, along the last axis, by their names
 
 
@@ -52,6 +52,12 @@ class Posing:
         self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()  # of all stages, fractions of the horizon
         self._found: dict[Any, Traced] = {}
 
+    def on(self, fractions: np.ndarray) -> "Posing":
+        """The same on another mesh; what is traced serves both."""
+        other = Posing(self.problem, self.method, fractions, self.evaluator)
+        other._found, other._start = self._found, self._start
+        return other
+
     def traced(self, parameters: Any) -> Traced:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
@@ -64,10 +70,10 @@ class Posing:
             else:
                 method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
                 steps = OneStage(self.problem, method, *given[1:])
-            shape = len(self.fractions), len(self.stages)
-            asked = example.inequality_mask(*shape).astype(float) if example.limits.any else None
-            named = partial(example.limits.by_name, sizes=example.inequality_sizes)
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), asked, named)
+            sizes = example.inequality_sizes
+            mask = partial(example.limits.mask, sizes) if example.limits.any else None
+            named = partial(example.limits.by_name, sizes=sizes)
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named)
         return self._found[key]
 
     def of(self, members: Members) -> Traced:
@@ -79,7 +85,8 @@ class Posing:
         traced, ends = self.of(members), members.ends
         shape = len(members), self.state.size
         rows = np.broadcast_to(ends.start, shape), np.broadcast_to(ends.end, shape)
-        asked = None if traced.asked is None else np.broadcast_to(traced.asked, (len(members), *traced.asked.shape))
+        asked = None if traced.mask is None else traced.mask(len(self.fractions), len(self.stages)).astype(float)
+        asked = None if asked is None else np.broadcast_to(asked, (len(members), *asked.shape))
         data = Data(members.horizons[:, None] * self.fractions, members.rows, asked)
         first, last = ends.prescribed
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)

@@ -63,7 +63,7 @@ def discretization_error(
     ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
     manifold, and ``InvalidInputError`` if parameters are missing.
     """
-    problem.require_treated("discretization_error", "control bounds", "constraints", "an initial cost")
+    problem.require_treated("discretization_error", "control bounds", "constraints", "an initial cost", "an explicit time")
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
@@ -72,6 +72,7 @@ def discretization_error(
 class _Given(NamedTuple):
     """A discrete solution: N steps from N + 1 states, with s stages each; flat points, and coordinates of controls."""
 
+    begins: np.ndarray  # (N,): times
     steps: np.ndarray  # (N,)
     states: np.ndarray  # (N + 1, E)
     frames: np.ndarray  # (N + 1, n, E)
@@ -110,7 +111,7 @@ class Propagator:
         self._frame = values(self._frame_of, self.state.size)
         self._chart = values(self._chart_of, self.state.size, n)
         self._offset = values(self._offset_of, self.control.size, self.control.size)
-        self._rate = values(self._rate_of, self.state.size, n, self.control.size, m, self.parameter.size)
+        self._rate = values(self._rate_of, self.state.size, n, self.control.size, m, 1, self.parameter.size)
 
     def discretization_error(
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
@@ -125,6 +126,26 @@ class Propagator:
             ways = _AtOnce(self, given), partial(self.in_turn, given)
             found = next(filter(None, (self._refined(given, way) for way in ways)), None)
             return self._infinite(given) if found is None else found
+
+    def gaps(
+        self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
+    ) -> np.ndarray:
+        """Where the controls of each step lead from its own first state, minus its last one: flat, shape (N, E).
+
+        Infinite where they lead nowhere. The parts of the steps are halved until this changes nothing.
+        """
+        given = self._given(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
+        k, parts = np.arange(len(given.steps)), 1
+        rest = np.zeros((len(k), len(given.scales)))
+        with np.errstate(all="ignore"):
+            ends, change = self.ends(given, k, given.states[:-1], rest, parts), np.inf
+            while parts < FINEST and np.any(change > RELATIVE):
+                parts, coarse, ends = 2 * parts, ends, self.ends(given, k, given.states[:-1], rest, 2 * parts)
+                size = np.max(np.abs(ends - given.states[1:]), axis=1)
+                size = np.maximum(size, ROUNDING * np.max(np.abs(given.states), initial=0.0))
+                change = np.max(np.abs(ends - coarse), axis=1) / size
+        gaps = ends - given.states[1:]
+        return np.where(np.isfinite(gaps), gaps, np.inf)
 
     def _given(self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any) -> _Given:
         steps, rows = np.diff(times), self.state.rows(states, 1)
@@ -143,7 +164,7 @@ class Propagator:
         scales = np.where(scales > 0, scales, 1.0)
         offsets = offsets.reshape(len(steps), stages, -1)
         given = self.parameter.rows(parameters, 0)[None] if self.parameter.size else np.zeros((1, 0))
-        return _Given(steps, rows, frames, scales, places, bases, offsets, given)
+        return _Given(times[:-1], steps, rows, frames, scales, places, bases, offsets, given)
 
     def _refined(self, given: _Given, propagate: Callable[[int], np.ndarray | None]) -> DiscretizationError | None:
         """The error by finer and finer parts of the steps; None if a propagation fails."""
@@ -189,7 +210,8 @@ class Propagator:
             for i in range(STAGES):
                 offset = offsets @ lagrange(given.places, (part + PLACES[i]) / parts)
                 stage = c + step * (TABLE[i, :i] @ slopes[:i]).reshape(c.shape)
-                slopes[i] = self._rate(x, stage, bases, offset, given.parameters)[0].ravel()
+                time = given.begins[k, None] + step * (part + PLACES[i])
+                slopes[i] = self._rate(x, stage, bases, offset, time, given.parameters)[0].ravel()
             c = c + step * (WEIGHTS @ slopes).reshape(c.shape)
         return self.points(x, c)
 
@@ -211,8 +233,8 @@ class Propagator:
         v = default_retraction(controls).preimage(u, self.control.point(control))
         return (vec.components(controls.basis(u), v),)
 
-    def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, parameters: Array) -> tuple[Array]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
+    def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, time: Array, parameters: Array) -> tuple[Array]:
+        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         u = self.problem.steer(self.control.point(base), offset)
         (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
         (columns,) = jax.vmap(push)(jnp.eye(c.size))

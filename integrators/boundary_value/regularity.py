@@ -24,6 +24,12 @@ class Regularity:
         self._posing, self.refusal = posing, refusal
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
+    def on(self, posing: Posing) -> "Regularity":
+        """The same on another mesh; what is found out serves both."""
+        other = Regularity(posing, self.refusal)
+        other._classes = self._classes
+        return other
+
     def classification(self, members: Members, k: int = 0) -> Classification | None:
         """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved with."""
         key, values = self._key(members), members.rows[k].tobytes()

@@ -27,6 +27,10 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
+    if isinstance(checks, RegularChecks) and checks.error is not None:
+        yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
+        for name, largest in checks.between.items():
+            yield "", f"{name}: violated between the stages by up to {largest:.1e}"
     if solution.multipliers and isinstance(checks, RegularChecks):
         held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
         yield "inequalities", held

@@ -93,12 +93,15 @@ class RegularChecks(Checks):
     ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem conserves
     by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the Hessian is
     positive definite on the null space of the constraints. ``violation`` of the inequalities and ``complementarity``: largest
-    product of a multiplier and its inequality, both at the stages and relative.
+    product of a multiplier and its inequality, both at the stages and relative. If an accuracy was asked for: ``error``, the sum
+    of the relative errors of the steps, and the largest violations ``between`` the stages, by the names of the inequalities.
     """
 
     strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
     violation: float = 0.0
     complementarity: float = 0.0
+    error: float | None = None
+    between: dict[str, float] = field(default_factory=dict)
 
 
 @final

@@ -11,6 +11,8 @@ from ..singular import Classification, SingularIntegrator
 from .arguments import Method
 from .engine.newton import Iteration
 from .guess import Guess
+from .members import Asked
+from .refinement import Refinement
 from .solution import Solution
 from .solver import Solver
 
@@ -33,6 +35,7 @@ def solve(
     parameters: Any = None,
     callback: Callable[[Iteration], Any] | None = None,
     verbose: bool = False,
+    accuracy: float | None = None,
 ) -> Solution:
     """Solve an optimal control problem between two boundary conditions over ``[0, horizon]`` with ``steps`` steps.
 
@@ -52,5 +55,9 @@ def solve(
     require_concrete("solve", start, end, horizon, problem, guess, parameters)
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
     choice = {"classification": classification, "integrator": integrator}
+    if accuracy is not None:
+        asked = Asked(start, end, horizon, guess, parameters)
+        found = Refinement(problem, discretization, asked, accuracy, {**options, **choice}).solve(steps)
+        return found.require_success() if throw else found
     solver = Solver(problem, discretization, steps)
     return solver.solve(start, end, horizon, guess, parameters, throw=throw, **options, **choice)

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from typing import Any, NamedTuple, cast, final
 from weakref import WeakKeyDictionary
@@ -89,6 +90,16 @@ class Solver:
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
         solver._regularity.refusal = SINGULAR
         return solver
+
+    def with_steps(self, steps: Any) -> "Solver":
+        """A solver in other steps that shares with this one what is traced, and whose solutions both know."""
+        other = copy(self)
+        other.fractions = fractions_of(steps)
+        other._posing = self._posing.on(other.fractions)
+        other._reader = self._reader.on(self._reader.mesh._replace(fractions=other.fractions))
+        other._formulated = self._formulated.on(other._reader, other._inner, steps)
+        other._regularity = self._regularity.on(other._posing)
+        return other
 
     @property
     def steps(self) -> int:

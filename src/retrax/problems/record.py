@@ -26,7 +26,8 @@ class KnownProblem:
     are, with units and frames; ``time`` and ``cost`` are units.
 
     ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and ``origin`` says
-    how. ``formula``: the optimum in closed form. ``error``: how near to the optimum the method comes with these steps, relative
+    how. ``formula``: the optimum in closed form. ``accuracy``: what is asked of ``solve``, where its steps do not fit the problem
+    from the beginning. ``error``: how near to the optimum the method comes with these steps, relative
     to it, or absolutely where it is zero.
     """
 
@@ -48,6 +49,7 @@ class KnownProblem:
     steps: Any = 20
     method: Method | None = None
     path: Path | None = None
+    accuracy: float | None = None
     error: float = 1e-8
 
     @property
@@ -65,7 +67,7 @@ class KnownProblem:
     def solve(self, steps: Any = None, discretization: Method | None = None, **options: Any) -> Solution:
         """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the record's."""
         posed = replace(self, steps=self.steps if steps is None else steps, method=discretization or self.method)
-        given = {"guess": posed.guess, **options}
+        given = {"guess": posed.guess, "accuracy": self.accuracy, **options}
         return solve(self.problem, posed.discretization, self.start, self.end, self.horizon, posed.steps, **given)
 
     def distance(self, cost: float) -> float:

@@ -1,0 +1,266 @@
+"""Meshes that are refined until a solution has the accuracy that is asked for."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
+
+import jax
+import numpy as np
+
+from ...manifolds import InvalidInputError, RetraxError
+from ...manifolds.numerics.ambient import is_finite_number
+from ...retractions import Gauss
+from ..free import Free, is_free
+from ..problem import OptimalControlProblem
+from .arcs import DURATIONS, Arcs
+from .arguments import Method, fractions_of
+from .guess import Guess
+from .members import Asked
+from .resampling import Mesh
+from .solution import RegularChecks, Solution
+from .solver import Solver
+from .step_errors import Estimator, StepErrors
+from .structure import ControlStructure, control_structure
+
+ROUNDING = float(np.finfo(float).eps)
+ROUNDS = 25  # of refinement
+MOST_STEPS, MOST_STAGES = 5000, 6
+FEWEST = 5  # steps of a mesh to begin with
+PARTS = 4  # of a step, at most
+SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
+AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
+
+
+class _Found(NamedTuple):
+    """A solution with its errors; of one in arcs, the structure and the arc of each step."""
+
+    solution: Solution
+    errors: StepErrors
+    structure: ControlStructure | None = None
+    arcs: np.ndarray | None = None  # (N,)
+
+    @property
+    def switches(self) -> np.ndarray | None:
+        """The nodes at which controls may jump."""
+        return None if self.arcs is None else np.flatnonzero(np.diff(self.arcs)) + 1
+
+
+@final
+@dataclass(eq=False)
+class Refinement:
+    """Solves a problem on meshes that are refined where steps err, each from the solution before.
+
+    Where most steps err too much, a Gauss method gets one stage more; where few do, these are divided. Where controls jump from
+    bound to bound, or to a singular arc, the switches become nodes, see ``Arcs``.
+    """
+
+    problem: OptimalControlProblem
+    method: Method
+    asked: Asked
+    accuracy: float
+    options: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        if not (is_finite_number(self.accuracy) and self.accuracy > 0):
+            raise InvalidInputError(f"accuracy must be a positive finite number, got {self.accuracy!r}; try 1e-8")
+        self._solvers: dict[tuple[Any, Any], Solver] = {}
+        self._arcs: dict[bytes, Arcs] = {}
+        self._estimator: Estimator | None = None
+        self._effort, self._most = (0, 0.0, 0.0), MOST_STAGES
+
+    def solve(self, steps: Any) -> Solution:
+        """The solution on the last mesh."""
+        solution = self._first(fractions_of(steps))
+        if not solution.success:
+            return solution
+        if solution.singular is not None:
+            raise InvalidInputError(
+                "the problem is singular, and accuracy is for regular ones, whose steps may be unequal; leave it out"
+            )
+        best = self._switched(self._judged(solution))
+        slow, why = 0, f"of the limit of {ROUNDS} refinements"
+        for _ in range(ROUNDS):
+            if self.error(best) <= self.accuracy:
+                return self._recorded(best, "")
+            found = self._refined(best)
+            if isinstance(found, str):
+                why = found
+                break
+            found = self._switched(found)
+            slow = slow + 1 if self.error(found) > SLOW * self.error(best) else 0
+            best = found
+            if slow == PATIENCE:
+                why = "it no longer shrinks as the steps do"
+                break
+        return self._recorded(best, why)
+
+    def _first(self, fractions: np.ndarray) -> Solution:
+        """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser one."""
+        first = self._on(self.problem, self.method, fractions, self.asked)
+        if first.success or isinstance(self.asked.guess, Guess):  # which belongs to its mesh
+            return first
+        while len(fractions) >= 2 * FEWEST:
+            fractions = np.add.reduceat(fractions, np.arange(0, len(fractions), 2))
+            coarse = self._on(self.problem, self.method, fractions, self.asked)
+            if coarse.success and coarse.checks.strict_minimum:
+                return coarse
+        return first
+
+    def error(self, found: _Found) -> float:
+        """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than rounding."""
+        errors, checks = found.errors, found.solution.checks
+        left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
+        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, ROUNDING))
+
+    def _on(self, problem: OptimalControlProblem, method: Method, steps: Any, asked: Asked) -> Solution:
+        """The solution on a mesh, by a solver that is traced once for each number of stages."""
+        key = id(problem), method
+        if key in self._solvers:
+            solver = self._solvers[key].with_steps(steps)
+        else:
+            solver = self._solvers[key] = Solver(problem, method, steps)
+        solution = solver.solve(*asked, throw=False, **self.options)
+        spent = solution.statistics.iterations, solution.statistics.compile_seconds, solution.statistics.run_seconds
+        self._effort = tuple(a + b for a, b in zip(self._effort, spent, strict=True))
+        return solution
+
+    def _judged(self, solution: Solution, structure: ControlStructure | None = None, arcs: np.ndarray | None = None) -> _Found:
+        if self._estimator is None:
+            self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
+        found = _Found(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
+        return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+
+    def _refined(self, found: _Found) -> "_Found | str":
+        """The solution on a finer mesh, or why there is none."""
+        parts, method = self._parts(found), self.method
+        self.method = self._raised(parts)
+        if self.method is not method:
+            finer = self._finer(found, np.ones_like(parts))
+            if not isinstance(finer, str):
+                return finer
+            self.method, self._most = method, method.stages
+        return self._finer(found, parts)
+
+    def _finer(self, found: _Found, parts: np.ndarray) -> "_Found | str":
+        """The solution with each step in some parts, or why there is none."""
+        solution = found.solution
+        lengths = np.repeat(np.diff(solution.times) / parts, parts)
+        if len(lengths) > MOST_STEPS:
+            return f"it would take more than {MOST_STEPS} steps"
+        try:
+            if found.structure is None or found.arcs is None:
+                finer = self._on(self.problem, self.method, lengths, self._near(solution))
+                arcs, structure = None, None
+            else:
+                structure, arcs = found.structure, np.repeat(found.arcs, parts)
+                finer, structure = self._in_arcs(solution, structure, lengths, arcs)
+        except RetraxError as error:
+            return f"a finer mesh is not to be had: {error}"
+        if not finer.success:
+            return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result}"
+        return self._judged(finer, structure, arcs)
+
+    def _parts(self, found: _Found) -> np.ndarray:
+        """Into how many parts each step is divided."""
+        errors, order = found.errors, 2 * len(found.solution.stage_times) / found.solution.steps
+        each = np.maximum(errors.states, errors.controls)
+        with np.errstate(all="ignore"):
+            needed = (each * len(each) / self.accuracy) ** (1 / order)
+            needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
+        return np.clip(np.ceil(np.nan_to_num(needed, nan=PARTS, posinf=PARTS)), 1, PARTS).astype(int)
+
+    def _raised(self, parts: np.ndarray) -> Method:
+        """The method with one stage more, where most steps are too long."""
+        method = self.method
+        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
+            return Gauss(method.stages + 1, method.retraction)
+        return method
+
+    def _near(self, solution: Solution) -> Asked:
+        """What is asked for, guessed as it was found."""
+
+        def near(asked: Any, found: Any) -> Any:
+            return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
+
+        parameters = jax.tree.map(near, self.asked.parameters, solution.parameters, is_leaf=is_free)
+        return self.asked._replace(horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters)
+
+    def _switched(self, found: _Found) -> _Found:
+        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
+        if not any(self.problem.limits.bounded.values()):
+            return found
+        structure, known = control_structure(self.problem, found.solution), found.structure
+        if known is not None and np.array_equal(known.sides, structure.sides):
+            return found
+        try:
+            while structure.jumps:
+                arcs, lengths = _arc_mesh(structure, found.solution)
+                solution, lasting = self._in_arcs(found.solution, structure, lengths, arcs)
+                if not solution.success:
+                    return found
+                if lasting.arcs == structure.arcs:
+                    return self._judged(solution, lasting, arcs)
+                structure = lasting
+        except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
+            return found
+        return found
+
+    def _in_arcs(
+        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
+    ) -> tuple[Solution, ControlStructure]:
+        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place."""
+        horizon, key = self._horizon(guess), structure.sides.tobytes()
+        if key not in self._arcs:
+            self._arcs[key] = Arcs(self.problem, structure.sides, horizon, abs(guess.cost) / guess.horizon or 1.0)
+        posed = self._arcs[key]
+        each = np.bincount(arcs, lengths)
+        fractions = lengths / each[arcs]
+        stages = np.array(self.method.nodes) if isinstance(self.method, Gauss) else np.array([self.method.theta])
+        mesh = Mesh(fractions, stages, guess.interpolant)  # pyright: ignore[reportArgumentType]
+        nodes, at_stages = mesh.times(1.0)
+        given = posed.guess(guess, structure.times, nodes, at_stages)
+        own = self._near(guess).parameters
+        asked = Asked(
+            self.asked.start, self.asked.end, float(posed.count), given, posed.parameters(np.diff(structure.times), own)
+        )
+        found = self._on(posed.problem, self.method, fractions, asked)
+        if not found.success:
+            return found, structure
+        solution = posed.solution(found)
+        durations = posed.durations(found.parameters[DURATIONS])
+        times = np.concatenate([[0.0], np.cumsum(durations)])
+        lasting = structure._replace(times=times).without_vanished()
+        right = lasting.arcs < structure.arcs or posed.lack(solution, arcs) <= self.accuracy
+        return replace(solution, success=bool(right)), lasting
+
+    def _horizon(self, solution: Solution) -> Any:
+        """The horizon: free, or given, or the bound that holds it."""
+        horizon = self.asked.horizon
+        if is_free(horizon):
+            for bound in (horizon.lower, horizon.upper):
+                if abs(solution.horizon - bound) <= AT_BOUND * solution.horizon:
+                    return bound
+        return horizon
+
+    def _recorded(self, found: _Found, why: str) -> Solution:
+        """The record, with what was spent on all meshes and what is wrong between the points."""
+        solution, errors = found.solution, found.errors
+        checks: Any = solution.checks
+        between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
+        checks = replace(checks, error=self.error(found), between=between)
+        statistics = type(solution.statistics)(*self._effort)
+        if not why:
+            return replace(solution, checks=checks, statistics=statistics)
+        worst = int(np.argmax(errors.each))
+        begin, end = solution.times[worst], solution.times[worst + 1]
+        result = (
+            f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error is "
+            f"{self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
+        )
+        return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
+
+
+def _arc_mesh(structure: ControlStructure, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Equal steps in each arc, about as many as the solution has there, at least two: their arcs, and lengths."""
+    inside = np.histogram(solution.times, structure.times)[0]
+    counts = np.maximum(inside, 2)
+    return np.repeat(np.arange(structure.arcs), counts), np.repeat(np.diff(structure.times) / counts, counts)

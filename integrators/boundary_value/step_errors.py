@@ -1,0 +1,192 @@
+"""The error of each step of a discrete solution by itself: of states, controls, and of inequalities between the points."""
+
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import DomainError, Euclidean, InvalidInputError, Product
+from ...reading import one_reading, reads_once
+from ..problem import OptimalControlProblem
+from .arguments import check_parameters
+from .engine.evaluator import Automatic, Evaluated
+from .engine.transcription import at_points
+from .propagation import ROUNDING, Propagator
+from .solution import Solution
+
+POINTS = 4  # for each stage: where inequalities are looked at between the stages
+
+
+@final
+class StepErrors(NamedTuple):
+    """What is wrong with each of the N steps, by itself: arrays of length N, relative numbers but for ``violations``.
+
+    ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative to the
+    spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step from that through
+    the stages of a neighbour too, or from that of the neighbour, at the ends of the step and relative to the size of the
+    controls, times the share of the step in the horizon; by as much the cost is too large where the Hamiltonian is curved in the controls. Times the share once more
+    for one in which it is linear, where a switch anywhere in the step costs as much. No less than the squared relative excess
+    over a limit that depends on the controls, times the share. ``violations``: of each of the inequalities
+    the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not depend on the
+    controls, relative to the largest value.
+    """
+
+    states: np.ndarray
+    controls: np.ndarray
+    inequalities: np.ndarray
+    violations: dict[str, np.ndarray]
+
+    @property
+    def each(self) -> np.ndarray:
+        """The largest of the relative errors of each step."""
+        return np.maximum(np.maximum(self.states, self.controls), self.inequalities)
+
+    @property
+    def largest(self) -> float:
+        """The largest relative error."""
+        return float(np.max(self.each))
+
+
+@reads_once
+def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: Any = None) -> StepErrors:
+    """The errors of the steps of a solution, each by itself: which steps are too long.
+
+    What one step errs is not carried into the next, as ``discretization_error`` does. ``parameters``: those of the solution.
+    Raises ``InvalidInputError`` for missing parameters, or a record that is not known between its nodes.
+    """
+    check_parameters(problem, parameters)
+    if solution.interpolant is None or solution.singular is not None:
+        raise InvalidInputError(
+            f"step_errors takes the solution of a regular problem that is known between its nodes, got {solution!r:.80}; try "
+            "what solve returns, or load_solution(path, retraction)"
+        )
+    return Estimator(problem, solution.interpolant.retraction, parameters)(solution, parameters)
+
+
+@final
+class Estimator:
+    """Estimates the errors of the steps of solutions of one problem."""
+
+    def __init__(self, problem: OptimalControlProblem, retraction: Any, parameters: Any) -> None:
+        self.problem = problem
+        self.propagator = Propagator(problem, retraction, parameters)
+        self.parameter = self.propagator.parameter
+
+    def __call__(self, solution: Solution, parameters: Any = None, switches: np.ndarray | None = None) -> StepErrors:
+        """The errors; controls may jump at the nodes that are ``switches``."""
+        with one_reading(), np.errstate(all="ignore"):
+            excess, free, violations = self._inequalities(solution, parameters)
+            share = np.diff(solution.times) / (solution.times[-1] - solution.times[0])
+            over = share * np.max(excess[:, ~free], axis=1, initial=0.0) ** 2
+            controls = np.maximum(self._controls(solution, parameters, switches), over)
+            alone = np.max(excess[:, free], axis=1, initial=0.0)
+            return StepErrors(self._states(solution, parameters), controls, alone, violations)
+
+    def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
+        own = solution.times, solution.states, solution.stage_times, solution.controls
+        try:
+            gaps = np.abs(self.propagator.gaps(*own, parameters))
+        except DomainError:  # of the controls of a step that is too long
+            return np.full(solution.steps, np.inf)
+        rows, layout, manifold = self.propagator.state.rows(solution.states, 1), self.propagator.state, self.problem.manifold
+        spreads, sizes = np.ptp(rows, axis=0), np.max(np.abs(rows), axis=0)
+        factors = manifold.factors if isinstance(manifold, Product) else (manifold,)
+        flat = [isinstance(factor, Euclidean) for factor in factors for _ in jax.tree.leaves(factor.ambient)]
+        for place, each_own in zip(layout.places, flat, strict=True):
+            largest, size = np.max(spreads[place], initial=0.0), np.max(sizes[place], initial=0.0)
+            spreads[place] = np.where((spreads[place] > 0) & each_own, spreads[place], largest)
+            gaps[:, place][gaps[:, place] <= ROUNDING * size] = 0.0  # which no mesh mends
+        return np.max(np.where(gaps > 0, gaps / np.where(spreads > 0, spreads, 1.0), 0.0), axis=1, initial=0.0)
+
+    def _controls(self, solution: Solution, parameters: Any, switches: np.ndarray | None) -> np.ndarray:
+        times, count = solution.times, solution.steps
+        rows = self.propagator.control.rows(solution.controls, 1).reshape(count, -1, self.propagator.control.size)
+        at = solution.stage_times.reshape(count, -1)
+        size = np.max(np.abs(rows), axis=(0, 1), initial=0.0)
+        linked = np.ones(count - 1, bool)
+        linked[[] if switches is None else np.asarray(switches) - 1] = False
+        k = np.flatnonzero(linked)
+        share = np.diff(times) / (times[-1] - times[0])
+        weights = np.where(self._is_linear(solution, parameters), share[:, None] ** 2, share[:, None])
+        found = np.full(count, np.inf)
+        for own, other in ((k, k + 1), (k + 1, k)):
+            ends = np.stack([times[own], times[own + 1]], axis=1)
+            alone = _through(at[own], rows[own], ends)
+            both = _through(np.concatenate([at[own], at[other]], 1), np.concatenate([rows[own], rows[other]], 1), ends)
+            apart = np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=1)
+            found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
+        ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
+        jumps = np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, size, 1.0)
+        for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
+            found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
+        return found
+
+    def _is_linear(self, solution: Solution, parameters: Any) -> np.ndarray:
+        """Whether the Hamiltonian is linear in each entry of the control, and in all together; on a curved space it is not."""
+        state, control = self.propagator.state, self.propagator.control
+        if not isinstance(self.problem.controls, Euclidean):
+            return np.zeros(control.size, bool)
+        layouts = (state, solution.stage_states), (state, solution.stage_costates), (control, solution.controls)
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        rows = (layout.rows(points, 1) for layout, points in layouts)
+        (curvatures,) = self._curvatures(*rows, solution.stage_times[:, None], given[None])
+        return np.max(curvatures, axis=0) == 0  # exactly: no entry of the control is in the derivative
+
+    def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The largest excess of each step over each inequality, relative; which are free of the controls; and in their units."""
+        if not self.problem.limits.any or solution.interpolant is None:
+            return np.zeros((solution.steps, 0)), np.zeros(0, bool), {}
+        stages = len(solution.stage_times) // solution.steps
+        found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1))
+        layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
+        q, u = (layout.rows(points, 2) for layout, points in layouts)
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        values, slopes = at_points(self._limits, 2, q, u, found.times[..., None], given[None, None])
+        excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
+        bound = self.problem.with_parameters(self.parameter.point(given)) if self.parameter.size else self.problem
+        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes)
+        size = np.max(np.abs(values), axis=(0, 1))
+        free = np.max(np.abs(slopes), axis=(0, 1)) == 0
+        relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
+        return relative, free, {name: np.max(rows, axis=1) for name, rows in violations.items()}
+
+    @cached_property
+    def _limits(self) -> Evaluated:
+        sizes = self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
+        return Automatic().values(self._limits_of, *sizes)
+
+    @cached_property
+    def _curvatures(self) -> Evaluated:
+        sizes = self.propagator.state.size, self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
+        return Automatic().values(self._curvatures_of, *sizes)
+
+    def _curvatures_of(self, q: Array, p: Array, u: Array, time: Array, parameters: Array) -> tuple[Array]:
+        """Sums of the sizes of the second derivatives of the Hamiltonian by the controls."""
+        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        layout = self.propagator.state
+
+        def hamiltonian(u: Array) -> Array:
+            return bound.hamiltonian(layout.point(q), layout.point(p), self.propagator.control.point(u))
+
+        return (jnp.sum(jnp.abs(jax.hessian(hamiltonian)(u)), axis=1),)
+
+    def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
+        """The inequalities, and sums of the sizes of their derivatives by the controls."""
+        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        point, layout = self.propagator.state.point(q), self.propagator.control
+
+        def values(u: Array) -> Array:
+            return bound.inequalities(point, layout.point(u))
+
+        return values(u), jnp.sum(jnp.abs(jax.jacfwd(values)(u)), axis=1)
+
+
+def _through(at: np.ndarray, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Polynomials through rows, shape (K, j, U), at (K, j), evaluated at times, shape (K, i)."""
+    own = np.eye(at.shape[1], dtype=bool)
+    apart = np.where(own, 1.0, at[:, :, None] - at[:, None, :])
+    ratios = (times[:, :, None, None] - at[:, None, None, :]) / apart[:, None]
+    return np.einsum("kij,kju->kiu", np.prod(np.where(own, 1.0, ratios), axis=-1), rows)

@@ -1,0 +1,223 @@
+"""Solutions of an accuracy that is asked for: beside closed forms, while what is decided changes."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax import problems
+from retrax.integrators import (
+    Free,
+    OptimalControlProblem,
+    Solver,
+    control_structure,
+    discretization_error,
+    load_solution,
+    solve,
+    step_errors,
+)
+from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
+from retrax.retractions import Addition, Gauss, Midpoint
+
+LINE, PLANE = Euclidean(1), Euclidean(2)
+
+
+def energy(q, u):
+    return u @ u / 2
+
+
+def cart(q, u):
+    return jnp.stack([q[1], u[0]])
+
+
+REGULATOR = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (q @ q + u @ u) / 2, 1)
+HYPERSENSITIVE = problems.get("hypersensitive")
+
+
+@pytest.mark.parametrize("stages", [1, 2, pytest.param(3, marks=pytest.mark.slow)])
+def test_errors_of_steps_sum_up_to_that_of_the_cost(stages):
+    """Where the dynamics are integrated exactly, as ``x' = u``, all of it is in the controls."""
+    solver = Solver(REGULATOR, Gauss(stages, Addition(LINE)), 4)
+    for steps in (4, 16):
+        found = solver.with_steps(steps).solve(np.ones(1), None, 1.0)
+        errors = step_errors(REGULATOR, found)
+        assert np.max(errors.states) == 0
+        assert 0.2 < np.sum(errors.controls) / abs(found.cost / (np.tanh(1) / 2) - 1) < 20
+
+
+def test_the_steps_that_are_too_long_are_those_in_the_layers():
+    entry = HYPERSENSITIVE
+    found = solve(entry.problem, entry.discretization, entry.start, entry.end, 30.0, 30)
+    bad = step_errors(entry.problem, found).each
+    assert set(np.argsort(bad)[-4:]) <= {0, 1, 2, 27, 28, 29}
+    assert np.max(bad[10:20]) < 1e-9 * np.max(bad)
+
+
+@pytest.mark.parametrize("steps", [5, np.geomspace(1, 1e3, 12)])
+def test_an_accuracy_is_reached_or_what_is_reached_is_said(steps):
+    """From what a coarse mesh has to what no mesh has; the closed form neglects ``exp(-40)``."""
+    entry = HYPERSENSITIVE
+    for accuracy in (1e-2, 1e-6, 1e-11, 1e-17):
+        given = entry.problem, entry.discretization, entry.start, entry.end, 40.0, steps
+        found = solve(*given, accuracy=accuracy, throw=False)
+        assert found.success == (found.checks.error <= accuracy) == (accuracy > 1e-15), found.result
+        assert abs(entry.distance(found.cost)) < 10 * max(found.checks.error, 1e-13)
+        if not found.success:
+            assert "not to the accuracy of 1.0e-17" in found.result
+
+
+QUICKEST = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1))
+
+
+def quickest(speed):
+    """The least time from a speed to rest at distance 1, and the times of its switch."""
+    sign = 1 if speed**2 < 2 else -1
+    root = np.sqrt(speed**2 / 2 + sign)
+    return 2 * root - sign * speed, root - sign * speed, sign
+
+
+def test_a_switch_is_found_wherever_it_is():
+    """It moves over nodes and towards the start, beyond which the signs change."""
+    for speed in (0.0, 0.9, 1.4, 1.4142, 1.4143, 1.5, 3.0):
+        least, first, sign = quickest(speed)
+        ends = np.array([0.0, speed]), np.array([1.0, 0.0])
+        found = solve(QUICKEST, Gauss(2, Addition(PLANE)), *ends, Free(3.0), 10, accuracy=1e-9)
+        assert abs(found.horizon - least) < 1e-9 * least
+        if first > 0.1 and least - first > 0.1:
+            assert found.checks.hamiltonian_spread < 1e-8
+            structure = control_structure(QUICKEST, found)
+            np.testing.assert_allclose(structure.times, [0, first, least], atol=1e-10)
+            assert structure.sides.tolist() == [[sign], [-sign]]
+            side = found.multipliers["control_bounds upper"] - found.multipliers["control_bounds lower"]
+            np.testing.assert_array_equal(np.sign(side[:, 0]), np.sign(found.controls[:, 0]))
+
+
+DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1, 1))
+
+
+@pytest.mark.slow
+def test_a_singular_arc_comes_and_goes():
+    """To a singular arc and away from it, ``x = u = 0``, for which there is time only beyond 3/2."""
+    method = Gauss(3, Addition(LINE))
+    for horizon in (1.2, 1.49, 1.5, 1.51, 2.0, 5.0):
+        lowest = max((1.5 - horizon) / 2, 0)
+        cost = (1 + 1 / 8 - 2 * lowest**3) / 3
+        found = solve(DECAY, method, np.ones(1), np.array([0.5]), horizon, 20, accuracy=1e-8, throw=False)
+        assert found.success, found.result
+        assert abs(found.cost - cost) < 1e-8
+    assert control_structure(DECAY, found).sides.tolist() == [[-1], [0], [1]]
+
+
+def test_a_bound_that_becomes_inactive():
+    """Least energy from rest to rest: the control is a line, cut off at its bounds, which hold it up to 6."""
+    method = Gauss(2, Addition(PLANE))
+    for limit in (4.2, 5.9, 6.1):
+        problem = OptimalControlProblem(PLANE, cart, energy, 1, control_bounds=(-limit, limit))
+        width = np.sqrt(3 * (0.25 - 1 / limit)) if limit < 6 else 0.5
+        cost = limit**2 * (0.5 - 2 * width / 3) if limit < 6 else 6.0
+        found = solve(problem, method, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10, accuracy=1e-8)
+        assert abs(found.cost / cost - 1) < 1e-8
+        held = np.max([np.max(rows) for rows in found.multipliers.values()])
+        assert (held > 1e-2) == (limit < 6)
+
+
+def test_what_is_violated_between_the_points():
+    """The largest excess along the polynomials, and none of it at the points; refinement sees what depends on states alone."""
+    low = {"ceiling": lambda q, u: q[0] - 1 / 9}
+    problem = OptimalControlProblem(PLANE, cart, energy, 1, constraints=low)
+    given = problem, Gauss(3, Addition(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0
+    for steps in (7, 20):
+        found = solve(*given, steps)
+        errors = step_errors(problem, found)
+        along = found(np.linspace(0, 1, 20_001)).states[:, 0] - 1 / 9
+        assert found.checks.violation < 1e-9 < np.max(along)
+        np.testing.assert_allclose(np.max(errors.violations["ceiling"]), np.max(along), rtol=0.2)
+    found = solve(*given, 7, accuracy=1e-6)
+    assert found.checks.between["ceiling"] < 1e-6
+    assert abs(found.cost - 4) < 1e-5
+
+
+def test_stages_are_added_where_all_steps_err_and_steps_where_few_do():
+    smooth = solve(REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4, accuracy=1e-9)
+    assert (smooth.steps, len(smooth.stage_times) > 8) == (4, True)
+    entry = HYPERSENSITIVE
+    layered = solve(entry.problem, entry.discretization, entry.start, entry.end, 100.0, 30, accuracy=1e-8)
+    lengths = np.diff(layered.times)
+    assert len(layered.stage_times) == 3 * layered.steps
+    assert np.max(lengths) > 10 * np.min(lengths)
+
+
+def test_the_midpoint_rule_gets_more_steps():
+    given = REGULATOR, Midpoint(Addition(LINE)), np.ones(1), None, 1.0, 5
+    found = solve(*given, accuracy=1e-5)
+    assert found.steps > 20
+    with pytest.raises(ConvergenceError, match="not to the accuracy"):
+        solve(*given, accuracy=1e-14)
+    assert abs(found.cost / (np.tanh(1) / 2) - 1) < 1e-5
+
+
+@pytest.mark.slow
+def test_parameters_and_time_are_kept(tmp_path):
+    """A free parameter and an explicit time beside a switch: the quickest way to a place that moves away."""
+
+    def pulled(q, u, t, p):
+        return jnp.stack([q[1], u[0] + p["pull"] * jnp.sin(t)])
+
+    problem = OptimalControlProblem(
+        PLANE, pulled, lambda q, u, t, p: 1.0 + p["offset"] ** 2, 1, control_bounds=(-1, 1), time_dependent=True
+    )
+    parameters = {"pull": 0.3, "offset": Free(0.5)}
+    given = problem, Gauss(3, Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), Free(2.0), 8
+    found = solve(*given, parameters=parameters, accuracy=1e-9)
+    structure = control_structure(problem, found)
+    assert structure.sides.tolist() == [[1], [-1]]
+    s, T = structure.times[1:]
+    speed, place = 2 * s - T + 0.3 * (1 - np.cos(T)), 2 * s * T - s**2 - T**2 / 2 + 0.3 * (T - np.sin(T))
+    assert abs(speed) < 1e-8
+    assert abs(place - 1) < 1e-8
+    assert abs(found.parameters["offset"]) < 1e-9
+    assert found.parameters["pull"] == 0.3
+    assert set(found.multipliers) == {"control_bounds lower", "control_bounds upper"}
+    exact = discretization_error(problem, Addition(PLANE), found, found.parameters)
+    assert max(exact.largest.values()) < 1e-9
+    found.save(tmp_path / "found.npz")
+    assert load_solution(tmp_path / "found.npz").checks == found.checks
+    assert "error of the steps" in str(found)
+
+
+def test_a_solver_in_other_steps_is_the_same_solver():
+    method, start, end = Gauss(2, Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0])
+    solver = Solver(QUICKEST, method, 10)
+    first = solver.solve(start, end, Free(3.0))
+    for steps in (7, np.array([1.0, 2.0, 3.0, 1.0])):
+        other = solver.with_steps(steps)
+        found, again = other.solve(start, end, Free(3.0)), Solver(QUICKEST, method, steps).solve(start, end, Free(3.0))
+        np.testing.assert_allclose(found.controls, again.controls, atol=1e-11)
+        np.testing.assert_allclose(found.times, again.times, rtol=1e-12)
+    assert solver.steps == 10
+    np.testing.assert_array_equal(solver.solve(start, end, Free(3.0)).controls, first.controls)
+
+
+def test_what_accuracy_cannot_be():
+    given = REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4
+    for wrong in (0.0, -1e-8, np.nan, "fine"):
+        with pytest.raises(InvalidInputError, match="accuracy must be"):
+            solve(*given, accuracy=wrong)
+    with pytest.raises(InvalidInputError, match="without control_bounds"):
+        control_structure(REGULATOR, solve(*given))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["betts", "bilimoria-wie"])
+def test_least_times_to_ten_digits(name):
+    entry = problems.get(name)
+    for steps, stages in ((20, 3), (40, 2)):
+        found = entry.solve(steps, Gauss(stages, entry.discretization.retraction), accuracy=1e-9)
+        assert abs(entry.distance(found.cost)) < 1e-10
+        assert control_structure(entry.problem, found).arcs == 6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rest-to-rest-slew", "spherical-pendulum", "kinematic-slew"])
+def test_curved_spaces(name):
+    entry = problems.get(name)
+    found = entry.solve(6, Gauss(2, entry.discretization.retraction), accuracy=1e-9)
+    assert abs(entry.distance(found.cost)) < 1e-9
