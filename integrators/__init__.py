@@ -50,6 +50,7 @@ from .initial_value import (
     load_trajectory,
 )
 from .problem import OptimalControlProblem
+from .quantities import Quantities, Quantity
 from .results import Result
 from .singular import (
     L_H,
@@ -94,6 +95,8 @@ __all__ = [
     "MorseTest",
     "OptimalControlProblem",
     "PresymplecticIntegrator",
+    "Quantities",
+    "Quantity",
     "RegularChecks",
     "Result",
     "Sensitivity",

@@ -76,6 +76,7 @@ class Recording:
                 result=results[k],
                 checks=RegularChecks.of(own, *(part[k] for part in residuals), **more),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
+                quantities=self.problem.quantities,
                 interpolant=self.interpolant,
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
