@@ -41,7 +41,7 @@ class Quantity:
     @property
     def is_named(self) -> bool:
         """Whether the entries have names of their own."""
-        return not all(entry.replace(",", "").isdigit() for entry in self.entries)
+        return not all(entry == "" or entry.replace(",", "").isdigit() for entry in self.entries)
 
     def unit_of(self, k: int) -> str:
         """The unit of an entry."""

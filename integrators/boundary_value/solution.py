@@ -229,6 +229,18 @@ class Solution:
             raise ConvergenceError(f"{self.result}\n{self}", self)
         return self
 
+    def to_xarray(self) -> Any:
+        """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""
+        from ...interop import to_xarray
+
+        return to_xarray(self)
+
+    def to_pandas(self, at: Any = "nodes") -> Any:
+        """The solution as a ``pandas.DataFrame`` with a column for each entry; see ``retrax.interop.to_pandas``."""
+        from ...interop import to_pandas
+
+        return to_pandas(self, at)
+
     def save(self, path: str | Path) -> None:
         """Write the solution to an ``.npz`` file that ``load_solution`` reads.
 
