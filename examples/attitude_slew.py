@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+from retrax import plotting
 from retrax.integrators import OptimalControlProblem, Solution, discretization_error, load_solution, solve
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Gauss
@@ -47,7 +48,14 @@ def torque_effort(q, u):
     return u @ u / 2
 
 
-PROBLEM = OptimalControlProblem(Q, dynamics, torque_effort, controls=3)
+PROBLEM = OptimalControlProblem(
+    Q,
+    dynamics,
+    torque_effort,
+    controls=3,
+    labels={"states": ("attitude", "body rate"), "controls": "torque"},
+    units={"states": ("", "rad/s"), "controls": "N m", "time": "s", "cost": "N^2 m^2 s"},
+)
 METHOD = Gauss(4, Cayley(Q))  # of order 8
 
 
@@ -61,25 +69,8 @@ def slew(steps):
 def plot_histories(solution: Solution, path):
     """Attitude as a rotation vector, body rate, torque, and the errors of what the continuous flow conserves."""
     figure, axes = plt.subplots(2, 2, figsize=(10, 7), sharex=True, layout="constrained")
-    attitude = Rotation.from_matrix(solution.states[0]).as_rotvec()
-    histories = (
-        ("rotation vector [rad]", solution.times, attitude),
-        ("body rate [rad/s]", solution.times, solution.states[1]),
-        ("torque [N m]", solution.stage_times, solution.controls),
-    )
-    for axis, (label, times, values) in zip(axes.flat, histories, strict=False):
-        axis.plot(times, values, label=["1", "2", "3"])
-        axis.set_ylabel(label)
-    axes[0, 0].legend(title="body axis", fontsize="small")
-    (momentum,) = solution.spatial_costates.values()
-    energy = solution.hamiltonians - solution.hamiltonians.mean()
-    drift = np.linalg.norm(momentum - momentum[0], axis=1) / np.linalg.norm(momentum[0])
-    axes[1, 1].semilogy(solution.stage_times, np.abs(energy) / abs(solution.hamiltonians.mean()), label="Hamiltonian")
-    axes[1, 1].semilogy(solution.times, np.maximum(drift, 1e-17), label="spatial covector")
-    axes[1, 1].set_ylabel("relative error")
-    axes[1, 1].legend(fontsize="small")
-    for axis in axes[1]:
-        axis.set_xlabel("time [s]")
+    plotting.histories(solution, ax=axes.flat[:3])
+    plotting.conserved(solution, ax=axes[1, 1])
     figure.suptitle(f"Slew of {np.rad2deg(ANGLE):.0f} deg in {HORIZON:.0f} s, cost {solution.cost:.4f} N$^2$ m$^2$ s")
     figure.savefig(path, dpi=150)
     plt.close(figure)
@@ -87,23 +78,10 @@ def plot_histories(solution: Solution, path):
 
 def plot_paths(solution: Solution, path):
     """The three body axes as paths on the sphere of directions."""
-    figure = plt.figure(figsize=(7, 7), layout="constrained")
-    axis = figure.add_subplot(projection="3d")
-    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
-    sphere = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
-    axis.plot_wireframe(*sphere, color="0.85", linewidth=0.5)
-    for i, name in enumerate(("first", "second", "third")):
-        points = solution.states[0][:, :, i]
-        (path_of_axis,) = axis.plot(*points.T, label=f"{name} body axis")
-        color = path_of_axis.get_color()
-        axis.plot(*points[:1].T, "o", color=color, markerfacecolor="white")
-        axis.plot(*points[-1:].T, "o", color=color)
-    axis.set_box_aspect((1, 1, 1), zoom=1.6)
-    axis.set_axis_off()
-    axis.legend(loc="upper left", fontsize="small")
+    axis = plotting.body_axes(solution)
     axis.set_title("Body axes in the inertial frame, from the open to the full dot")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+    axis.figure.savefig(path, dpi=150)
+    plt.close(axis.figure)
 
 
 def main(arguments=None):

@@ -21,6 +21,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+from retrax import plotting
 from retrax.integrators import Guess, OptimalControlProblem, solve
 from retrax.interop import to_pymanopt
 from retrax.manifolds import SE, Power, hat
@@ -118,7 +119,7 @@ def taut_string():
     return np.sum(np.sqrt(far**2 - RADIUS**2)) + RADIUS * angle
 
 
-def plot(paths, path):
+def plot(solution, paths, path):
     """The ways around the ball with the body's axes on the optimal one, and the distances to the ball."""
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     space, axis = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
@@ -126,14 +127,13 @@ def plot(paths, path):
     ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
     space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
     for name, poses in paths.items():
-        space.plot(*positions(poses).T, label=name)
+        if poses is not solution.states:
+            space.plot(*positions(poses).T)
         away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
         axis.plot(np.linspace(0, 1, len(poses)), away, label=name)
-    for pose in np.asarray(poses)[:: max(1, len(poses) // 8)]:
-        for column, colour in enumerate(("C3", "C2", "C0")):
-            space.quiver(*pose[:3, 3], *(0.4 * pose[:3, column]), color=colour, linewidth=1)
-    space.set_aspect("equal")
+    plotting.path(solution, ax=space)
     space.view_init(50, -70)
+    space.set_zlabel("")
     axis.axhline(RADIUS, color="0.3", linestyle="--", label="the ball")
     axis.set_xlabel("time")
     axis.set_ylabel("distance to the centre")
@@ -163,7 +163,7 @@ def main(arguments=None):
     for name, poses in paths.items():
         print(f"{name:14s} comes to {distance(poses):.3f} of the centre, length {length(poses):.3f}")
     print(f"a taut string has the length {taut_string():.3f}")
-    plot(paths, options.output / "path_planning.png")
+    plot(solution, paths, options.output / "path_planning.png")
     print(f"written: {options.output / 'path_planning.png'}")
     return solution, distance(solution.states), length(solution.states), error
 

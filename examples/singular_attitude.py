@@ -22,6 +22,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+from retrax import plotting
 from retrax.integrators import OptimalControlProblem, classify, form_defect, integrate, singular_integrator
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.manifolds.numerics import ambient as vec
@@ -92,16 +93,11 @@ def plot(found, path):
     """Body rates, torques and the energy error of both problems, and the defects of the form."""
     figure, axes = plt.subplots(2, 3, figsize=(13, 7), sharex="row", layout="constrained")
     for row, (name, (_, numbers, run, error)) in zip(axes, found.items(), strict=True):
-        row[0].plot(run.times, run.q[1], label=["1", "2", "3"])
-        row[0].set_ylabel(f"{name}\nbody rate")
-        row[1].plot(run.stage_times, run.controls, label=[str(i + 1) for i in range(run.controls.shape[1])])
-        row[1].set_ylabel("torque")
+        plotting.state(run, 1, problem=Q, ax=row[0]).set_ylabel(f"{name}\nbody rate")
+        plotting.controls(run, ax=row[1]).set_ylabel("torque")
         row[2].plot(run.times, error)
         row[2].set_ylabel("energy error")
         row[2].set_title(f"$\\omega_f$ changes by {np.max(numbers['omega_f']):.0e} a step", fontsize="medium")
-    axes[0, 0].legend(title="body axis", fontsize="small")
-    for axis in axes[1]:
-        axis.set_xlabel("time")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

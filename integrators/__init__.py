@@ -54,6 +54,7 @@ from .initial_value import (
     load_trajectory,
 )
 from .problem import OptimalControlProblem
+from .quantities import Quantities, Quantity
 from .results import Result
 from .singular import (
     L_H,
@@ -99,6 +100,8 @@ __all__ = [
     "MorseTest",
     "OptimalControlProblem",
     "PresymplecticIntegrator",
+    "Quantities",
+    "Quantity",
     "RegularChecks",
     "Result",
     "Sensitivity",

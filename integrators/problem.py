@@ -34,6 +34,7 @@ from .probing import (
     kink_words,
     probe,
 )
+from .quantities import Quantities
 from .statement import statement
 
 Dynamics = Callable[[Any, Any], Any]
@@ -52,6 +53,10 @@ class OptimalControlProblem(eqx.Module):
     vector, whose entries are not positive along a trajectory. With ``time_dependent`` the functions take the time after ``u``:
     ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the initial cost does not.
 
+    ``labels`` name the ``"states"`` and ``"controls"``: a word for an array, or a tuple with one for each entry of a vector; in
+    a tuple, one for each array, where a point has several. ``units`` say in the same way what they are measured in, and what the
+    ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables use them.
+
     Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and
     arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them.
     """
@@ -65,6 +70,7 @@ class OptimalControlProblem(eqx.Module):
     initial_cost: TerminalCost | None
     limits: Inequalities
     time_dependent: bool = eqx.field(static=True)
+    quantities: Quantities = eqx.field(static=True)
     takes_parameters: bool = eqx.field(static=True)
 
     @known_options
@@ -80,6 +86,8 @@ class OptimalControlProblem(eqx.Module):
         control_bounds: tuple[Any, Any] | None = None,
         constraints: Mapping[str, Constraint] | None = None,
         time_dependent: bool = False,
+        labels: Mapping[str, Any] | Quantities | None = None,
+        units: Mapping[str, Any] | None = None,
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost = dynamics, running_cost
@@ -92,6 +100,7 @@ class OptimalControlProblem(eqx.Module):
         for name, flag in (("abnormal", abnormal), ("time_dependent", time_dependent)):
             if not isinstance(flag, bool | np.bool_):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
+        self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given = isinstance(constraints, Inequalities)
         self.limits = constraints if given else Inequalities.of(control_bounds, constraints, self.controls)
         expected = {2: "(q, u, t)", 1: "(q, t)"} if time_dependent else {2: "(q, u)", 1: "q"}
@@ -152,7 +161,8 @@ class OptimalControlProblem(eqx.Module):
         functions = tuple(made[len(made) - len(self.limits.names) :])
         limits: Any = Inequalities(self.limits.lower, self.limits.upper, self.limits.names, functions, self.limits.at_first)
         costs = given["running_cost"], self.controls, given.get("terminal_cost"), self.abnormal, given.get("initial_cost")
-        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, constraints=limits, time_dependent=time_dependent)
+        more: Any = {"constraints": limits, "time_dependent": time_dependent, "labels": self.quantities}
+        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, **more)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
         """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in order."""

@@ -25,6 +25,7 @@ def statement(problem: "OptimalControlProblem") -> str:
     ]
     lines += [f"            {text}" for text in _bounds(problem.control_bounds)]
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
+    lines += [f"{'where' if not place else '':12}{text}" for place, text in enumerate(problem.quantities.lines)]
     return "\n".join(lines)
 
 

@@ -168,6 +168,7 @@ class Formulation:
             parameters=self.kind.parameters(constants, fixed),
             multipliers=self._multipliers(found, rate),
             interpolant=interpolant,
+            quantities=self.own.quantities,
             **states,
             **named,
         )

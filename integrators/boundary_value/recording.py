@@ -72,6 +72,7 @@ class Recording:
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
+                quantities=self.problem.quantities,
                 interpolant=self.interpolant,
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )

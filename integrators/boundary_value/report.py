@@ -19,7 +19,7 @@ def report_text(solution: Solution) -> str:
 def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     yield "result", solution.result
-    yield "cost", f"{solution.cost:.12g}"
+    yield "cost", f"{solution.cost:.12g}{_unit(solution, 'cost')}"
     if solution.singular is not None:
         yield from _singular(solution.singular)
         yield "residual", f"gap {checks.gap:.1e}, equations of P_f {checks.stationarity:.1e} (relative)"
@@ -36,6 +36,12 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "inequalities", held
         for name, rows in solution.multipliers.items():
             yield "", f"{name}: {_active(rows)}"
+
+
+def _unit(solution: Solution, of: str) -> str:
+    """The unit of time or cost, behind a space; empty where it is not known."""
+    unit = getattr(solution.quantities, of, "")
+    return f" {unit}" if unit else ""
 
 
 def _active(rows: np.ndarray) -> str:
@@ -85,7 +91,8 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
     statistics, step = solution.statistics, solution.times[1] - solution.times[0]
     method = "Newton" if solution.singular is None else "Gauss-Newton"
-    yield "iterations", f"{many(statistics.iterations, f'{method} step')} on {many(solution.steps, 'step')} of {step:.6g}"
+    length = f"{step:.6g}{_unit(solution, 'time')}"
+    yield "iterations", f"{many(statistics.iterations, f'{method} step')} on {many(solution.steps, 'step')} of {length}"
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds
         yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"

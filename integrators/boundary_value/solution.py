@@ -12,14 +12,16 @@ import numpy as np
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
 from ...manifolds.manifold import default_tolerance
 from ...retractions import Retraction
+from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
 from .engine.diagnosis import Diagnostics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 2  # of the file
+VERSION = 3  # of the file
 TOO_COARSE = 0.1
-LISTED = "result", "checks", "statistics", "singular", "interpolant"  # fields of a batch that are lists
+LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields of a batch that are lists
+IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 SAME = 1e-6  # relative distance within which two extremals are one
 
 
@@ -149,7 +151,8 @@ class Solution:
     computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem. ``parameters`` are
     those of the problem's functions, as given or found, and None if there are none. ``multipliers`` of the inequalities by their
     names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X> - F - nu g`` is stationary in the
-    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage.
+    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage. ``quantities``: the
+    names and units of the problem.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -172,6 +175,7 @@ class Solution:
     multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
     parameters: Annotated[Any, Values()] = None
     interpolant: Interpolant | None = field(default=None, repr=False)
+    quantities: Quantities | None = None
 
     def __post_init__(self) -> None:
         for array in _arrays(vars(self)):
@@ -228,13 +232,26 @@ class Solution:
             raise ConvergenceError(f"{self.result}\n{self}", self)
         return self
 
+    def to_xarray(self) -> Any:
+        """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""
+        from ...interop import to_xarray
+
+        return to_xarray(self)
+
+    def to_pandas(self, at: Any = "nodes") -> Any:
+        """The solution as a ``pandas.DataFrame`` with a column for each entry; see ``retrax.interop.to_pandas``."""
+        from ...interop import to_pandas
+
+        return to_pandas(self, at)
+
     def save(self, path: str | Path) -> None:
         """Write the solution to an ``.npz`` file that ``load_solution`` reads.
 
         Raises ``InvalidInputError`` if it is not one that can be read again, such as one put together by hand.
         """
-        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "interpolant"}
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in IN_TEXT}
         values["geometry"] = None if self.interpolant is None else self.interpolant.text
+        values["quantities"] = None if self.quantities is None else self.quantities.text
         values["parameters"] = _in_tuples(self.parameters)
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 
@@ -326,11 +343,11 @@ def _arrays(value: Any) -> Iterator[np.ndarray]:
             yield from _arrays(part)
 
 
-_SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name != "interpolant"}
+_SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name not in IN_TEXT}
 _FILE = RecordFile(
     "Solution",
     VERSION,
-    {**_SCHEMA, "geometry": str | None},
+    {**_SCHEMA, "geometry": str | None, "quantities": str | None},
     lambda values: not_finite(values) if values["success"] else "",
 )
 
@@ -343,16 +360,16 @@ def load_solution(path: str | Path, retraction: Retraction | None = None, contro
     damaged, incomplete, or of another version, or the retraction acts on other points.
     """
     values = _FILE.read(path)
-    text = values.pop("geometry")
+    text, names = values.pop("geometry"), values.pop("quantities")
     own: Any = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
+    try:
+        quantities = None if names is None else Quantities.from_text(names)
+        found = None if text is None or retraction is not None else Interpolant.from_text(text)
+        for fitting in filter(None, (found, quantities)):
+            fitting.require_fits("", values["states"], values["controls"])
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
     if retraction is not None:
         found = Interpolant(retraction, controls or own)
         found.require_fits("", values["states"], values["controls"])
-        return Solution(**values, interpolant=found)
-    try:
-        found = None if text is None else Interpolant.from_text(text)
-        if found is not None:
-            found.require_fits("", values["states"], values["controls"])
-    except InvalidInputError as error:
-        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
-    return Solution(**values, interpolant=found)
+    return Solution(**values, interpolant=found, quantities=quantities)

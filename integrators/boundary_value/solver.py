@@ -289,4 +289,5 @@ class Solver:
         conditions = EndConditions(problem, *members.conditions_of(0))
         request = Request(problem, self.method, conditions, guess, h, self.steps, *limits)
         own: Any = {"interpolant": self._recording.interpolant, "parameters": copied(members.parameters_of(0))}
+        own["quantities"] = problem.quantities
         return replace(solve_on_final_manifold(request, *method), **own)

@@ -1,7 +1,8 @@
-"""Doors to pymanopt and geomstats: their manifolds as ours, ours as theirs; and to CasADi: problems for its solvers.
+"""Doors to other libraries: manifolds of pymanopt and geomstats as ours, ours as theirs; problems for CasADi's solvers; records
+as tables of xarray and pandas and in CSV files; attitudes as quaternions, splines and CCSDS ephemerides.
 
-None of these libraries is imported before one of these functions is called; what the import of the first two does to global
-settings is undone.
+None of these libraries is imported before one of these functions is called; what the import of pymanopt and geomstats does to
+global settings is undone.
 """
 
 from collections.abc import Callable
@@ -11,24 +12,37 @@ from ..integrators import Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
 from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
+from .attitudes import AttitudeEphemeris, from_aem, from_quaternions, to_aem, to_quaternions, to_rotation_spline
 from .conventions import Conventions
 from .counterpart import Counterpart
 from .geometry import Geometry
 from .metrics import natural_metric
+from .optional import MissingPackageError
 from .peers import import_peer
+from .tables import to_csv, to_pandas, to_xarray
 
 if TYPE_CHECKING:
     from .discrete_problem import DiscreteProblem
 
 __all__ = [
+    "AttitudeEphemeris",
     "Conventions",
     "Counterpart",
     "Geometry",
+    "MissingPackageError",
+    "from_aem",
     "from_geomstats",
     "from_pymanopt",
+    "from_quaternions",
+    "to_aem",
     "to_casadi",
+    "to_csv",
     "to_geomstats",
+    "to_pandas",
     "to_pymanopt",
+    "to_quaternions",
+    "to_rotation_spline",
+    "to_xarray",
 ]
 
 

@@ -58,12 +58,17 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
     return facts.compare("|D_v R(x, 0) E_i - E_i|", f, f["push"], f["frame"], facts.tolerance, names, hint)
 
 
+def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
+    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``LENGTHS``, and for each sample what is rounding of it."""
+    f = facts.measure(_values, "zero")
+    errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
+    return errors, precision().floor * (1 + largest_entries(f["x"]))
+
+
 @fact
 def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -> Comparison:
     """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of ``t``."""
-    f = facts.measure(_values, "zero")
-    errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
-    floor = precision().floor * (1 + largest_entries(f["x"]))
+    f, (errors, floor) = facts.measure(_values, "zero"), short_errors(facts)
     slopes = [slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)]
     hidden = [is_hidden(e, limit) for e, limit in zip(errors, floor, strict=True)]
     found = facts.bound("the slope of log error over log t", f, slopes, 1.8, "at least")

@@ -1,0 +1,215 @@
+"""Names and units of what a problem is about: the arrays of a state, the controls, the time, the cost."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+from itertools import product
+from typing import Any, Self, final
+
+import jax
+
+from ..manifolds import InvalidInputError, Manifold, Product
+
+ABOUT = "states", "controls"
+UNITS = (*ABOUT, "time", "cost")
+
+
+@final
+@dataclass(frozen=True)
+class Quantity:
+    """An array of a state or a control: its ``name``, the ``units`` of its entries, one for all or one each, and its ``space``.
+
+    ``entries``: names of the entries, row by row; without names of their own their places, as ``1`` or ``0,2``. A unit is empty
+    where none was given. ``space``: its manifold in words, as ``SO(3)``.
+    """
+
+    name: str
+    units: tuple[str, ...]
+    entries: tuple[str, ...]
+    space: str
+
+    @property
+    def unit(self) -> str:
+        """The unit of all entries; empty where they have several, or none."""
+        return self.units[0] if len(set(self.units)) == 1 else ""
+
+    @property
+    def title(self) -> str:
+        """The name with the unit of all entries, as ``body rate [rad/s]``."""
+        return with_unit(self.name, self.unit)
+
+    @property
+    def is_named(self) -> bool:
+        """Whether the entries have names of their own."""
+        return not all(entry == "" or entry.replace(",", "").isdigit() for entry in self.entries)
+
+    def unit_of(self, k: int) -> str:
+        """The unit of an entry."""
+        return self.units[k if len(self.units) > 1 else 0]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """A name for each entry: its own, or that of the array with its place, as ``body rate[1]``."""
+        if self.is_named:
+            return self.entries
+        return tuple(f"{self.name}[{entry}]" if entry else self.name for entry in self.entries)
+
+
+@final
+@dataclass(frozen=True)
+class Quantities:
+    """The quantities of a problem: the arrays of a state and of a control, in order, and the units of time and cost."""
+
+    states: tuple[Quantity, ...]
+    controls: tuple[Quantity, ...]
+    time: str = ""
+    cost: str = ""
+
+    @classmethod
+    def of(cls, manifold: Manifold, controls: Manifold, labels: Any, units: Any) -> Self:
+        """The quantities with what a user says of them; raises ``InvalidInputError`` for names that do not fit."""
+        if isinstance(labels, cls):
+            return labels
+        given = {"labels": _checked("labels", labels, ABOUT), "units": _checked("units", units, UNITS)}
+        own: Any = {
+            about: _quantities(about, space, given["labels"].get(about), given["units"].get(about))
+            for about, space in zip(ABOUT, (manifold, controls), strict=True)
+        }
+        rest: Any = {name: _word(f"units[{name!r}]", given["units"].get(name, "")) for name in ("time", "cost")}
+        return cls(**own, **rest)
+
+    @classmethod
+    def unnamed(cls, states: list[tuple[int, ...]], controls: list[tuple[int, ...]]) -> Self:
+        """The quantities of arrays with these shapes, of which nothing else is known."""
+
+        def own(symbol: str, shapes: list[tuple[int, ...]]) -> tuple[Quantity, ...]:
+            pairs = zip(_names(symbol, shapes), shapes, strict=True)
+            return tuple(Quantity(name, ("",), _places(shape), "") for name, shape in pairs)
+
+        return cls(own("q", states), own("u", controls))
+
+    @property
+    def text(self) -> str:
+        """What a file holds of them."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """The quantities that have this ``text``; raises ``InvalidInputError`` for any other."""
+        try:
+            values = json.loads(text)
+            own: Any = {about: tuple(_read(value) for value in values.pop(about)) for about in ABOUT}
+            rest: Any = {name: _word(name, value) for name, value in values.items()}
+            return cls(**own, **rest)
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
+            raise InvalidInputError(f"quantities are {text!r:.60}, expected names and units ({error})") from error
+
+    def require_fits(self, what: str, states: Any, controls: Any) -> None:
+        """Raise unless arrays along a leading axis have as many entries as there are names for them."""
+        for name, own, given in (("states", self.states, states), ("controls", self.controls, controls)):
+            expected, got = [len(quantity.entries) for quantity in own], [leaf[0].size for leaf in jax.tree.leaves(given)]
+            if expected != got:
+                raise InvalidInputError(f"{what}{name} have {got} entries, expected {expected}, of which quantities has names")
+
+    @property
+    def lines(self) -> list[str]:
+        """What is named, in words: a line for the states, one for the controls; none where nothing is."""
+        rows = {"q": self.states, "u": self.controls}
+        defaults = {symbol: _names(symbol, own) for symbol, own in rows.items()}
+        named = {s for s, own in rows.items() if [q.name for q in own] != defaults[s] or any(q.is_named for q in own)}
+        return [f"{symbol}: {', '.join(map(_words, own))}" for symbol, own in rows.items() if symbol in named]
+
+
+def with_unit(name: str, unit: str) -> str:
+    """The name with its unit in brackets; the name alone for none."""
+    return f"{name} [{unit}]" if unit else name
+
+
+def _words(quantity: Quantity) -> str:
+    if not quantity.is_named:
+        return quantity.title
+    return ", ".join(with_unit(entry, quantity.unit_of(k)) for k, entry in enumerate(quantity.entries))
+
+
+def _checked(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]:
+    """What was given by its keys; raises for other keys."""
+    if given is None:
+        return {}
+    if not isinstance(given, Mapping) or not set(given) <= set(expected):
+        raise InvalidInputError(
+            f"{what} must be a dictionary with keys among {', '.join(map(repr, expected))}, got {given!r:.80}; try "
+            f'{what}={{"controls": "{"torque" if what == "labels" else "N m"}"}}'
+        )
+    return dict(given)
+
+
+def _quantities(about: str, manifold: Manifold, labels: Any, units: Any) -> tuple[Quantity, ...]:
+    """The quantities that the arrays of a point are."""
+    arrays = list(_arrays(manifold))
+    defaults = _names("q" if about == "states" else "u", arrays)
+    names = defaults if labels is None else _each(f"labels[{about!r}]", labels, arrays)
+    own_units = [""] * len(arrays) if units is None else _each(f"units[{about!r}]", units, arrays)
+    found = zip(arrays, names, own_units, defaults, strict=True)
+    return tuple(_quantity(about, *row) for row in found)
+
+
+def _each(what: str, given: Any, arrays: list[tuple[str, tuple[int, ...]]]) -> list[Any]:
+    """What is given of each of the arrays; raises where their number is another one."""
+    if len(arrays) == 1:
+        return [given]
+    if not isinstance(given, list | tuple) or len(given) != len(arrays):
+        spaces = ", ".join(space for space, _ in arrays)
+        raise InvalidInputError(f"{what} must be a tuple with one entry for each of {spaces}, got {given!r:.80}")
+    return list(given)
+
+
+def _quantity(about: str, array: tuple[str, tuple[int, ...]], label: Any, unit: Any, default: str) -> Quantity:
+    """One array with its label and unit, words or a tuple of a word for each entry."""
+    space, shape = array
+    places = _places(shape)
+    units = (_word(f"units[{about!r}]", unit),) if isinstance(unit, str) else _several(f"units[{about!r}]", unit, space, places)
+    if isinstance(label, str):
+        return Quantity(label or default, units, places, space)
+    return Quantity(default, units, _several(f"labels[{about!r}]", label, space, places), space)
+
+
+def _places(shape: tuple[int, ...]) -> tuple[str, ...]:
+    """The places of the entries of an array, row by row."""
+    return tuple(",".join(map(str, place)) for place in product(*map(range, shape)))
+
+
+def _several(what: str, given: Any, space: str, places: tuple[str, ...]) -> tuple[str, ...]:
+    if not isinstance(given, list | tuple) or len(given) != len(places) or not all(isinstance(word, str) for word in given):
+        raise InvalidInputError(
+            f"{what} of {space} must be a text, or a tuple of {len(places)} texts, one for each of its entries, got {given!r:.80}"
+        )
+    return tuple(given)
+
+
+def _word(what: str, given: Any) -> str:
+    if not isinstance(given, str):
+        raise InvalidInputError(f"{what} must be a text, got {given!r:.80}")
+    return given
+
+
+def _names(symbol: str, arrays: Any) -> list[str]:
+    return [symbol] if len(arrays) == 1 else [f"{symbol}[{k}]" for k in range(len(arrays))]
+
+
+def _arrays(manifold: Manifold) -> Iterator[tuple[str, tuple[int, ...]]]:
+    """The spaces and shapes of the arrays of a point."""
+    if isinstance(manifold, Product):
+        for factor in manifold.factors:
+            yield from _arrays(factor)
+        return
+    leaves = jax.tree.leaves(manifold.ambient)
+    for k, leaf in enumerate(leaves):
+        yield (str(manifold) if len(leaves) == 1 else f"{manifold}, array {k}"), leaf.shape
+
+
+def _read(value: Any) -> Quantity:
+    """A quantity from a file."""
+    units, entries = (tuple(_word(name, word) for word in value[name]) for name in ("units", "entries"))
+    if len(units) not in (1, len(entries)):
+        raise ValueError(f"{len(units)} units of {len(entries)} entries")
+    return Quantity(_word("name", value["name"]), units, entries, _word("space", value["space"]))

@@ -1,0 +1,174 @@
+"""Solutions, batches of them and trajectories as tables with names and units: xarray, pandas, CSV."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..channels import View, raw, view
+from ..integrators import OptimalControlProblem, Quantity, Solution, Solutions
+from ..integrators.quantities import with_unit
+from ..manifolds import InvalidInputError, Manifold
+from .optional import needed
+
+About = OptimalControlProblem | Manifold | None
+
+
+def to_xarray(record: Any, problem: About = None) -> Any:
+    """A ``Solution``, ``Solutions`` or ``Trajectory`` as an ``xarray.Dataset`` with named dimensions and units.
+
+    States and costates (``costate of NAME``) are along ``time``, the nodes; controls, multipliers and the Hamiltonian along
+    ``stage_time``; a batch has the dimension ``member`` first, then ``node`` or ``stage``, of which each has its times. Axes of
+    an array are ``NAME_0``, ``NAME_1``; entries with names of their own are coordinates. ``units`` is an attribute of each
+    variable that has one for all entries. ``problem`` has the names and units of a trajectory, or is its manifold.
+
+    Raises ``InvalidInputError`` for other records, ``MissingPackageError`` without xarray.
+    """
+    xarray = needed("xarray", "to_xarray")
+    if isinstance(record, Solutions):
+        datasets = [_indexed(xarray, member, problem, k) for k, member in enumerate(record)]
+        if not datasets:
+            raise InvalidInputError("the batch has no members, expected one or more")
+        times = [name for name in ("time", "stage_time") if name in datasets[0].coords]
+        how = {"coords": [*times, "member"], "data_vars": "all", "compat": "equals", "join": "exact"}
+        return xarray.concat(datasets, dim="member", **how)
+    return _dataset(xarray, record, problem)
+
+
+def _dataset(xarray: Any, record: Any, problem: About) -> Any:
+    found = view(record, problem)
+    stamps = {"units": found.quantities.time} if found.quantities.time else {}
+    coordinates: dict[str, Any] = {"time": ("time", found.times, stamps)}
+    if found.controls or isinstance(record, Solution):
+        coordinates["stage_time"] = ("stage_time", found.stage_times, stamps)
+    variables: dict[str, Any] = {}
+    for prefix, leaves, own, axis in _groups(found):
+        for quantity, values in zip(own, leaves, strict=True):
+            name = f"{prefix}{quantity.name}"
+            dims = [axis, *(f"{quantity.name}_{k}" for k in range(values.ndim - 1))]
+            variables[name] = (dims, values, {"units": quantity.unit} if quantity.unit and not prefix else {})
+            if quantity.is_named:
+                coordinates[dims[1]] = (dims[1], list(quantity.entries))
+    made = xarray.Dataset(variables, coordinates)
+    return _with_record(made, record, found) if isinstance(record, Solution) else made
+
+
+def _with_record(made: Any, solution: Solution, found: View) -> Any:
+    """The data set with what a solution has besides its states and controls."""
+    made["hamiltonian"] = ("stage_time", solution.hamiltonians)
+    for name, rows in solution.multipliers.items():
+        made[f"multiplier of {name}"] = (("stage_time", f"{name}_0"), rows)
+    made.attrs = {"cost": solution.cost, "success": int(solution.success), "result": solution.result}
+    if found.quantities.cost:
+        made.attrs["cost_units"] = found.quantities.cost
+    return made
+
+
+def _indexed(xarray: Any, member: Solution, problem: About, k: int) -> Any:
+    """A member of a batch, with its numbers as variables, and along nodes and stages, because its times are its own."""
+    made = _dataset(xarray, member, problem).assign_coords(member=k)
+    numbers = {name: made.attrs.pop(name) for name in ("cost", "success", "result")}
+    made = made.reset_index(["time", "stage_time"]).rename_dims({"time": "node", "stage_time": "stage"})
+    return made.assign({name: ((), value) for name, value in numbers.items()})
+
+
+def _groups(found: View) -> Iterator[tuple[str, list[np.ndarray], Sequence[Quantity], str]]:
+    yield "", found.states, found.quantities.states, "time"
+    yield "costate of ", found.costates, found.quantities.states, "time"
+    if found.controls:
+        yield "", found.controls, found.quantities.controls, "stage_time"
+
+
+def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
+    """A record as a ``pandas.DataFrame`` with a row for each time, and a column for each entry, as ``body rate[1]``.
+
+    ``at``: ``"nodes"``, with states and costates; ``"stages"``, with the controls, and of a solution with the states, costates,
+    multipliers and the Hamiltonian there; or, for a solution, times, at which it is interpolated. ``Solutions`` have the
+    ``member`` as the first level of their index. ``frame.attrs["units"]`` has the units by column.
+
+    Raises ``InvalidInputError`` for other records and places, ``MissingPackageError`` without pandas.
+    """
+    pandas = needed("pandas", "to_pandas")
+    if isinstance(record, Solutions):
+        frames = {k: to_pandas(member, at, problem) for k, member in enumerate(record)}
+        if not frames:
+            raise InvalidInputError("the batch has no members, expected one or more")
+        made = pandas.concat(frames, names=["member"])
+        made.attrs = frames[0].attrs
+        return made
+    times, columns, units = _columns(record, at, problem)
+    made = pandas.DataFrame(columns, index=pandas.Index(times, name="time"))
+    made.attrs = {"units": units}
+    return made
+
+
+def to_csv(record: Any, path: str | Path, at: Any = "nodes", problem: About = None) -> None:
+    """Write the table of ``to_pandas`` to a CSV file: a head with names and units, as ``body rate[1] [rad/s]``, and a row a time.
+
+    Numbers are written with 17 digits, so that they are read back as they were. Raises ``InvalidInputError`` as ``to_pandas``.
+    """
+    members = list(record) if isinstance(record, Solutions) else [record]
+    tables = [_columns(member, at, problem) for member in members]
+    if not tables:
+        raise InvalidInputError("the batch has no members, expected one or more")
+    units = tables[0][2]
+    head = [with_unit(name, units[name]) for name in ("time", *tables[0][1])]
+    batch = isinstance(record, Solutions)
+    with Path(path).open("w", newline="", encoding="utf-8") as file:
+        file.write(",".join(_quoted(word) for word in ["member"] * batch + head) + "\n")
+        for k, (times, columns, _) in enumerate(tables):
+            for row in np.stack([times, *columns.values()], axis=1):
+                file.write(",".join([str(k)] * batch + [f"{value:.17g}" for value in row]) + "\n")
+
+
+def _quoted(word: str) -> str:
+    return '"' + word.replace('"', '""') + '"' if set(',"\n') & set(word) else word
+
+
+def _columns(record: Any, at: Any, problem: About) -> tuple[np.ndarray, dict[str, np.ndarray], dict[str, str]]:
+    """Times, columns and their units."""
+    found = view(record, problem)
+    rows = _rows(record, found, at)
+    columns, units = {}, {"time": found.quantities.time}
+    for prefix, quantity, values in rows[1]:
+        channel = raw(quantity, values)
+        is_real = channel.entries == quantity.entries
+        names = quantity.columns if is_real else tuple(f"{quantity.name}[{entry}]" for entry in channel.entries)
+        for k, (name, column) in enumerate(zip(names, channel.values.T, strict=True)):
+            columns[f"{prefix}{name}"] = column
+            units[f"{prefix}{name}"] = quantity.unit_of(k if is_real else 0) if not prefix else ""
+    return rows[0], columns, units
+
+
+def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str, Quantity, np.ndarray]]]:
+    """The times, and for each array a prefix of its names, its quantity and its values."""
+    own, controls = found.quantities.states, found.quantities.controls
+    words = isinstance(at, str)
+    if words and at == "nodes":
+        return found.times, [*_named("", own, found.states), *_named("costate of ", own, found.costates)]
+    if words and at == "stages" and not isinstance(record, Solution):
+        return found.stage_times, _named("", controls, found.controls)
+    if not isinstance(record, Solution) or (words and at != "stages"):
+        expected = '"nodes", "stages"' + (" or times" if isinstance(record, Solution) else "")
+        raise InvalidInputError(f"at must be {expected}, got {at!r:.80}")
+    if words:
+        times, parts, more = found.stage_times, (record.stage_states, record.stage_costates, record.controls), _at_stages(record)
+    else:
+        sample, more = record(np.ravel(at)), []
+        times, parts = sample.times, (sample.states, sample.costates, sample.controls)
+    states, costates, values = ([np.asarray(leaf) for leaf in jax.tree.leaves(part)] for part in parts)
+    kept = [*_named("", own, states), *_named("costate of ", own, costates), *_named("", controls, values), *more]
+    return times, kept
+
+
+def _at_stages(solution: Solution) -> list[tuple[str, Quantity, np.ndarray]]:
+    """The Hamiltonian and the multipliers."""
+    rows = {"hamiltonian": solution.hamiltonians, **{f"multiplier of {name}": v for name, v in solution.multipliers.items()}}
+    places = {name: tuple(map(str, range(v.shape[1]))) if v.ndim > 1 else ("",) for name, v in rows.items()}
+    return [("", Quantity(name, ("",), places[name], ""), values) for name, values in rows.items()]
+
+
+def _named(prefix: str, own: Sequence[Quantity], leaves: Sequence[np.ndarray]) -> list[tuple[str, Quantity, np.ndarray]]:
+    return [(prefix, quantity, values) for quantity, values in zip(own, leaves, strict=True)]

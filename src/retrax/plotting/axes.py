@@ -1,0 +1,65 @@
+"""Axes that are given, or made; and how a history is drawn on them."""
+
+from typing import Any
+
+import numpy as np
+
+from ..channels import Channel, View
+from ..integrators import OptimalControlProblem
+from ..integrators.quantities import with_unit
+from ..manifolds import InvalidInputError, Manifold
+
+About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
+PANEL = 4.6, 3.2  # inches
+MANY = 12  # entries that a legend still names
+
+
+def one(ax: Any, projection: str | None = None) -> Any:
+    """The axes that were given, or those of a new figure. Raises ``InvalidInputError`` for flat ones where they are spatial."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        size = (6.0, 6.0) if projection else (6.4, 4.0)
+        return pyplot.figure(figsize=size, layout="constrained").add_subplot(projection=projection)
+    if not hasattr(ax, "plot") or (projection == "3d") != hasattr(ax, "get_zlim"):
+        kind = "axes of matplotlib in three dimensions" if projection else "flat axes of matplotlib"
+        hint = 'figure.add_subplot(projection="3d")' if projection else "figure.add_subplot()"
+        raise InvalidInputError(f"ax must be {kind}, got {ax!r:.80}; try {hint}")
+    return ax
+
+
+def several(ax: Any, count: int) -> np.ndarray:
+    """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by row."""
+    if ax is None:
+        from matplotlib import pyplot
+
+        columns = 1 if count < 3 else 2
+        rows = -(-count // columns)
+        size = (PANEL[0] * columns, PANEL[1] * rows)
+        figure, made = pyplot.subplots(rows, columns, figsize=size, sharex=True, squeeze=False, layout="constrained")
+        for spare in made.flat[count:]:
+            figure.delaxes(spare)
+        return made.flat[:count]
+    given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+    if len(given) != count:
+        raise InvalidInputError(f"ax must be {count} axes, one for each panel, got {len(given)}; try ax=None for a new figure")
+    return np.array([one(each) for each in given], dtype=object)
+
+
+def draw(ax: Any, times: np.ndarray, channel: Channel, found: View, **style: Any) -> Any:
+    """A history with its name, units and the names of its entries."""
+    units = channel.units if len(channel.units) > 1 and not channel.unit else [""] * len(channel.entries)
+    names = [with_unit(*pair) for pair in zip(channel.entries, units, strict=True)]
+    shown = len(names) <= MANY and any(names)
+    for column, name in zip(channel.values.T, names, strict=True):
+        ax.plot(times, column, label=name if shown else None, **style)
+    ax.set_ylabel(with_unit(channel.name, channel.unit))
+    time_axis(ax, found)
+    if shown:
+        ax.legend(fontsize="small")
+    return ax
+
+
+def time_axis(ax: Any, found: View) -> None:
+    """The name and unit of the time."""
+    ax.set_xlabel(with_unit("time", found.quantities.time))

@@ -1,0 +1,139 @@
+"""What the conditions of optimality say along a solution: what is conserved, switching functions, multipliers."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..channels import Channel, control_channels, raw, view
+from ..integrators import OptimalControlProblem, Quantity, Solution
+from ..integrators.functions import require_concrete
+from ..integrators.quantities import with_unit
+from ..manifolds import InvalidInputError
+from ..reading import reads_once
+from .axes import draw, one, several, time_axis
+
+EPS = float(np.finfo(float).eps)
+ACTIVE = 1e-3  # of the largest multiplier
+
+
+def conserved(solution: Solution, ax: Any = None) -> Any:
+    """Errors of what the continuous extremal keeps: its Hamiltonian, its momenta and the equations of its manifold.
+
+    The Hamiltonian is compared with its mean, relative to the largest of its parts; the components of a momentum that the
+    problem conserves with those at the start, relative to the largest; the equations are those of ``manifold.violations`` at
+    the nodes, as they are. Errors of zero are drawn at the rounding of 1. The Hamiltonian of a problem with an explicit time
+    is not constant. Returns the axes; raises ``InvalidInputError`` for anything but a ``Solution``.
+    """
+    found, axis, checks = view(_checked(solution)), one(ax), solution.checks
+    size = checks.hamiltonian_size or 1.0
+    energy = np.abs(solution.hamiltonians - solution.hamiltonians.mean()) / size
+    axis.semilogy(found.stage_times, np.maximum(energy, EPS), label="Hamiltonian")
+    for name, momentum in solution.momenta.items():
+        if checks.conserved[name] == momentum.shape[1]:
+            change = np.max(np.abs(momentum - momentum[0]), axis=1) / (np.max(np.abs(momentum)) or 1.0)
+            axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {name}")
+    for name, values in _violations(solution).items():
+        axis.semilogy(found.times, np.maximum(values, EPS), label=name)
+    axis.set_ylabel("error")
+    time_axis(axis, found)
+    axis.legend(fontsize="small")
+    return axis
+
+
+def _violations(solution: Solution) -> dict[str, np.ndarray]:
+    """The largest violation of each equation of the manifold at each node; none where the manifold is not known."""
+    if solution.interpolant is None:
+        return {}
+    manifold = solution.interpolant.retraction.manifold
+    found = jax.jit(jax.vmap(manifold.violations))(solution.states)
+    return {name: np.max(np.abs(values).reshape(len(values), -1), axis=1) for name, values in jax.device_get(found).items()}
+
+
+def multipliers(solution: Solution, ax: Any = None) -> Any:
+    """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time.
+
+    Those that are nowhere more than a thousandth of the largest have no name in the legend. Returns the axes; raises
+    ``InvalidInputError`` for a solution of a problem without inequalities.
+    """
+    if not _checked(solution).multipliers:
+        raise InvalidInputError(
+            "the solution has no multipliers, its problem has no inequalities; try control_bounds= or constraints= of the problem"
+        )
+    found, axis = view(solution), one(ax)
+    least = ACTIVE * max(np.max(rows, initial=0.0) for rows in solution.multipliers.values())
+    for name, rows in solution.multipliers.items():
+        for k, column in enumerate(rows.T):
+            words = f"{name}[{k}]" if rows.shape[1] > 1 else name
+            axis.plot(found.stage_times, column, label=words if np.max(column) > least else None)
+    axis.set_ylabel("multiplier")
+    time_axis(axis, found)
+    axis.legend(fontsize="small")
+    return axis
+
+
+@reads_once
+def switching_functions(problem: OptimalControlProblem, solution: Solution) -> list[np.ndarray]:
+    """``dH/du = d/du (<p, X> - p_0 F)`` at the stages, without the inequalities, array by array, shape ``(S, *shape)``."""
+    require_concrete("switching", problem)
+
+    def at(q: Any, p: Any, u: Any, t: Any) -> Any:
+        return jax.grad(problem.with_parameters(solution.parameters).at_time(t).hamiltonian, argnums=2)(q, p, u)
+
+    given = solution.stage_states, solution.stage_costates, solution.controls, solution.stage_times
+    return [np.asarray(leaf) for leaf in jax.tree.leaves(jax.jit(jax.vmap(at))(*given))]
+
+
+def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None) -> Any:
+    """The switching functions ``dH/du``, derivatives of ``<p, X> - F`` by the controls at the stages, against time.
+
+    Where a control is at its upper bound its switching function is positive, where it is at its lower one negative, between
+    the bounds and other constraints zero (Pontryagin et al. 1962). Returns the axes; raises ``InvalidInputError`` if the
+    problem is not that of the solution.
+    """
+    found, axis = view(_checked(solution), problem), one(ax)
+    for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
+        axis.axhline(0.0, color="0.6", linewidth=0.8)
+        bare = Quantity(f"dH/d({quantity.name})", ("",), quantity.entries, quantity.space)
+        draw(axis, found.stage_times, raw(bare, values), found)
+    return axis
+
+
+def optimality(solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None) -> np.ndarray:
+    """The controls, under them their switching functions if ``problem`` is given, and the multipliers if there are any.
+
+    Bounds of the problem are dashed. ``ax``: as many axes as there are panels. Returns the array of axes.
+    """
+    found = view(_checked(solution), problem)
+    rows = 1 + (problem is not None) + bool(solution.multipliers)
+    axes = _stacked(rows) if ax is None else several(ax, rows)
+    for channel in control_channels(found):
+        draw(axes[0], found.stage_times, channel, found)
+        _bounds(axes[0], problem, channel)
+    if problem is not None:
+        switching(problem, solution, axes[1])
+    if solution.multipliers:
+        multipliers(solution, axes[-1])
+    return axes
+
+
+def _stacked(rows: int) -> np.ndarray:
+    """Panels under each other."""
+    from matplotlib import pyplot
+
+    _, axes = pyplot.subplots(rows, 1, figsize=(6.4, 2.6 * rows), sharex=True, squeeze=False, layout="constrained")
+    return axes[:, 0]
+
+
+def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) -> None:
+    if problem is None or problem.control_bounds is None or len(channel.entries) != problem.control_bounds[0].size:
+        return
+    for bound in {float(b) for side in problem.control_bounds for b in side.ravel() if np.isfinite(b)}:
+        axis.axhline(bound, color="0.4", linestyle="--", linewidth=0.8)
+    axis.set_ylabel(with_unit(channel.name, channel.unit))
+
+
+def _checked(solution: Any) -> Solution:
+    if not isinstance(solution, Solution):
+        raise InvalidInputError(f"expected a Solution, got {solution!r:.80}; try one that solve returns")
+    return solution

@@ -1,0 +1,104 @@
+"""Curves in space: body axes on the sphere of directions, and paths on S^2 and in the plane and space."""
+
+from typing import Any
+
+import numpy as np
+
+from ..channels import POSES, SPHERE, rotations, view
+from ..integrators.quantities import with_unit
+from ..manifolds import InvalidInputError
+from .axes import About, one
+
+FRAMES = 8
+ARM = 0.08  # length of the axes of a frame, of the extent of the path
+FLOOR = 1e-9
+
+
+def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
+    """The three body axes, columns of the attitude, as curves on the sphere of directions of the inertial frame.
+
+    Each leads from an open to a full dot. Returns the axes, in three dimensions; raises ``InvalidInputError`` for a record
+    without an attitude.
+    """
+    attitudes, axis = rotations(view(record, problem), array), one(ax, "3d")
+    sphere(axis)
+    for k in range(3):
+        curve(axis, attitudes[:, :, k], f"body axis {'xyz'[k]}")
+    bare(axis)
+    axis.legend(loc="upper left", fontsize="small")
+    return axis
+
+
+def path(record: Any, array: int | None = None, problem: About = None, frames: int = FRAMES, ax: Any = None) -> Any:
+    """The path of a point on S^2, of a position in R^2 or R^3, or of a pose with ``frames`` of its body axes along it.
+
+    Of the array at a place, or of the first that has such a path. Returns the axes; raises ``InvalidInputError`` for a record
+    without one.
+    """
+    found = view(record, problem)
+    place = _place([q.space for q in found.quantities.states], found.states, array)
+    quantity, values = found.quantities.states[place], found.states[place]
+    is_pose = quantity.space in POSES
+    n = values.shape[1] - 1 if is_pose else values.shape[1]
+    points = values[:, :n, n] if is_pose else values
+    axis = one(ax, "3d" if n == 3 else None)
+    if quantity.space == SPHERE:
+        sphere(axis)
+    curve(axis, points, None)
+    if is_pose:
+        _frames(axis, values[:: max(1, len(values) // frames)], np.ptp(points, axis=0).max())
+    if quantity.space == SPHERE:
+        bare(axis)
+        return axis
+    for name, set_label in zip("xyz", (axis.set_xlabel, axis.set_ylabel, getattr(axis, "set_zlabel", None)), strict=True):
+        if set_label is not None:
+            set_label(with_unit(name, quantity.unit))
+    axis.set_aspect("equal", *([] if n == 3 else ["datalim"]))
+    return axis
+
+
+def _place(spaces: list[str], states: list[np.ndarray], array: int | None) -> int:
+    """The place of the array that has a path."""
+    fit = [
+        space in (*POSES, SPHERE) or (values.ndim == 2 and values.shape[1] in (2, 3))
+        for space, values in zip(spaces, states, strict=True)
+    ]
+    chosen = range(len(fit)) if array is None else [array]
+    for place in chosen:
+        if place in range(len(fit)) and fit[place]:
+            return place
+    what = "no array" if array is None else f"no array {array}"
+    raise InvalidInputError(
+        f"the record has {what} with a path on S^2, in R^2 or R^3, or of poses, it has "
+        f"{', '.join(space or 'unknown' for space in spaces)}; try plotting.histories"
+    )
+
+
+def sphere(axis: Any) -> None:
+    """The unit sphere as wires."""
+    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
+    points = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+    axis.plot_wireframe(*points, color="0.85", linewidth=0.5)
+
+
+def curve(axis: Any, points: np.ndarray, name: str | None) -> None:
+    """A curve from an open dot to a full one."""
+    (drawn,) = axis.plot(*points.T, label=name)
+    colour = drawn.get_color()
+    axis.plot(*points[:1].T, "o", color=colour, markerfacecolor="white")
+    axis.plot(*points[-1:].T, "o", color=colour)
+
+
+def bare(axis: Any) -> None:
+    """Equal scales, and nothing but the picture."""
+    axis.set_box_aspect((1, 1, 1), zoom=1.4)
+    axis.set_axis_off()
+
+
+def _frames(axis: Any, poses: np.ndarray, extent: float) -> None:
+    """Body axes at some poses, each pointing where its column does."""
+    n, arm = poses.shape[1] - 1, ARM * extent if extent > FLOOR else 1.0
+    for pose in poses:
+        for k, colour in zip(range(n), ("C3", "C2", "C0"), strict=False):
+            ends = np.stack([pose[:n, n], pose[:n, n] + arm * pose[:n, k]])
+            axis.plot(*ends.T, color=colour, linewidth=1)

@@ -1,0 +1,65 @@
+"""How a solve went: its convergence, and the sparsity of the problem that it solved."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..manifolds import InvalidInputError
+from .axes import one
+
+if TYPE_CHECKING:
+    from ..interop.discrete_problem import DiscreteProblem
+
+EPS = float(np.finfo(float).eps)
+
+
+def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:
+    """Gap, stationarity and, with inequalities, violation and barrier of each iteration of a solve.
+
+    ``iterations``: what its ``callback`` was given, ``solve(..., callback=iterations.append)``; ``member`` of a batch. Zeros
+    are drawn at the rounding of 1. Returns the axes; raises ``InvalidInputError`` where there is no iteration of the member.
+    """
+    kept = [(it.number, int(np.flatnonzero(it.members == member)[0]), it) for it in iterations if member in it.members]
+    if not kept:
+        raise InvalidInputError(
+            f"there is no iteration of member {member} among {len(iterations)}; try iterations = [] and "
+            "solve(..., callback=iterations.append)"
+        )
+    axis, numbers = one(ax), [number for number, _, _ in kept]
+    for name in ("gap", "stationarity", "violation", "barrier"):
+        values = np.array([getattr(it, name)[place] for _, place, it in kept])
+        if name in ("gap", "stationarity") or np.any(values > 0):
+            axis.semilogy(numbers, np.maximum(values, EPS), "o-", label=name, markersize=4)
+    axis.set_xlabel("iteration")
+    axis.set_ylabel("relative residual")
+    axis.xaxis.get_major_locator().set_params(integer=True)
+    axis.legend(fontsize="small")
+    return axis
+
+
+def sparsity(discrete: "DiscreteProblem", ax: Any = None) -> Any:
+    """Where the KKT matrix of a discrete problem has entries: the Hessian of its Lagrangian, and the Jacobian of its equations.
+
+    ``discrete``: from ``retrax.interop.to_casadi``. The unknowns come first, then the equations. Returns the axes.
+    """
+    import casadi as ca
+    from scipy.sparse import bmat, coo_matrix
+
+    nlp = discrete.nlp
+    x, g = nlp["x"], nlp["g"]
+    weights = ca.MX.sym("weights", g.shape[0])  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
+    hessian = ca.hessian(nlp["f"] + ca.dot(weights, g), x)[0].sparsity()
+    jacobian = ca.jacobian(g, x).sparsity()
+
+    def pattern(given: Any) -> Any:
+        rows, columns = given.get_triplet()
+        return coo_matrix((np.ones(len(rows)), (rows, columns)), shape=given.shape)
+
+    matrix: Any = bmat([[pattern(hessian), pattern(jacobian).T], [pattern(jacobian), None]])
+    axis = one(ax)
+    size = x.shape[0] + g.shape[0]
+    axis.spy(matrix, markersize=max(0.2, min(3.0, 300.0 / size)), color="C0")
+    share = matrix.nnz / size**2
+    axis.set_xlabel(f"{x.shape[0]} unknowns, {g.shape[0]} equations: {matrix.nnz} entries, {share:.2%} of the matrix")
+    return axis

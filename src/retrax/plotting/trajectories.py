@@ -1,0 +1,66 @@
+"""Trajectories of Hamiltonian systems and on P_f: energy errors, and phase portraits."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from ..integrators import Trajectory
+from ..manifolds import InvalidInputError
+from ..reading import reads_once
+from .axes import one
+
+
+@reads_once
+def _along(function: Callable[[Any, Any], Any], trajectory: Trajectory) -> np.ndarray:
+    """The values of a function of ``(q, p)`` at the nodes."""
+    values = np.asarray(jax.jit(jax.vmap(function))(trajectory.q, trajectory.p))
+    if values.ndim != 1:
+        raise InvalidInputError(f"the function of (q, p) must return a number, got shape {values.shape[1:]}; try one entry of it")
+    return values
+
+
+def energy(trajectory: Trajectory, hamiltonian: Callable[[Any, Any], Any], label: str | None = None, ax: Any = None) -> Any:
+    """The energy error ``H(q, p) - H(q_0, p_0)`` along a trajectory against time.
+
+    ``hamiltonian(q, p)`` is the Hamiltonian that was integrated; of a singular problem, one with the control of
+    ``classification.control(q, p)``. Returns the axes; raises ``InvalidInputError`` for anything but one trajectory.
+    """
+    values = _along(hamiltonian, _checked(trajectory))
+    axis = one(ax)
+    axis.plot(np.asarray(trajectory.times), values - values[0], label=label)
+    axis.ticklabel_format(axis="y", scilimits=(-2, 3))
+    axis.set_xlabel("time")
+    axis.set_ylabel("energy error")
+    if label:
+        axis.legend(fontsize="small")
+    return axis
+
+
+def phase_portrait(
+    trajectories: Trajectory | Sequence[Trajectory],
+    coordinates: tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]],
+    names: tuple[str, str] = ("", ""),
+    ax: Any = None,
+) -> Any:
+    """Trajectories in two coordinates of ``T*Q``, or of ``P_f`` for those of a ``singular_integrator``; a dot is a start.
+
+    ``coordinates``: two JAX functions of ``(q, p)`` that return a number, ``names`` those of the axes. A start may have been
+    moved to ``P_f`` by ``classification.manifold.nearby``. Returns the axes; raises ``InvalidInputError`` for other
+    trajectories or functions.
+    """
+    axis = one(ax)
+    for trajectory in [trajectories] if isinstance(trajectories, Trajectory) else trajectories:
+        x, y = (_along(coordinate, _checked(trajectory)) for coordinate in coordinates)
+        (drawn,) = axis.plot(x, y, linewidth=1)
+        axis.plot(x[:1], y[:1], "o", color=drawn.get_color(), markersize=3)
+    axis.set_xlabel(names[0])
+    axis.set_ylabel(names[1])
+    return axis
+
+
+def _checked(trajectory: Any) -> Trajectory:
+    if not isinstance(trajectory, Trajectory) or np.ndim(trajectory.times) != 1:
+        raise InvalidInputError(f"expected a Trajectory, got {trajectory!r:.80}; try one that integrate returns")
+    return trajectory

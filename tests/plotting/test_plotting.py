@@ -1,0 +1,239 @@
+"""Pictures hold the numbers of the record, under the names and units of the problem, on the axes that are given."""
+
+import jax.numpy as jnp
+import matplotlib as mpl
+import numpy as np
+import pytest
+from retrax import plotting
+from retrax.channels import rotation_vectors, rotations, view
+from retrax.integrators import OptimalControlProblem, Result, Trajectory, solve
+from retrax.interop import to_casadi
+from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
+from retrax.retractions import Cayley, Midpoint
+from scipy.spatial.transform import Rotation
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
+
+Q = SO(3) * Euclidean(2)
+BOUND = 0.45
+
+
+def dynamics(q, u):
+    """A body that is turned, and two integrators beside it, of which the second is driven by the first's square."""
+    R, x = q
+    return R @ hat(u), jnp.stack([u[0] + 0.0 * x[0], x[0] * u[1]])
+
+
+PROBLEM = OptimalControlProblem(
+    Q,
+    dynamics,
+    lambda q, u: u @ u / 2 + 2 * q[1][0] ** 2,
+    3,
+    control_bounds=(-BOUND, [BOUND, np.inf, np.inf]),
+    labels={"states": ("attitude", ("left", "right")), "controls": "rate"},
+    units={"states": ("", ("m", "kg")), "controls": "rad/s", "time": "s"},
+)
+METHOD, STEPS = Midpoint(Cayley(Q)), 6
+START = np.eye(3), np.zeros(2)
+END = Rotation.from_rotvec([1.0, -0.4, 0.3]).as_matrix(), None
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """A solution with a bound that holds it for a while, and its iterations."""
+    iterations = []
+    return solve(PROBLEM, METHOD, START, END, 3.0, STEPS, callback=iterations.append), iterations
+
+
+@pytest.fixture(autouse=True)
+def closed():
+    """Every figure is closed."""
+    yield
+    plt.close("all")
+
+
+def made_by_hand(**arrays):
+    """A trajectory with these states, zero covectors and no controls."""
+    times = jnp.linspace(0.0, 2.0, len(next(iter(arrays.values()))))
+    q = tuple(arrays.values()) if len(arrays) > 1 else next(iter(arrays.values()))
+    return Trajectory(times, q, q, None, times[1:], Result.successful, jnp.asarray(-1))
+
+
+def poses(n, count=9):
+    """Poses in the plane or in space that go along a line and turn about the last axis."""
+    turn = Rotation.from_rotvec(np.linspace(0, 2, count)[:, None] * [0, 0, 1]).as_matrix()
+    found = np.zeros((count, n + 1, n + 1))
+    found[:, :n, :n], found[:, :n, n], found[:, n, n] = turn[:, :n, :n], np.linspace(0, 1, count)[:, None] + np.arange(n), 1
+    return found
+
+
+def test_histories_are_the_numbers_with_names_and_units(solved):
+    solution, _ = solved
+    attitude, beside, control = plotting.histories(solution)
+    vectors = Rotation.from_matrix(solution.states[0]).as_rotvec()
+    for axis, times, values in (
+        (attitude, solution.times, vectors),
+        (beside, solution.times, solution.states[1]),
+        (control, solution.stage_times, solution.controls),
+    ):
+        drawn = np.stack([line.get_ydata() for line in axis.lines], axis=1)
+        np.testing.assert_allclose(drawn, values, atol=1e-14)
+        np.testing.assert_array_equal(axis.lines[0].get_xdata(), times)
+        assert axis.get_xlabel() == "time [s]"
+    assert [axis.get_ylabel() for axis in (attitude, beside, control)] == [
+        "attitude, rotation vector [rad]",
+        "q[1]",
+        "rate [rad/s]",
+    ]
+    legends = [[text.get_text() for text in axis.get_legend().get_texts()] for axis in (attitude, beside, control)]
+    assert legends == [["x", "y", "z"], ["left [m]", "right [kg]"], ["0", "1", "2"]]
+
+
+def test_every_picture_takes_axes_and_makes_no_figure_of_its_own_then(solved):
+    solution, iterations = solved
+    sphere = made_by_hand(q=Rotation.from_rotvec(np.linspace(0, 1, 5)[:, None] * [1, 0, 0]).as_matrix()[:, 1])
+    discrete = to_casadi(PROBLEM, METHOD, START, END, 3.0, 2)
+    coordinates = lambda q, p: q[0], lambda q, p: q[1] * p[2]
+    flat = {
+        "attitude": lambda ax: plotting.attitude(solution, ax=ax),
+        "conserved": lambda ax: plotting.conserved(solution, ax=ax),
+        "controls": lambda ax: plotting.controls(solution, ax=ax),
+        "convergence": lambda ax: plotting.convergence(iterations, ax=ax),
+        "energy": lambda ax: plotting.energy(sphere, coordinates[0], ax=ax),
+        "multipliers": lambda ax: plotting.multipliers(solution, ax=ax),
+        "path": lambda ax: plotting.path(solution, 1, ax=ax),
+        "phase_portrait": lambda ax: plotting.phase_portrait(sphere, coordinates, ax=ax),
+        "slopes": lambda ax: plotting.slopes(Cayley(SO(2)), seeds=[0], ax=ax),
+        "sparsity": lambda ax: plotting.sparsity(discrete, ax=ax),
+        "state": lambda ax: plotting.state(solution, 1, ax=ax),
+        "switching": lambda ax: plotting.switching(PROBLEM, solution, ax=ax),
+    }
+    spatial = {
+        "body_axes": lambda ax: plotting.body_axes(solution, ax=ax),
+        "path": lambda ax: plotting.path(sphere, problem=Sphere(2), ax=ax),
+    }
+    panels = {
+        "histories": (3, lambda ax: plotting.histories(solution, ax=ax)),
+        "optimality": (3, lambda ax: plotting.optimality(solution, PROBLEM, ax=ax)),
+    }
+    assert {*flat, *spatial, *panels} == set(plotting.__all__)
+    for draw in flat.values():
+        ax = plt.figure().add_subplot()
+        assert draw(ax) is ax
+        assert ax.has_data()
+        plt.close("all")
+    for draw in spatial.values():
+        ax = plt.figure().add_subplot(projection="3d")
+        assert draw(ax) is ax
+        with pytest.raises(InvalidInputError, match="three dimensions"):
+            draw(plt.figure().add_subplot())
+    for count, draw in panels.values():
+        _, axes = plt.subplots(count)
+        assert list(draw(axes)) == list(axes)
+        for wrong in (1, 2, 4):
+            with pytest.raises(InvalidInputError, match=f"must be {count} axes"):
+                draw(plt.subplots(wrong)[1])
+        plt.close("all")
+    with pytest.raises(InvalidInputError, match="flat axes"):
+        plotting.attitude(solution, ax=plt.figure().add_subplot(projection="3d"))
+    for draw in (*(flat[name] for name in ("attitude", "convergence", "path")), *(draw for _, draw in panels.values())):
+        axes = np.ravel(draw(None))
+        assert all(ax.figure is axes[0].figure for ax in axes)
+        plt.close(axes[0].figure)
+    assert len(plt.get_fignums()) == 1, "that of the axes which were given"
+
+
+def test_switching_functions_are_what_the_multipliers_hold(solved):
+    solution, _ = solved
+    lower, upper = (solution.multipliers[f"control_bounds {side}"] for side in ("lower", "upper"))
+    assert upper.max() > 0.1, "the bound holds"
+    axis = plotting.switching(PROBLEM, solution)
+    drawn = np.stack([line.get_ydata() for line in axis.lines if len(line.get_xdata()) == STEPS], axis=1)
+    np.testing.assert_allclose(drawn, upper - lower, atol=1e-8)
+    top = plotting.optimality(solution, PROBLEM)[0]
+    dashed = {line.get_ydata()[0] for line in top.lines if line.get_linestyle() == "--"}
+    assert dashed == {-BOUND, BOUND}
+
+
+def test_errors_of_what_is_conserved_are_those_of_the_report(solved):
+    solution, _ = solved
+    axis = plotting.conserved(solution)
+    lines = {line.get_label(): np.asarray(line.get_ydata()) for line in axis.lines}
+    for name, worst in solution.checks.violations.items():
+        assert lines[name].max() == max(worst, np.finfo(float).eps)
+    assert lines["Hamiltonian"].max() <= solution.checks.hamiltonian_spread / solution.checks.hamiltonian_size
+    assert lines["Hamiltonian"].max() >= 0.5 * solution.checks.hamiltonian_spread / solution.checks.hamiltonian_size
+
+
+def test_convergence_is_that_of_the_member(solved):
+    solution, iterations = solved
+    axis = plotting.convergence(iterations)
+    gaps = axis.lines[0].get_ydata()
+    assert len(gaps) == len(iterations)
+    assert gaps[-1] == max(solution.checks.gap, np.finfo(float).eps)
+    with pytest.raises(InvalidInputError, match="member 1"):
+        plotting.convergence(iterations, member=1)
+
+
+@pytest.mark.parametrize("step", np.linspace(-3.1, 3.1, 14))
+def test_rotation_vectors_turn_on_without_a_jump(step):
+    angles = step * np.arange(20) + 0.3
+    axis = np.array([1.0, -2.0, 2.0]) / 3
+    matrices = Rotation.from_rotvec(angles[:, None] * axis).as_matrix()
+    found = rotation_vectors(matrices)
+    # The axis points to the first vector's side, and every further angle is known up to that only.
+    np.testing.assert_allclose(found, angles[:, None] * axis, atol=1e-7)
+    np.testing.assert_allclose(Rotation.from_rotvec(found).as_matrix(), matrices, atol=1e-12)
+
+
+def test_a_body_at_rest_has_rotation_vectors_of_zero():
+    np.testing.assert_array_equal(rotation_vectors(np.broadcast_to(np.eye(3), (4, 3, 3))), np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize("n", [2, 3])
+def test_paths_of_poses_are_their_positions(n):
+    record = made_by_hand(q=poses(n))
+    axis = plotting.path(record, problem=SE(n), frames=3)
+    line = axis.lines[0]
+    drawn = np.stack(line.get_data_3d() if n == 3 else line.get_data(), axis=1)
+    np.testing.assert_array_equal(drawn, poses(n)[:, :n, n])
+    assert len(axis.lines) >= 3 + 3 * n, "the path, its ends, and the axes of three frames"
+    names = [axis.get_ylabel() for axis in plotting.histories(record, SE(n))]
+    assert names == (["q, angle [rad]", "q, position"] if n == 2 else ["q, rotation vector [rad]", "q, position"])
+    with pytest.raises(InvalidInputError, match="unknown"):
+        plotting.body_axes(record)
+    if n == 3:
+        assert rotations(view(record, SE(3))).shape == (9, 3, 3)
+
+
+def test_slopes_are_those_of_the_kit():
+    axis = plotting.slopes(Cayley(SO(3)), seeds=[0, 1])
+    words = [text.get_text() for text in axis.get_legend().get_texts()]
+    assert words[-1] == "slope 2"
+    assert all(abs(float(text.split()[-1]) - 2) < 0.1 for text in words[:-1])
+
+
+@pytest.mark.parametrize("record", [None, 1.0, [1, 2], "solution"])
+@pytest.mark.parametrize(
+    "name", ["histories", "state", "controls", "attitude", "body_axes", "path", "conserved", "multipliers", "energy"]
+)
+def test_other_records_are_refused(name, record):
+    more = [lambda q, p: 0.0] if name == "energy" else []
+    with pytest.raises(InvalidInputError, match=r"expected a (Solution|Trajectory)"):
+        getattr(plotting, name)(record, *more)
+
+
+def test_places_that_no_array_has_are_refused(solved):
+    solution, _ = solved
+    for draw, wrong in ((plotting.state, 2), (plotting.attitude, 1), (plotting.body_axes, 1), (plotting.path, 0)):
+        with pytest.raises(InvalidInputError, match="array"):
+            draw(solution, wrong)
+    with pytest.raises(InvalidInputError, match="names"):
+        plotting.histories(solution, Sphere(2))
+    with pytest.raises(InvalidInputError, match="OptimalControlProblem or a Manifold"):
+        plotting.histories(solution, "problem")
+    with pytest.raises(InvalidInputError, match="no controls"):
+        plotting.controls(made_by_hand(q=np.zeros((4, 2))))
+    with pytest.raises(InvalidInputError, match="must return a number"):
+        plotting.energy(made_by_hand(q=np.zeros((4, 2))), lambda q, p: q)
