@@ -3,6 +3,7 @@
 import os
 import random
 from pathlib import Path
+from zlib import crc32
 
 import jax
 import pytest
@@ -13,7 +14,32 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
 
 MEMORY_MAPS = Path("/proc/self/maps")
-MOST_MEMORY_MAPS = 30_000  # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit
+MOST_MEMORY_MAPS = 20_000  # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit
+
+
+# Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache.
+KERNELS = "kernels"
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--part", help="K/M: the K-th of M parts of the tests that were selected, K from 0; a function's cases stay together"
+    )
+
+
+def pytest_configure(config):
+    if hasattr(config, "cache"):
+        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir(KERNELS)))
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config, items):
+    if part := config.getoption("part"):
+        number, parts = map(int, part.split("/"))
+        chosen = [item for item in items if crc32(item.nodeid.split("[")[0].encode()) % parts == number % parts]
+        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
+        items[:] = chosen
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -83,6 +83,7 @@ def kernel():
     return compiled(facts)
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_a_composition_is_symplectic_reversible_and_keeps_the_momentum_about_the_vertical(seed):
     facts = kernel()(seed)

@@ -110,15 +110,13 @@ def test_geodesics_are_exponentials_to_order_four(name, seed):
     np.testing.assert_allclose(max(map(np.max, facts["violations"].values())), 0, atol=1e-14)
 
 
-@settings(max_examples=4)
-@given(seed=SEEDS)
-def test_the_energy_of_geodesics_of_an_ellipsoid_is_conserved_to_order_four(seed):
-    facts = facts_at("ellipsoid", seed)
-    energy = np.abs(facts["energy"])
-    assert np.all(facts["solved"])
+def test_the_energy_of_geodesics_of_an_ellipsoid_is_conserved_to_order_four():
+    """The worst of ten geodesics: on a single one a coefficient may vanish at or between two lengths."""
+    facts = [facts_at("ellipsoid", seed) for seed in range(10)]
+    assert all(np.all(geodesic["solved"]) for geodesic in facts)
+    energy = np.max([np.abs(geodesic["energy"]) for geodesic in facts], axis=0)
     assert energy[0] < 1e-2
-    # The energy itself is quadratic in the length. Beside the order, a coefficient may vanish between two lengths.
-    assert energy[2] < max(energy[0] * 2.0**-9, 1e-13)
+    assert np.log2(energy[0] / energy[2]) > 10, "the sixth power of the length, as the energy itself is quadratic in it"
 
 
 @lru_cache

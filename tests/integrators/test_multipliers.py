@@ -90,6 +90,7 @@ def test_the_cost_is_the_sum_of_the_running_cost_over_the_stages(solved):
     assert solution.cost == pytest.approx(float(step * np.sum(rates)), rel=1e-13)
 
 
+@pytest.mark.slow
 @given(angle=st.floats(0.1, 2.5), axis=st.integers(0, 2))
 def test_a_slew_about_a_principal_axis_is_the_double_integrator(angle, axis):
     """Its cost from rest to rest is ``6 (J a)^2 / T^3``, and ``N^2 / (N^2 - 1)`` times that in N steps."""

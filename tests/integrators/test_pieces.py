@@ -116,6 +116,7 @@ class BelowHeight(eqx.Module):
         return p @ p / 2 + q[0] + jnp.sqrt(self.height - q[1])
 
 
+@pytest.mark.slow
 def test_a_step_that_fails_in_any_piece_ends_the_trajectory_there(taken, monkeypatch):
     """The height is swept, so that the step that fails goes through all ends of blocks and of pieces."""
     heights = jnp.append(jnp.linspace(0.02, 2.6, 32), 9.0)

@@ -1,12 +1,13 @@
 """Minima, saddles and indefinite Hessians: geodesics of the sphere, both ways round."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from retrax.integrators import Guess, OptimalControlProblem, Solution, solve
+from retrax.integrators import Guess, OptimalControlProblem, Solution, Solver, solve
 from retrax.retractions import Exponential, Midpoint, Projection
 
 from tests.support.numerics import SEEDS, norm
@@ -31,8 +32,13 @@ def turning(total: float) -> Guess:
     return Guess(on_equator(angles), total * on_equator(angles + np.pi / 2))
 
 
+@cache
+def geodesics() -> Solver:
+    return Solver(GEODESIC, Midpoint(Exponential(SPHERE)), STEPS)
+
+
 def geodesic(angle: float, guess: Guess | None = None, **options) -> Solution:
-    return solve(GEODESIC, Midpoint(Exponential(SPHERE)), on_equator(0.0), on_equator(angle), 1.0, STEPS, guess, **options)
+    return geodesics().solve(on_equator(0.0), on_equator(angle), 1.0, guess, **options)
 
 
 @given(angle=st.floats(0.01, 3.1))
@@ -74,6 +80,7 @@ def from_a_noisy_guess(seed: int, noise: float, **options) -> Solution:
     return geodesic(2.0, Guess(unit(noisy), np.zeros((STEPS, 3))), **options)
 
 
+@pytest.mark.slow
 def test_indefinite_hessians_on_the_way_are_overcome():
     """Each guess leads to the short way, a strict minimum, or to the long way, known to be none."""
     solutions = [from_a_noisy_guess(seed, 0.3) for seed in range(8)]

@@ -48,6 +48,7 @@ def test_the_start_may_have_a_covector_with_a_normal_part():
     assert norm((raised.q - swing().q, raised.p - swing().p)) < 1e-14
 
 
+@pytest.mark.slow
 @given(seed=SEEDS, h=st.floats(0.01, 0.2))
 def test_a_symmetric_map_backward_in_time_returns(seed, h):
     start = CotangentBundle(SPHERE).random_point(jax.random.key(seed))
@@ -64,6 +65,7 @@ def test_a_batch_is_the_loop_over_its_members():
         assert norm((batch.q[i] - single.q, batch.p[i] - single.p)) < 1e-13
 
 
+@pytest.mark.slow
 def test_derivatives_by_start_and_step_size_agree_with_differences():
     """Along a curve of starts on ``T*S^2``, with a step size that changes too."""
 

@@ -19,6 +19,7 @@ def test_a_power_is_the_product_of_its_copies():
     np.testing.assert_allclose(jnp.stack(product.basis(tuple(x)), axis=1), power.basis(x), atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_path_of_poses_is_a_point_of_a_power():
     paths = Power(SO(3) * Euclidean(3), 50)
     x = paths.random_point(KEY)

@@ -115,6 +115,7 @@ def test_steps_compose_to_rounding_or_not_at_all_and_the_choice_flips_once():
         assert [chosen(classify(bent(bend, size))) for bend in (0.0, 1e-14, 1e-9, 0.1)] == ["direct"] * 2 + ["rattle"] * 2
 
 
+@pytest.mark.slow
 def test_a_term_that_no_rank_depends_on_leaves_them_decided_however_small_it_is():
     for bend in (0.0, 1e-300, 1e-30, *np.geomspace(1e-17, 1e-3, 8)):
         c = classify(bent(bend))
@@ -190,6 +191,7 @@ def test_a_reduction_is_refused_where_fields_change_by_more_than_rounding_whatev
             assert not reducible(carried(0.1, units[0], 1.0, units[1]))
 
 
+@pytest.mark.slow
 def test_constraints_that_do_not_commute_are_refused_in_all_units():
     class Coupled(eqx.Module):
         twist: Array

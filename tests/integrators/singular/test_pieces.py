@@ -53,6 +53,7 @@ class Crossing(eqx.Module):
         return (q[0] * q[1]) ** 2 * (1 + self.share * (q[1] - 1)) / 2
 
 
+@pytest.mark.slow
 def test_curved_pieces_are_told_apart_by_directions_that_they_have_in_common():
     """``q' = 0``, cost ``(w - z^2) u1 + x y u2``: two parabolic cylinders, in ``x = 0`` and in ``y = 0``."""
     problem = OptimalControlProblem(
@@ -70,6 +71,7 @@ def test_curved_pieces_are_told_apart_by_directions_that_they_have_in_common():
     assert ("curved pieces of equal ranks" in str(c)) == c.irregular
 
 
+@pytest.mark.slow
 def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
     """``q' = u``, cost ``x^2 y^2/2``: ``x = 0`` and ``y = 0``, of equal ranks; and ``x^2 y^3/2``, irregular on ``y = 0``."""
     problem, half = (OptimalControlProblem(Euclidean(2), lambda q, u: u, Crossing(jnp.array(a)), 2) for a in (0.0, 1.0))

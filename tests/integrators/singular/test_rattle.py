@@ -138,6 +138,7 @@ def test_moves_along_leaves_that_are_too_long_for_their_flow_are_no_steps():
     assert norm(jnp.swapaxes(arc.q, 1, 2) @ arc.q - jnp.eye(3)) < 1e-14
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_what_is_zero_is_judged_in_the_units_of_the_problem(size):
     """Costs ``size`` times as large make costates so, and the control may be in other units: the verdicts are the same."""

@@ -298,6 +298,7 @@ def test_derivatives_by_the_data_of_the_problem_and_batches():
     np.testing.assert_allclose((values, slopes), expected, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_discretization_is_restricted_factor_by_factor():
     rigid = chain_of("free actuator")
     cayley = ReducedIntegrator(CotangentLift(Euler(Cayley(rigid.problem.manifold))), rigid)

@@ -110,6 +110,7 @@ def test_a_singular_solution_reports_what_was_checked(tmp_path):
     assert str(loaded) == str(solution)
 
 
+@pytest.mark.slow
 def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
     options = {"classification": classified(ALY_CHAN)}
     solution = solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, throw=False, **options)

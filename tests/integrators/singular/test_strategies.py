@@ -236,6 +236,7 @@ def test_a_gauge_that_is_none_is_refused(gauge, message):
         chosen("academic", gauge=gauge)
 
 
+@pytest.mark.slow
 def test_what_does_not_apply_is_refused_with_what_does():
     beside = Theta(default_retraction(Euclidean(2)), 0.3)
     with pytest.raises(InvalidInputError, match=r"(?s)not stage: the deviation of the nodes .* grows") as refusal:

@@ -54,6 +54,7 @@ def answer(given: OptimalControlProblem, end: np.ndarray | None = None) -> tuple
     return found.success, found.cost, float(found.states[-1, 0])
 
 
+@pytest.mark.slow
 def test_a_target_that_costs_nothing_is_reached_down_to_no_running_cost():
     """``x' = u``, cost ``c u^2/2 + (x - 1)^2/2``: ``x(1) = 1/(1 + c)`` at the cost ``c/(1 + c)/2``, with ``p = -c/(1 + c)``."""
     for c, unit in product((1.0, 1e-3, 1e-6, 1e-12, 0.0), (1e-12, 1.0, 1e12)):
@@ -62,6 +63,7 @@ def test_a_target_that_costs_nothing_is_reached_down_to_no_running_cost():
         np.testing.assert_allclose([end, cost / unit], [1 / (1 + c), c / (1 + c) / 2], rtol=1e-9, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_constant_running_cost_is_part_of_no_condition():
     for rate in (0.0, 1e-12, 1.0, 1e6):
         success, cost, end = answer(problem(rate=rate))
@@ -70,6 +72,7 @@ def test_a_constant_running_cost_is_part_of_no_condition():
         assert answer(problem(rate=rate, tilt=1.0, bend=0.0)).startswith("the problem is singular, and no point of P_f, on which")
 
 
+@pytest.mark.slow
 def test_no_extremal_has_a_vanishing_costate_where_the_terminal_cost_is_steep_everywhere():
     """``x + a (x - 1)^2/2`` is least at ``x = 1 - 1/a``, and unbounded below for ``a = 0``, to rounding."""
     for a in (1.0, 1e-2, 1e-4, 0.0, 1e-18):
@@ -118,6 +121,7 @@ def test_the_free_part_of_an_end_is_brought_to_where_its_cost_is_least():
         solve(given, Midpoint(default_retraction(PAIR)), start, None, 1.0, 4)
 
 
+@pytest.mark.slow
 def test_the_size_of_a_contradiction_has_no_unit_of_the_cost():
     """``x' = u`` at the terminal cost ``x``, where ``p = 0`` and ``p = -1`` contradict each other."""
     sizes = set()
