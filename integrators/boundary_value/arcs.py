@@ -1,7 +1,7 @@
 """Arcs along which controls stay at their bounds, with free durations: switches are then nodes, and found to all digits."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import jax.numpy as jnp
@@ -57,21 +57,13 @@ class Arcs:
         self.middle = np.where(both, (np.where(both, lower, 0) + np.where(both, upper, 0)) / 2, nearest)
         last = () if is_free(horizon) else (LAST,)
         names, limits = problem.limits.names, [self._limit(place) for place in range(len(problem.limits.names))]
-        functions = (*limits, self._last) if last else tuple(limits)
-        held: Any = Inequalities(
-            problem.limits.lower, problem.limits.upper, names + last, functions, problem.limits.at_first | frozenset(last)
-        )
-        self.problem = OptimalControlProblem(
-            problem.manifold,
-            self._velocity,
-            self._rate,
-            problem.controls,
-            terminal_cost=None if problem.terminal_cost is None else self._final,
-            abnormal=problem.abnormal,
-            initial_cost=None if problem.initial_cost is None else self._first,
-            constraints=held,
-            time_dependent=True,
-        )
+        own, every = problem.limits, (*limits, self._last) if last else tuple(limits)
+        held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last))
+        paid: Any = {"terminal_cost": self._final} if problem.terminal_cost is not None else {}
+        paid |= {"initial_cost": self._first} if problem.initial_cost is not None else {}
+        velocity, rate = cast(Any, (self._velocity, self._rate))
+        paid |= {"constraints": held, "abnormal": problem.abnormal, "time_dependent": True}
+        self.problem = OptimalControlProblem(problem.manifold, velocity, rate, problem.controls, **paid)
 
     def parameters(self, durations: np.ndarray, own: Any) -> Any:
         """The parameters of the problem in arcs: guessed durations, and the parameters of the problem itself."""

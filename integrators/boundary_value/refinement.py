@@ -16,7 +16,7 @@ from .arguments import Method, fractions_of
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
-from .solution import RegularChecks, Solution
+from .solution import RegularChecks, Solution, Statistics
 from .solver import Solver
 from .step_errors import Estimator, StepErrors
 from .structure import ControlStructure, control_structure
@@ -65,7 +65,8 @@ class Refinement:
         self._solvers: dict[tuple[Any, Any], Solver] = {}
         self._arcs: dict[bytes, Arcs] = {}
         self._estimator: Estimator | None = None
-        self._effort, self._most = (0, 0.0, 0.0), MOST_STAGES
+        self._effort: tuple[int, float, float] = 0, 0.0, 0.0
+        self._most = MOST_STAGES
 
     def solve(self, steps: Any) -> Solution:
         """The solution on the last mesh."""
@@ -119,8 +120,9 @@ class Refinement:
         else:
             solver = self._solvers[key] = Solver(problem, method, steps)
         solution = solver.solve(*asked, throw=False, **self.options)
-        spent = solution.statistics.iterations, solution.statistics.compile_seconds, solution.statistics.run_seconds
-        self._effort = tuple(a + b for a, b in zip(self._effort, spent, strict=True))
+        iterations, compiling, running = self._effort
+        spent = solution.statistics
+        self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
         return solution
 
     def _judged(self, solution: Solution, structure: ControlStructure | None = None, arcs: np.ndarray | None = None) -> _Found:
@@ -133,7 +135,7 @@ class Refinement:
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
         self.method = self._raised(parts)
-        if self.method is not method:
+        if isinstance(method, Gauss) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str):
                 return finer
@@ -247,7 +249,7 @@ class Refinement:
         checks: Any = solution.checks
         between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
         checks = replace(checks, error=self.error(found), between=between)
-        statistics = type(solution.statistics)(*self._effort)
+        statistics = Statistics(*self._effort)
         if not why:
             return replace(solution, checks=checks, statistics=statistics)
         worst = int(np.argmax(errors.each))

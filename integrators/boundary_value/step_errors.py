@@ -26,12 +26,12 @@ class StepErrors(NamedTuple):
 
     ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative to the
     spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step from that through
-    the stages of a neighbour too, or from that of the neighbour, at the ends of the step and relative to the size of the
-    controls, times the share of the step in the horizon; by as much the cost is too large where the Hamiltonian is curved in the controls. Times the share once more
-    for one in which it is linear, where a switch anywhere in the step costs as much. No less than the squared relative excess
-    over a limit that depends on the controls, times the share. ``violations``: of each of the inequalities
-    the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not depend on the
-    controls, relative to the largest value.
+    the stages of a neighbour too, or half that from the neighbour's, at the ends of the step and relative to the size of the
+    controls, times the share of the step in the horizon. By as much the cost is too large where the Hamiltonian is curved in the
+    controls; for one in which it is linear, times the share once more, which a switch anywhere in the step costs. No less than
+    the squared relative excess over a limit that depends on the controls, times the share. ``violations``: of each of the
+    inequalities the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not
+    depend on the controls, relative to the largest value.
     """
 
     states: np.ndarray
@@ -119,7 +119,7 @@ class Estimator:
             apart = np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=1)
             found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
         ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
-        jumps = np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, size, 1.0)
+        jumps = np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, 2 * size, 1.0)
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
             found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
         return found
@@ -146,7 +146,7 @@ class Estimator:
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         values, slopes = at_points(self._limits, 2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
-        bound = self.problem.with_parameters(self.parameter.point(given)) if self.parameter.size else self.problem
+        bound = self.problem.with_parameters(parameters)
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes)
         size = np.max(np.abs(values), axis=(0, 1))
         free = np.max(np.abs(slopes), axis=(0, 1)) == 0

@@ -14,7 +14,6 @@ PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-effort", "detumbling", "rendezvous")
 UNSOLVED: dict[str, str] = {
     "heisenberg": "ends at a stationary point of another end than the one asked for, from a straight line with turning controls",
-    "hypersensitive": "iterates to the limit from the straight line between the ends",
     "orbit-raising": "runs away from a spiral with thrust out and in; collocation with IPOPT arrives from it",
     "zermelo": "the horizon shrinks to nothing, from a straight line with a heading that turns; collocation with IPOPT arrives",
 }

@@ -231,10 +231,11 @@ def betts() -> KnownProblem:
         time="s",
         cost="s",
         source=f"{BETTS}, section 6.8",
-        optimum=28.6304065,
-        digits=7,
-        origin="published as 28.6304077; bang-bang arcs with free switching times give 28.6304065",
-        error=5e-5,
+        optimum=28.630406535,
+        digits=11,
+        origin="published as 28.6304077; bang-bang arcs with free switching times, on several meshes",
+        accuracy=1e-9,
+        error=1e-9,
         path=eigenaxis_turn,
     )
 
@@ -256,8 +257,9 @@ def bilimoria_wie() -> KnownProblem:
         source="K. D. Bilimoria, B. Wie, Time-optimal three-axis reorientation of a rigid spacecraft, J. Guidance "
         "Control Dynam. 16, "
         "1993, 446-452",
-        optimum=3.24308,
-        digits=6,
-        origin="bang-bang arcs with free switching times; published as 3.2431",
-        error=1e-5,
+        optimum=3.2430832774,
+        digits=11,
+        origin="bang-bang arcs with free switching times, on several meshes; published as 3.2431",
+        accuracy=1e-9,
+        error=1e-9,
     )
