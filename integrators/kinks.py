@@ -44,16 +44,25 @@ class Zoom(NamedTuple):
 
 
 def zoomed(
-    problem: "OptimalControlProblem", q: Ambient, p: Ambient, u: Ambient, ways: Float[Array, "k d m"], reach: Array
+    problem: "OptimalControlProblem",
+    q: Ambient,
+    p: Ambient,
+    u: Ambient,
+    ways: Float[Array, "k d m"],
+    reach: Array,
+    on_values: bool = False,
 ) -> tuple[Zoom, Ambient]:
-    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls found."""
+    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls found.
+
+    ``on_values``: on the values of the parts, whose first derivatives are the ``curvatures``, in place of their slopes.
+    """
 
     def one(q: Ambient, p: Ambient, u: Ambient, way: Array, part: Array) -> tuple[Zoom, Ambient]:
         def value(s: Array) -> Array:
             return jnp.stack(problem.parts(q, p, problem.steer(u, s * way)))[part]
 
         def derivatives(s: Array) -> tuple[Array, Array]:
-            slope = lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1]  # noqa: E731
+            slope = value if on_values else lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1]
             return jax.jvp(slope, (s,), (jnp.ones_like(s),))
 
         def closer(ends: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
@@ -97,6 +106,16 @@ def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, siz
     return bool((jumps or steepens) and lasts and change[0] > JUMP * size and np.all(change > rounding))
 
 
+def is_jump(widths: np.ndarray, changes: np.ndarray, size: float) -> bool:
+    """Whether a value changes at the point that intervals close in on by as much as over the first of the last of them."""
+    distinct = np.flatnonzero(np.diff(widths, prepend=np.inf) < -widths / 2)[-LASTS:]
+    change = np.abs(changes[distinct])
+    if len(distinct) < LASTS or not np.all(np.isfinite(change)):
+        return False
+    rounding = ROUNDING * np.finfo(changes.dtype).eps * size
+    return bool(change[-1] >= LESS * change[0] and change[-1] > max(JUMP * size, rounding))
+
+
 def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
     """Words on the largest kink of a function along the controls of a trajectory; empty if none is found.
 
@@ -117,12 +136,12 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
     for at in np.ndindex(zoom.size.shape):
         size, change = float(zoom.size[at]), float(zoom.changes[at][-1])
         if is_kink(zoom.widths[at], zoom.changes[at], zoom.curvatures[at], size) and abs(change) / size > worst:
-            place = jax.tree.map(lambda leaf, at=at: _rounded(leaf[at], float(reach)), controls)
+            place = jax.tree.map(lambda leaf, at=at: rounded(leaf[at], float(reach)), controls)
             worst, words = abs(change) / size, _words(at[-1], zoom.changes[at], place, float(solution.stage_times[stages[at[0]]]))
     return words
 
 
-def _rounded(a: np.ndarray, size: float) -> np.ndarray:
+def rounded(a: np.ndarray, size: float) -> np.ndarray:
     """Numbers of this size, rounding among them as zeros."""
     return np.where(np.abs(a) < JUMP * size, 0.0, a)
 

@@ -20,6 +20,7 @@ from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number
+from .jumps import require_no_jumps
 from .options import known_options, require_arguments, takes_more
 from .probing import (
     CURVATURES,
@@ -281,6 +282,7 @@ class OptimalControlProblem(eqx.Module):
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
+        require_no_jumps(self, q, u, covectors)
         return self._is_regular(probed, q, u, directions, covectors)
 
     def require_no_kink(self, q: Ambient) -> None:

@@ -2,8 +2,10 @@
 
 from typing import final
 
+import jax
+import numpy as np
 import pytest
-from retrax.manifolds import SO, Euclidean, InvalidInputError, LevelSet, Manifold, Sphere, UnknownRetractionError
+from retrax.manifolds import SO, SPD, Euclidean, InvalidInputError, LevelSet, Manifold, Sphere, UnknownRetractionError
 from retrax.retractions import (
     QR,
     SOQR,
@@ -129,6 +131,15 @@ def test_a_manifold_that_no_family_knows_has_that_of_its_newton_steps():
         Exponential(Line())
     assert default_retraction(Line()) == Restored(Line())
     assert default_retraction(Line() * Sphere(2)).factors == (Restored(Line()), Exponential(Sphere(2)))
+
+
+@pytest.mark.parametrize("manifold", [SPD(2), Sphere(2)], ids=str)
+def test_newton_steps_of_a_manifold_lead_to_a_point_of_it_or_nowhere(manifold):
+    """However long the vector is: no violation of an inequality is small beside a large point."""
+    x, lengths = manifold.random_point(jax.random.key(1)), 10.0 ** np.array([0, 2, 4, 8, 12, 16, 40, 160])
+    v = -manifold.random_tangent(jax.random.key(2), x)
+    for y in jax.jit(jax.vmap(lambda length: Restored(manifold)(x, length * v)))(lengths):
+        assert np.all(np.isnan(y)) or max(manifold.violations(y).values()) <= 1e-8
 
 
 @pytest.mark.parametrize("factors", [(), (Sphere(2),), (Exponential,)], ids=["none", "a manifold", "a family"])

@@ -112,17 +112,21 @@ class MutantGroup(MatrixLieGroup):
 
 @final
 class MutantMetric(Metric):
-    """Any inner product and any energy."""
+    """Any inner product and any energy, and any way back to vectors."""
 
     manifold: Manifold
     product: Callable = eqx.field(static=True)
     energy: Callable = eqx.field(static=True)
+    back: Callable | None = eqx.field(static=True, default=None)
 
     def inner_product(self, x, v, w):
         return self.product(x, v, w)
 
     def kinetic_energy(self, x, p):
         return self.energy(x, p)
+
+    def vector(self, x, p):
+        return super().vector(x, p) if self.back is None else self.back(x, p)
 
 
 def oblique(x, a):
@@ -208,6 +212,9 @@ METRICS: dict[str, Metric] = {
     ),
     "a metric with twice the energy": MutantMetric(ROTATIONS, weighted, lambda x, p: 2 * weighted_energy(x, p)),
     "a metric whose energy sees normal parts": MutantMetric(SPHERE, lambda x, v, w: v @ w, lambda x, p: p @ p / 2),
+    "a metric whose vectors have normal parts": MutantMetric(
+        SPHERE, lambda x, v, w: v @ w, lambda x, p: SPHERE.projection(x, p) @ p / 2, lambda x, p: p
+    ),
     "a metric whose energy has no derivative by the point": MutantMetric(
         ROTATIONS, weighted, lambda x, p: weighted_energy(jax.lax.stop_gradient(x), p)
     ),

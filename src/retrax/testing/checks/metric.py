@@ -57,6 +57,8 @@ def _products(metric: Metric, sample: Sample) -> dict:
         "covector": flat(covector),
         "projected": flat(project(x, covector)),
         "vector": flat(metric.vector(x, covector)),
+        "vectors": jnp.stack([flat(metric.vector(x, a)) for a in (p, project(x, p))]),
+        "tangent": flat(project(x, metric.vector(x, p))),
         "energy": metric.kinetic_energy(x, covector),
         "energies": jnp.stack([metric.kinetic_energy(x, p), metric.kinetic_energy(x, project(x, p))]),
     }
@@ -164,6 +166,16 @@ def energy_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
 
 
 @fact
+def vector_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
+    """``vector(x, p) = vector(x, P_x p)``, a tangent vector, for any ambient covector ``p``."""
+    f = facts.measure(_products, "points")
+    scale = _scale(f)[:, None]
+    given, tangential = f["vectors"][:, 0], f["vectors"][:, 1]
+    got, expected = np.concatenate([given, given], axis=1) * scale, np.concatenate([tangential, f["tangent"]], axis=1) * scale
+    return facts.compare("|vector(p) - vector(P p)|", f, got, expected, _conditioned(facts, f))
+
+
+@fact
 def derivatives_of_the_metric_are_those_of_differences(facts: MetricFacts) -> Comparison:
     """Reverse mode of ``g_x(P_x v, P_x w)`` and ``kinetic_energy(x, p)`` by ``x`` agrees with differences of their values."""
     f = facts.measure(_derivatives, "points")
@@ -211,6 +223,7 @@ METRIC_CHECKS = (
     vector_inverts_covector,
     energy_is_half_the_square_of_the_velocity,
     energy_is_that_of_the_tangential_part,
+    vector_is_that_of_the_tangential_part,
     derivatives_of_the_metric_are_those_of_differences,
     isometries_keep_inner_products,
 )
