@@ -244,6 +244,12 @@ class Solution:
 
         return to_pandas(self, at)
 
+    def to_html(self, path: str | Path, mesh: tuple[Any, Any] | None = None, title: str = "") -> None:
+        """Write a page that shows the solution in motion, in one file; see ``retrax.plotting.to_html``."""
+        from ...plotting import to_html
+
+        to_html(self, path, mesh, title)
+
     def save(self, path: str | Path) -> None:
         """Write the solution to an ``.npz`` file that ``load_solution`` reads.
 

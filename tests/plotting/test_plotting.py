@@ -117,7 +117,7 @@ def test_every_picture_takes_axes_and_makes_no_figure_of_its_own_then(solved):
         "histories": (3, lambda ax: plotting.histories(solution, ax=ax)),
         "optimality": (3, lambda ax: plotting.optimality(solution, PROBLEM, ax=ax)),
     }
-    assert {*flat, *spatial, *panels} == set(plotting.__all__)
+    assert {*flat, *spatial, *panels, "to_html"} == set(plotting.__all__)
     for draw in flat.values():
         ax = plt.figure().add_subplot()
         assert draw(ax) is ax

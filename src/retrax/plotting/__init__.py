@@ -1,4 +1,4 @@
-"""Pictures of solutions, trajectories, solves and retractions: each in one call, on axes of yours if ``ax`` is given.
+"""Pictures of solutions, trajectories, solves and retractions: each in one call, on axes of yours if ``ax`` is given; and pages.
 
 Matplotlib is imported when a picture is drawn. Names and units are those of the problem (``labels`` and ``units``). A picture of
 one panel returns its axes, and one of several the array of them; ``ax.figure.savefig(path)`` writes it.
@@ -7,6 +7,7 @@ one panel returns its axes, and one of several the array of them; ``ax.figure.sa
 from .conditions import conserved, multipliers, optimality, switching
 from .geometry import body_axes, path
 from .histories import attitude, controls, histories, state
+from .page import to_html
 from .slopes import slopes
 from .solves import convergence, sparsity
 from .trajectories import energy, phase_portrait
@@ -27,4 +28,5 @@ __all__ = [
     "sparsity",
     "state",
     "switching",
+    "to_html",
 ]

@@ -1,0 +1,171 @@
+"""A page holds the motion that its record has, in one file that asks for nothing; in a browser it moves to what it holds."""
+
+import importlib.util
+import json
+import re
+import shutil
+import sys
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax import plotting
+from retrax.integrators import OptimalControlProblem, Result, Trajectory, solve
+from retrax.interop import MissingPackageError
+from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
+from retrax.retractions import Cayley, Midpoint
+from scipy.spatial.transform import Rotation
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+NO_BROWSER = CHROMIUM is None or importlib.util.find_spec("playwright") is None
+TURNS = Rotation.from_rotvec(np.linspace(0, 3, 31)[:, None] * [0.0, 0.6, 0.8]).as_matrix()
+
+
+def poses():
+    found = np.tile(np.eye(4), (31, 1, 1))
+    found[:, :3, :3], found[:, :3, 3] = TURNS, np.linspace(0, 4, 31)[:, None] * [1.0, 0.2, 0.1]
+    return found
+
+
+def record(q, times=31):
+    """A trajectory with these points and zero covectors."""
+    t, q = jnp.linspace(0.0, 3.0, times), jnp.asarray(q)
+    return Trajectory(t, q, 0 * q, None, t[1:], Result.successful, jnp.asarray(-1))
+
+
+def data_of(path):
+    """The page, and what it holds."""
+    text = path.read_text(encoding="utf-8")
+    (found,) = re.findall(r'<script type="application/json" id="data">(.*?)</script>', text, re.DOTALL)
+    return text, json.loads(found)
+
+
+PAGES = {
+    "SO(3)": (TURNS, SO(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere"}),
+    "SE(3)": (poses(), SE(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere"}),
+    "S^2": (TURNS[:, :, 1], Sphere(2), {"points", "name", "sphere"}),
+    "R^3": (TURNS[:, :, 1], Euclidean(3), {"points", "name", "sphere"}),
+    "R^2": (TURNS[:, :2, 1], Euclidean(2), {"points", "name", "sphere"}),
+    "R^5": (np.ones((31, 5)), Euclidean(5), set()),
+}
+
+
+@pytest.mark.parametrize("space", PAGES)
+def test_a_page_holds_the_motion_in_one_file(space, tmp_path):
+    values, manifold, expected = PAGES[space]
+    plotting.to_html(record(values), tmp_path / "page.html", problem=manifold, title="<b>motion</b>")
+    text, data = data_of(tmp_path / "page.html")
+    assert set(data) == {"times", "clock", "histories"} | expected
+    assert data["times"] == pytest.approx(np.linspace(0, 3, 31), rel=1e-8)
+    for name, held in (("rotations", TURNS), ("points", np.pad(values.reshape(31, -1), ((0, 0), (0, 3)))[:, :3])):
+        if name in data:
+            np.testing.assert_allclose(data[name], held, atol=1e-8)
+    assert data.get("sphere", False) == (space in ("SO(3)", "S^2"))
+    assert (space == "SE(3)") == (data.get("positions") is not None)
+    own = text.split("<body>")[0].split("<script>")[0] + text.split("</head>")[1]
+    assert not re.search(r"https?:|src=|href=|@import|url\(", own), "nothing is asked for"
+    assert "<b>motion" not in text
+    assert len(text.encode()) < 6e6
+
+
+def test_a_solution_is_shown_between_its_nodes_with_its_report(tmp_path):
+    names = {"labels": {"controls": "</script>"}, "units": {"time": "s"}}
+    problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3, **names)
+    solution = solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[8], 2.0, 3)
+    solution.to_html(tmp_path / "page.html", mesh=([[0, 0, 0], [2.0, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
+    text, data = data_of(tmp_path / "page.html")
+    times = np.array(data["times"])
+    assert len(times) > 100
+    np.testing.assert_allclose(data["rotations"], solution(np.clip(times, 0, 2)).states, atol=1e-8)
+    np.testing.assert_allclose(data["histories"][1]["columns"], solution.controls.T, atol=1e-8)
+    assert data["histories"][1]["title"] == "</script>"
+    assert data["clock"] == "time [s]"
+    assert "strict local minimum" in text
+    assert data["mesh"] == {"vertices": [[0, 0, 0], [2, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
+    assert 2 * data["scale"] < 1, "the body is inside the sphere"
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        1,
+        ([[0, 0, 0]],),
+        ([[0, 0]], [[0, 0, 0]]),
+        ([[0, 0, 0]], [[0, 0, 1]]),
+        ([[0, 0, np.nan]], [[0, 0, 0]]),
+        ([[0, 0, 0]], [[0.0, 0, 0]]),
+    ],
+    ids=repr,
+)
+def test_other_meshes_are_refused(mesh, tmp_path):
+    with pytest.raises(InvalidInputError, match="mesh must be"):
+        plotting.to_html(record(TURNS), tmp_path / "page.html", mesh, problem=SO(3))
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_the_package_that_draws_is_named_where_it_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    with pytest.raises(MissingPackageError, match="pip install plotly"):
+        plotting.to_html(record(TURNS), tmp_path / "page.html", problem=SO(3))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    """Chromium without a window."""
+    from playwright.sync_api import sync_playwright
+
+    software = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
+    with sync_playwright() as driver:
+        opened = driver.chromium.launch(executable_path=CHROMIUM, args=software)
+        yield opened
+        opened.close()
+
+
+def difference(one, other):
+    """The share of pixels that differ between two pictures in PNG."""
+    from io import BytesIO
+
+    from matplotlib import image
+
+    a, b = (image.imread(BytesIO(content))[..., :3] for content in (one, other))
+    return np.mean(np.max(np.abs(a - b), axis=2) > 0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(NO_BROWSER, reason="needs chromium of the system and the package playwright")
+@pytest.mark.parametrize("space", ["SO(3)", "SE(3)", "S^2", "R^5"])
+def test_in_a_browser_the_slider_moves_the_body_and_play_goes_on(space, browser, tmp_path):
+    values, manifold, _ = PAGES[space]
+    plotting.to_html(record(values), tmp_path / "page.html", problem=manifold)
+    page, wrong = browser.new_page(), []
+    page.on("console", lambda message: wrong.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("request", lambda request: wrong.append(request.url) if not request.url.startswith("file:") else None)
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    pictures = {}
+    for frame in (0, 20, 0):
+        page.fill("#time", str(frame))
+        assert float(page.evaluate("document.body.dataset.time")) == pytest.approx(0.1 * frame)
+        if space in ("SO(3)", "SE(3)"):
+            vertices, scale = page.evaluate("[retrax.data.mesh.vertices, retrax.data.scale]")
+            drawn = page.evaluate("(() => { const m = retrax.drawn(0); return [m.x, m.y, m.z]; })()")
+            expected = scale * np.array(vertices) @ TURNS[frame].T + (values[frame, :3, 3] if space == "SE(3)" else 0)
+            np.testing.assert_allclose(np.array(drawn).T, expected, atol=1e-7)
+        elif space == "S^2":
+            drawn = page.evaluate("(() => { const m = retrax.drawn(0); return [m.x[0], m.y[0], m.z[0]]; })()")
+            np.testing.assert_allclose(drawn, values[frame], atol=1e-7)
+        page.wait_for_timeout(500)
+        taken = page.screenshot()
+        if frame in pictures:
+            assert difference(taken, pictures[frame]) < 1e-3
+        pictures[frame] = taken
+    assert difference(pictures[0], pictures[20]) > 1e-3
+    page.click("#play")
+    page.wait_for_function("Number(document.body.dataset.time) > 0.2", timeout=30_000)
+    page.click("#play")
+    paused = page.evaluate("document.body.dataset.time")
+    page.wait_for_timeout(300)
+    assert page.evaluate("document.body.dataset.time") == paused
+    assert wrong == []
+    page.close()
