@@ -17,7 +17,6 @@ from ..results import Result
 from .differentiable import Given, pushed
 from .engine.evaluator import Automatic
 from .engine.layout import Layout
-from .engine.transcription import at_points
 from .guess import Guess
 from .solution import Solution, Solutions
 from .solver import Solver
@@ -175,15 +174,15 @@ class Predictor:
         states, costates = (_between(solution, part) for part in (states, costates))
         stages, at_stages = self._pair(solution.stage_states, states, solution.stage_costates, costates)
         turned = self.control.rows(solution.controls, 1), self.control.rows(along.controls, 1)
-        (controls,) = at_points(self._steered, 1, *turned)
+        (controls,) = self._steered.at(1, *turned)
         point = self.state.points
         found = Guess(point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages))
         return found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found)) else None
 
     def _pair(self, states: Any, moves: np.ndarray, costates: Any, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States and costates, moved."""
-        (moved,) = at_points(self._moved, 1, self.state.rows(states, 1), moves)
-        return moved, at_points(self._projected, 1, moved, self.state.rows(costates, 1) + turns)[0]
+        (moved,) = self._moved.at(1, self.state.rows(states, 1), moves)
+        return moved, self._projected.at(1, moved, self.state.rows(costates, 1) + turns)[0]
 
     def _moved_of(self, q: Array, v: Array) -> tuple[Array]:
         point = self.state.point(q)

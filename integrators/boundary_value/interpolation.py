@@ -15,7 +15,6 @@ from ...retractions import Retraction, default_retraction
 from .engine.chart import Chart, lagrange
 from .engine.evaluator import Automatic, Evaluated
 from .engine.layout import Layout
-from .engine.transcription import at_points
 from .stored import as_text, from_text
 
 if TYPE_CHECKING:
@@ -162,9 +161,9 @@ class Interpolant:
         states = self.chart.points(centres[where], c)
         costates = self.chart.pushed(centres[where], c, momentum)
         bases = steps.controls[:, 0]
-        (offsets,) = at_points(self._offset, 2, bases[:, None], steps.controls)
+        (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
         offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
-        return states, costates, at_points(self._steered, 1, bases[where], offset)[0]
+        return states, costates, self._steered.at(1, bases[where], offset)[0]
 
     @cached_property
     def chart(self) -> Chart:

@@ -20,7 +20,6 @@ from .arguments import check_parameters, copied, structure_of
 from .end_points import EndPoints, EndReader, NodeCondition
 from .engine.evaluator import Evaluator
 from .engine.layout import Layout, parameter_layout
-from .engine.transcription import at_points
 from .given_guess import FlatGuess, GuessReader
 from .guess import Guess
 from .resampling import Mesh, resampled
@@ -149,7 +148,7 @@ class MemberReader:
         rows = np.broadcast_to(layout.rows(asked.parameters, axes), (len(horizons), layout.size))
         members = Members(self, asked, axes, ends, horizons, guess, structure, rows)
         states = [] if guess is None else [guess.states_to_check(self.ends.layout.size)]
-        violations = at_points(self._violations, 1, np.concatenate([ends.start, ends.end, *states]))[0]
+        violations = self._violations.at(1, np.concatenate([ends.start, ends.end, *states]))[0]
         members.require_on_manifold(np.max(violations, axis=1))
         return members
 

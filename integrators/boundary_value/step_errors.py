@@ -13,7 +13,6 @@ from ...reading import one_reading, reads_once
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
 from .engine.evaluator import Automatic, Evaluated
-from .engine.transcription import at_points
 from .propagation import ROUNDING, Propagator
 from .solution import Solution
 
@@ -144,7 +143,7 @@ class Estimator:
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
         q, u = (layout.rows(points, 2) for layout, points in layouts)
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
-        values, slopes = at_points(self._limits, 2, q, u, found.times[..., None], given[None, None])
+        values, slopes = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters)
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes)

@@ -15,7 +15,7 @@ import numpy as np
 from .conditions import Conditions
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, Slacks, stiffness
-from .scaling import Units, unscaled
+from .scaling import Units
 from .system import Assembled, Iterate
 from .transcription import Blocks
 
@@ -41,9 +41,7 @@ def solved(conditions: Conditions, iterate: Iterate, blocks: Blocks, slope: np.n
     if iterate.slacks is not None:
         limits = conditions.transcription.limits(blocks, conditions.data)
         system, units = bordered(system, units, limits, blocks.inequalities, iterate.slacks)
-    found = eliminate(system, units)
-    steps, multipliers = unscaled(found, units)
-    return found._replace(steps=steps, multipliers=multipliers)
+    return eliminate(system, units)
 
 
 def is_isolated_minimum(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> np.ndarray:

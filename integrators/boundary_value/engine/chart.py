@@ -12,7 +12,6 @@ from ....manifolds.numerics import ambient as vec
 from ....retractions import Retraction
 from .evaluator import Evaluated, Evaluator
 from .layout import Layout
-from .transcription import at_points
 
 ROUNDS = 30  # of Newton's method, which takes three to five
 
@@ -123,7 +122,7 @@ class Chart:
 
 
 def _each(function: Evaluated, *arguments: np.ndarray) -> tuple[np.ndarray, ...]:
-    return at_points(function, arguments[0].ndim - 1, *arguments)
+    return function.at(arguments[0].ndim - 1, *arguments)
 
 
 def lagrange(places: np.ndarray, times: np.ndarray) -> np.ndarray:

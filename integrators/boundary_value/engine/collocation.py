@@ -17,7 +17,7 @@ from .evaluator import Arrays, Evaluator
 from .inequalities import Held, Slacks, raised
 from .layout import Layout, parameter_layout
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves, at_points
+from .transcription import AtStages, Blocks, Data, Known, Moves
 
 
 class GaussUnknowns(NamedTuple):
@@ -87,47 +87,47 @@ class Collocation:
         half = self.stages // 2
         centres = states[:, :, half]
         if self.stages % 2 == 0:
-            (centres,) = at_points(self._middle, 2, states[:, :, half - 1], states[:, :, half])
-        (velocities,) = at_points(self._velocity, 3, centres[:, :, None], states, controls, data.parameters[:, None, None])
+            (centres,) = self._middle.at(2, states[:, :, half - 1], states[:, :, half])
+        (velocities,) = self._velocity.at(3, centres[:, :, None], states, controls, data.parameters[:, None, None])
         place = self.method.nodes[:, None]
         between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
         return GaussUnknowns(centres, velocities, controls, between)
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""
-        return at_points(self._ends, 2, unknowns.centres, self._eta(unknowns, data))
+        return self._ends.at(2, unknowns.centres, self._eta(unknowns, data))
 
     def blocks(
         self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
     ) -> Blocks:
         """The condensed blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
-        n, steps, shape, s = self.manifold.dimension, data.steps, data.steps.shape, self.stages
+        steps, shape, s = data.steps, data.steps.shape, self.stages
         found = self._at_points(unknowns, data, slacks)
-        hessian, slope, jacobian, values, frames, multipliers = found
+        hessian, slope, constraints, gradient, pushes, missed, cost, limits, frames, multipliers = found
         weights, held = steps[:, :, None, None] * self.tableau.weights[:, None], None
         columns = slope[..., None]
         if slacks is not None:
             weights = weights * data.held(self.inequalities, s)
-            held = Held(values[..., n + 1 :], jacobian[..., n + 1 :, :], weights)
+            held = Held(limits, pushes, weights)
             hessian, columns = raised(hessian, slope, held, slacks)
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
-        both = at_points(self._both, 2, unknowns.centres, self._eta(unknowns, data), *around)
-        defect, pulls = values[..., :n, None], both[1][..., None]
+        both = self._both.at(2, unknowns.centres, self._eta(unknowns, data), *around)
+        (curvature, pull, left, right, *_), defect = both, missed[..., None]
+        pulls = pull[..., None]
         if held is not None:  # the second column, times the barrier, has no defect and nothing at the ends
             defect, pulls = (np.concatenate([a, np.zeros_like(a)], axis=-1) for a in (defect, pulls))
-        points = Points(hessian, jacobian[..., :n, :], columns, defect)
-        ends = Ends(both[0], both[2][:, :, :n], both[2][:, :, n:], pulls)
+        points, ends = Points(hessian, constraints, columns, defect), Ends(curvature, left, right, pulls)
         parts, condensed = condense(points, ends, steps, self.tableau)
         factors, swaps, maps = (a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
-        alone = ends._replace(slope=both[1][..., None])
+        alone = ends._replace(slope=pull[..., None])
         whole = full_slope(points._replace(slope=slope[..., None]), alone, steps, self.tableau)[..., 0]
-        none = ends._replace(slope=np.zeros_like(both[1])[..., None])
-        cost = full_slope(points._replace(slope=jacobian[..., n, :, None]), none, steps, self.tableau)[..., 0]
-        gradient, inner = self._condensed(cost, maps)
-        shares = parts.before[..., 0], parts.after[..., 0], values[..., :n], multipliers, self._condensed(whole, maps)[1]
+        none = ends._replace(slope=np.zeros_like(pull)[..., None])
+        paid = full_slope(points._replace(slope=gradient.mT), none, steps, self.tableau)[..., 0]
+        by_all, inner = self._condensed(paid, maps)
+        shares = parts.before[..., 0], parts.after[..., 0], missed, multipliers, self._condensed(whole, maps)[1]
         inner = Inner(*shares, inner, frames, condensed.points, condensed.ends, (factors, swaps, maps))
-        costs = np.sum(values[..., n], axis=2)
-        blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], gradient, costs, inner)
+        costs = np.sum(cost[..., 0], axis=2)
+        blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], by_all, costs, inner)
         if held is None:
             return blocks
         return blocks._replace(slope=self._condensed(whole, maps)[0], held=held, pushed=parts.slope)
@@ -138,7 +138,7 @@ class Collocation:
         weights = (data.steps[:, :, None] * self.tableau.weights)[..., None]
         at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
         pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
-        return at_points(self._point, 3, *at, data.parameters[:, None, None], pull)
+        return self._point.at(3, *at, data.parameters[:, None, None], pull)
 
     def _condensed(self, full: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A slope by all unknowns of the steps as one by those that are left, and its part by the velocities."""
@@ -151,10 +151,10 @@ class Collocation:
         """The unknowns moved by fractions of the steps of the condensed system."""
         steps, part, inner, whole = step.steps, step.fraction, blocks.inner, step.inner
         some = part[:, None, None]
-        centres, turns = at_points(self._centre, 2, unknowns.centres, some * steps[..., : self.manifold.dimension])
+        centres, turns = self._centre.at(2, unknowns.centres, some * steps[..., : self.manifold.dimension])
         velocities = np.einsum("bkac,bkic->bkia", turns, unknowns.velocities + some[..., None] * whole[0])
         turned = some[..., None] * steps[..., self.manifold.dimension :].reshape(*unknowns.controls.shape[:3], -1)
-        (controls,) = at_points(self._control, 3, unknowns.controls, turned)
+        (controls,) = self._control.at(3, unknowns.controls, turned)
         costates = np.einsum("bkine,bkin->bkie", inner.frames, inner.multipliers + some[..., None] * whole[1])
         return GaussUnknowns(centres, velocities, controls, costates)
 
@@ -209,7 +209,7 @@ class Collocation:
         """States, controls and costates at the points, (B, N s, ...)."""
         del costates
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
-        states, covectors = at_points(self._state, 3, unknowns.centres[:, :, None], xi, unknowns.costates)
+        states, covectors = self._state.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
         states, controls, covectors = (a.reshape(len(a), -1, a.shape[-1]) for a in (states, unknowns.controls, covectors))
         return states, controls, covectors
 
@@ -228,7 +228,7 @@ class Collocation:
         ends = self.method.retraction.both_ways(centre, vec.combine(self.manifold.basis(centre), eta / 2))
         return tuple(map(self.state.flat, ends))
 
-    def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Array, ...]:
+    def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Any, ...]:
         xi, nu, control, costate, weight, parameters, pull = given
         n, u = self.manifold.dimension, self.control.point(control)
         bound = self.problem.with_parameters(self.parameter.point(parameters))
@@ -243,15 +243,15 @@ class Collocation:
         cost, limits = weight[0] * bound.cost_rate(q, moved), bound.inequalities(q, moved)
         multipliers = vec.components(e, self.state.point(costate))
         lagrangian = cost + multipliers @ defect + weight[0] * pull @ limits
-        return lagrangian, jnp.concatenate([defect, cost[None], limits]), self.state.flat_frame(e), multipliers
+        return lagrangian, (defect, cost[None], limits), self.state.flat_frame(e), multipliers
 
-    def _both_of(self, z: Array, x: Array, eta: Array, *nodes: Array) -> tuple[Array, Array]:
+    def _both_of(self, z: Array, x: Array, eta: Array, *nodes: Array) -> tuple[Array, tuple[Array, Array]]:
         q0, q1, p0, p1 = map(self.state.point, nodes)
         n = self.manifold.dimension
         centre, carried = self._moved(x, z[:n])
         begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
         values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
-        return vec.pairing(p0, begin) - vec.pairing(p1, finish), jnp.concatenate(values)
+        return vec.pairing(p0, begin) - vec.pairing(p1, finish), values
 
     def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
         moved, carried = self._moved(x, dx)

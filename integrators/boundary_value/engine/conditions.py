@@ -1,31 +1,20 @@
 """The conditions of a discrete extremal: ends meet, the cost is stationary; in units of the trajectory itself."""
 
-from typing import Any, NamedTuple, final
+from functools import cached_property
+from typing import Any, final
 
 import numpy as np
 
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
+from .extent import extent
 from .inequalities import Slacks, moved, potential_slope, turned
-from .scaling import SHARE, Units, natural_units, unscaled
+from .scaling import SHARE, Units, natural_units
 from .system import Assembled, Ends, Iterate, Residuals, Step
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
 VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
-
-
-class _Sizes(NamedTuple):
-    """Extent of a trajectory: the spread of its nodes and the sizes of its controls."""
-
-    values: np.ndarray  # largest value of each ambient entry of a node, (B, E)
-    spreads: np.ndarray
-    support: np.ndarray  # largest entries of the frames at the nodes, (B, n, E)
-    controls: np.ndarray  # (B, s m)
-
-    def along(self, entries: np.ndarray) -> np.ndarray:
-        """Sizes in the coordinates of the nodes from sizes in the entries."""
-        return np.max(self.support * entries[:, None], axis=2, initial=0.0)
 
 
 @final
@@ -67,27 +56,18 @@ class Conditions:
 
     def assemble(self, iterate: Iterate) -> Assembled:
         """The KKT system at an iterate."""
-        begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
-        nodes, gaps, arcs, shares = self._nodes(begins, finishes)
-        frames = self.at_nodes.frames(nodes)
-        gap, asked = (np.einsum("bkne,bke->bkn", frames, gaps * factor) for factor in (arcs, shares))
+        nodes, gaps, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
         terminal = self.at_nodes.terminal(nodes[:, -1], self.data.parameters)
-        coordinates = np.einsum("bkne,bke->bkn", frames, iterate.costates)
-        coordinates[:, -1] += terminal.slope
         initial = self.at_nodes.initial(nodes[:, 0], self.data.parameters)
-        if initial is not None:
-            coordinates[:, 0] -= initial.slope
-        for values in (gap, asked, coordinates):
-            values[:, 0] *= self.ends.start_coordinates
-            values[:, -1] *= self.ends.end_coordinates
-        costates = np.einsum("bkne,bkn->bke", frames, coordinates)
-        costates[:, -1] -= terminal.derivative
-        if initial is not None:
-            costates[:, 0] += initial.derivative
+        covectors = _turned(iterate.costates, terminal, initial, 1)
+        along = gaps if far is None else far[0] * gaps
+        frames, gap, coordinates, costates = self.at_nodes.in_frames(nodes, self._fixed, along, covectors)
+        asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
+        costates = _turned(costates, terminal, initial, -1)
         blocks = self.blocks(iterate, nodes, costates, terminal, initial)
         cost = np.sum(blocks.costs, axis=1) + terminal.value + (0.0 if initial is None else initial.value)
-        distance = np.max(np.abs(gaps), axis=1)
-        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, terminal, cost, initial, distance)
+        ends = terminal, initial, np.max(np.abs(gaps), axis=1), extent(nodes, frames, coordinates, gap, blocks)
+        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
 
     def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None) -> Blocks:
         """The blocks of the steps, with the costs of the last node and of the first."""
@@ -104,10 +84,8 @@ class Conditions:
         moves = Moves(step.unknowns, multipliers, part, step.inner)
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         covectors = assembled.coordinates + part[:, None, None] * multipliers
-        costates = np.einsum("bkne,bkn->bke", assembled.frames, covectors)
-        costates[:, -1] -= assembled.terminal.derivative
-        if assembled.initial is not None:
-            costates[:, 0] += assembled.initial.derivative
+        costates = (covectors[:, :, None] @ assembled.frames)[:, :, 0]
+        costates = _turned(costates, assembled.terminal, assembled.initial, -1)
         slacks = iterate.slacks
         if slacks is not None and step.turn is not None:
             slacks = moved(slacks, step.turn, fraction)
@@ -130,15 +108,14 @@ class Conditions:
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""
-        sizes, blocks = self._sizes(iterate, assembled), assembled.blocks
-        controls = sizes.controls
+        extent, blocks, controls = assembled.extent, assembled.blocks, self._controls(iterate)
         if blocks.held is not None:
             # Where the cost is not curved in the controls, the distances to their bounds measure them.
             n = assembled.gap.shape[2]
             curved = np.all(np.sum(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1)[:, n:] > 0, axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, self._room(assembled)))
-        fallback = np.concatenate([sizes.along(sizes.values), controls], axis=1)
-        spreads = sizes.along(sizes.spreads)
+        fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
+        spreads = extent.along(extent.spreads)
         return natural_units(self._system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
 
     def _room(self, assembled: Assembled) -> np.ndarray:
@@ -153,7 +130,7 @@ class Conditions:
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
-        gap, stationarity = self._gap(assembled, self._sizes(iterate, assembled)), self._stationarity(assembled)
+        gap, stationarity = self._gap(assembled), self._stationarity(assembled)
         if self.barrier is None or iterate.slacks is None:
             return Residuals(gap, stationarity, Missed.none(len(gap)))
         return Residuals(gap, stationarity, self.barrier.missed(assembled.blocks.inequalities, iterate.slacks))
@@ -203,7 +180,7 @@ class Conditions:
 
     def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes, points and inequalities lack."""
-        blocks, missing = assembled.blocks, np.sum(np.abs(assembled.gap) / self.measured.nodes[:, None], axis=(1, 2))
+        blocks, missing = assembled.blocks, np.sum(assembled.extent.missing / self.measured.nodes, axis=1)
         if blocks.inner is not None:
             missing = missing + np.sum(np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
@@ -212,7 +189,7 @@ class Conditions:
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
-        blocks, held = assembled.blocks, np.sum(assembled.coordinates * assembled.gap, axis=(1, 2))
+        blocks, held = assembled.blocks, np.array(assembled.extent.held)
         cost = np.array(assembled.cost)
         if blocks.inner is not None:
             held += np.sum(blocks.inner.multipliers * blocks.inner.defect, axis=(1, 2, 3))
@@ -248,10 +225,8 @@ class Conditions:
     def eliminate(self, iterate: Iterate, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
         found = eliminate(self._system(iterate, assembled), self.measured, shift, self._scales(assembled))
-        steps, multipliers = (columns[..., 0] for columns in unscaled(found, self.measured))
-        finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
-        count = multipliers[0].size
-        step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, finite)
+        steps, multipliers, count = found.steps[..., 0], found.multipliers[..., 0], found.multipliers[0].size
+        step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
         blocks = assembled.blocks
         if blocks.inner is not None or blocks.held is not None:
             moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
@@ -268,8 +243,7 @@ class Conditions:
         d = self.measured.unknowns
         if assembled.blocks.held is not None:
             return np.ones(d.shape)
-        diagonal = np.max(np.abs(np.diagonal(assembled.blocks.hessian, axis1=2, axis2=3)), axis=1)
-        diagonal = diagonal * d * d / self.measured.cost[:, None]
+        diagonal = assembled.extent.curvature * d * d / self.measured.cost[:, None]
         floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
@@ -292,31 +266,41 @@ class Conditions:
         The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory. Where K
         is singular to rounding, it is as large as that.
         """
-        sizes, units = self._sizes(iterate, assembled), self.measured.unknowns
-        own = np.concatenate([sizes.along(sizes.spreads + sizes.values), sizes.controls], axis=1)
+        extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
+        own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
         largest = np.max(np.abs(step.unknowns), axis=1) / np.maximum(own, SHARE * units)
-        extent = np.concatenate([sizes.along(sizes.spreads), sizes.controls], axis=1)
-        return np.max(largest, axis=1), np.max(extent / units, axis=1)
+        spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
+        return np.max(largest, axis=1), np.max(spread / units, axis=1)
 
-    def _nodes(self, begins: np.ndarray, finishes: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _nodes(
+        self, begins: np.ndarray, finishes: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
         """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before.
 
         Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes nearer
-        by turning away. Then the gap along the arc is that along the chord times the third array, and moves it by the fourth.
+        by turning away. Then the gap along the arc is that along the chord times an array, and moves it by another one.
         """
         first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])[:, None]
         last = np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])[:, None]
-        before, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
-        nodes, gaps = np.concatenate([first, finishes[:, :-1], last], axis=1), after - before
-        arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
+        nodes, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
+        gaps = after - nodes
+        nodes[:, -1:] = last
         far = np.max(np.abs(gaps), axis=2) > FAR * np.max(np.abs(nodes), axis=(1, 2), initial=0.0)[:, None]
-        if np.any(far):
-            nodes[far], arcs[far], shares[far] = self.at_nodes.amid(before[far], after[far])
-        return nodes, gaps, arcs, shares
+        if not np.any(far):
+            return nodes, gaps, None
+        arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
+        nodes[far], arcs[far], shares[far] = self.at_nodes.amid(after[far] - gaps[far], after[far])
+        return nodes, gaps, (arcs, shares)
+
+    @cached_property
+    def _fixed(self) -> np.ndarray:
+        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of the ends that are free."""
+        fixed = np.ones((len(self.data.steps), self.data.steps.shape[1] + 1, len(self.ends.start_coordinates)))
+        fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
+        return fixed
 
     def _system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
-        blocks, count = assembled.blocks, len(assembled.gap)
-        fixed = (np.broadcast_to(m, (count, m.size)) for m in (self.ends.start_coordinates, self.ends.end_coordinates))
+        blocks, fixed = assembled.blocks, (self._fixed[:, 0], self._fixed[:, -1])
         gap, slope = assembled.asked, blocks.slope
         if blocks.pushed is not None and iterate.slacks is not None:
             slope = blocks.pushed[..., 0] + iterate.slacks.barrier[:, None, None] * blocks.pushed[..., 1]
@@ -326,21 +310,19 @@ class Conditions:
             gap[:, 1:] -= blocks.inner.after
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
-    def _sizes(self, iterate: Iterate, assembled: Assembled) -> _Sizes:
-        nodes = assembled.nodes
-        highest, lowest = np.max(nodes, axis=1), np.min(nodes, axis=1)
-        support = np.max(np.abs(assembled.frames), axis=1)
-        controls = self.at_nodes.control_sizes(iterate.unknowns.controls)
-        return _Sizes(np.maximum(highest, -lowest), highest - lowest, support, controls)
+    def _controls(self, iterate: Iterate) -> np.ndarray:
+        """Sizes of the controls, shape (B, s m)."""
+        return self.at_nodes.control_sizes(iterate.unknowns.controls)
 
-    def _gap(self, assembled: Assembled, sizes: _Sizes) -> np.ndarray:
+    def _gap(self, assembled: Assembled) -> np.ndarray:
         """Largest distance between ends that should meet, entry by entry of the ambient space.
 
         An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its unit.
         """
-        own = np.maximum(sizes.spreads, VALUE * sizes.values)
-        along = np.maximum(sizes.along(own), SHARE * self.measured.nodes)
-        entries = np.maximum(own, np.max(sizes.support * along[:, :, None], axis=1, initial=0.0))
+        extent = assembled.extent
+        own = np.maximum(extent.spreads, VALUE * extent.values)
+        along = np.maximum(extent.along(own), SHARE * self.measured.nodes)
+        entries = np.maximum(own, np.max(extent.support * along[:, :, None], axis=1, initial=0.0))
         gap = np.max(assembled.distance / np.where(entries > 0, entries, 1.0), axis=1)
         inner = assembled.blocks.inner
         if inner is None:
@@ -354,17 +336,13 @@ class Conditions:
         Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate sets the
         scale.
         """
-        blocks, d = assembled.blocks, self.measured.unknowns
-        starts = np.einsum("bknz,bkn->bkz", blocks.left, assembled.coordinates[:, :-1])
-        ends = np.einsum("bknz,bkn->bkz", blocks.right, assembled.coordinates[:, 1:])
-        parts = d * np.max(np.abs(blocks.gradient) + np.abs(starts) + np.abs(ends), axis=1)
-        if blocks.held is None:
-            curvature = np.max(d * d * np.max(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1), axis=1)
-        else:  # that of the barrier has no bound
-            curvature = self.measured.cost
+        blocks, extent, d = assembled.blocks, assembled.extent, self.measured.unknowns
+        parts = d * extent.parts
+        # With a barrier that of the Hessian has no bound.
+        curvature = np.max(d * d * extent.curvature, axis=1) if blocks.held is None else self.measured.cost
         largest = np.maximum(np.max(parts, axis=1), curvature)
         scale = np.maximum(parts, SHARE * largest[:, None])
-        found = np.max(np.max(np.abs(blocks.slope), axis=1) * d / np.where(scale > 0, scale, 1.0), axis=1)
+        found = np.max(extent.slope * d / np.where(scale > 0, scale, 1.0), axis=1)
         inner = blocks.inner
         if inner is None:
             return found
@@ -373,6 +351,15 @@ class Conditions:
         scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
         slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
         return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))
+
+
+def _turned(costates: np.ndarray, terminal: Terminal, initial: Terminal | None, sign: int) -> np.ndarray:
+    """Covectors at the nodes with the derivatives of the costs of the ends added to them, or taken from them."""
+    turned = np.array(costates)
+    turned[:, -1] += sign * terminal.derivative
+    if initial is not None:
+        turned[:, 0] -= sign * initial.derivative
+    return turned
 
 
 def _pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:

@@ -17,7 +17,6 @@ from ...problem import OptimalControlProblem
 from ...stages.stage import positive
 from .evaluator import Evaluated, Evaluator
 from .layout import Layout, parameter_layout
-from .transcription import at_points
 
 ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SAMPLES = 3  # stages at which symmetry and rounding are looked at
@@ -67,7 +66,7 @@ class Diagnosis:
 
     def at_nodes(self, nodes: np.ndarray, costates: np.ndarray) -> AtNodes:
         """What states and ambient covectors at the nodes give, (B, N + 1, E)."""
-        projected, violations, *frames = at_points(self._node, 2, nodes, costates)
+        projected, violations, *frames = self._node.at(2, nodes, costates)
         count = len(self._names)
         momenta, rest = dict(zip(self._names, frames[:count], strict=True)), frames[count:]
         body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
@@ -77,7 +76,7 @@ class Diagnosis:
     def __call__(self, nodes: AtNodes, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> Diagnostics:
         """Diagnostics from what the nodes have, and states, controls and costates at the stages, (B, S, ...)."""
         given = parameters[:, None]
-        hamiltonians, sizes, normal = at_points(self._stage, 2, *stages, given)
+        hamiltonians, sizes, normal = self._stage.at(2, *stages, given)
         rounding, brackets = self._at_samples(stages, given)
         size = np.maximum(np.max(sizes, axis=1), rounding)
         own = nodes.momenta, nodes.body, nodes.spatial, nodes.violations
@@ -94,7 +93,7 @@ class Diagnosis:
         if self._parts is None:
             sizes = self.problem.controls.dimension, self.state.size, self.control.size, self.state.size, self.parameter.size
             self._parts = tuple(self._evaluator.derivatives(partial(self._part_of, k), *sizes) for k in (0, 1))
-        found = [at_points(part, 2, *at, parameters[:, None]) for part in self._parts]
+        found = [part.at(2, *at, parameters[:, None]) for part in self._parts]
         curvatures, slopes = (np.stack([values[k] for values in found], axis=2) for k in (0, 1))
         shape = curvatures.shape[:2]
         points = zip(slopes.reshape(-1, *slopes.shape[2:]), curvatures.reshape(-1, *curvatures.shape[2:]), strict=True)
@@ -114,7 +113,7 @@ class Diagnosis:
         ``F = (q + u)^2 / 2`` is zero, the second ones are not.
         """
         sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
-        found = at_points(self._terms, 2, *(part[:, sample] for part in stages), given)
+        found = self._terms.at(2, *(part[:, sample] for part in stages), given)
         curvature, slope, _, _, power, rate, sizes, *brackets = found
         parts = np.abs(rate) + np.sum(np.abs(slope) * sizes, axis=2)
         parts += np.einsum("bsij,bsi,bsj->bs", np.abs(curvature), sizes, sizes)

@@ -3,7 +3,7 @@
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ....threads import in_threads
 from .arrays import LANES, plain, whole
@@ -39,12 +39,14 @@ class BlockSystem(NamedTuple):
 class BlockSolution(NamedTuple):
     """Solutions of block systems, and the inertia of their matrices.
 
-    ``negative``: number of negative eigenvalues; ``smallest``: size of the smallest pivot, rows scaled to one size;
-    ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and ``sum_k d_k' S d_k`` of the first column.
+    ``finite``: which columns are found, the others are NaN; ``negative``: number of negative eigenvalues; ``smallest``: size of
+    the smallest pivot, rows scaled to one size; ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and
+    ``sum_k d_k' S d_k`` of the first column, in units.
     """
 
     steps: Float[np.ndarray, "B N z k"]
     multipliers: Float[np.ndarray, "B N+1 n k"]
+    finite: Bool[np.ndarray, "B k"]
     negative: Float[np.ndarray, " B"]
     smallest: Float[np.ndarray, " B"]
     curvature: Float[np.ndarray, " B"]
@@ -59,59 +61,30 @@ def eliminate(
 ) -> BlockSolution:
     """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
 
-    With ``units``, the system and its solution are in units, as ``scaled`` would make it. With ``shift``, its Hessians are raised
-    by ``shift diag(scales)``, ones by default. A system that is singular, or not finite, has the solution NaN.
+    It is eliminated in ``units``; there the Hessians are raised by ``shift diag(scales)``, ones by default. A system that is
+    singular, or not finite, has the solution NaN.
 
     A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
     sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
     nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
     """
+    from . import kernels
+
     batch, count, n, z = system.left.shape
     columns = system.slope.shape[3]
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
-    scales = np.ones((batch, z)) if scales is None else scales
-    raised = scales * (0.0 if shift is None else shift[:, None])
-    out = BlockSolution(np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns)), *np.empty((4, batch)))
+    given = tuple(map(plain, system)), tuple(map(plain, units))
+    raised = np.zeros(batch) if shift is None else plain(shift), np.ones((batch, z)) if scales is None else plain(scales)
+    steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
+    out = BlockSolution(steps, multipliers, np.empty((batch, columns), bool), *np.empty((4, batch)))
 
     def run(part: range) -> None:
         places = _places(count, n, z, columns)
-        with np.errstate(all="ignore"):
-            for m in part:
-                _solve(m, system, units, raised[m], places, out)
+        kernels.solve(part.start, part.stop, *given, raised, WEIGHT * count, *places, tuple(out))
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    if not (np.isfinite(out.steps).all() and np.isfinite(out.multipliers).all()):
-        _refuse(out)
-    with np.errstate(over="ignore"):
-        out.size[:] = np.sum(np.sum(out.steps[..., 0] ** 2, axis=1) * scales, axis=1)
     return out
-
-
-def _solve(m: int, system: BlockSystem, units: Units, raised: np.ndarray, places: tuple, out: BlockSolution) -> None:
-    """Solve one system, with the weights."""
-    from . import kernels
-
-    hessian, left, right, slope, gap, *fixed = (plain(a[m]) for a in system)
-    d, g, cost, weight = plain(units.unknowns[m]), plain(units.nodes[m]), units.cost[m], WEIGHT * len(left)
-    nodes = np.stack([fixed[0], np.ones(len(g)), fixed[1]]) / g
-    gap = gap / g[:, None]
-    gap[0] *= fixed[0][:, None]
-    gap[-1] *= fixed[1][:, None]
-    held = gap[:-1] * (weight / g)[:, None]
-    held[0] *= fixed[0][:, None]
-    sides = (np.einsum("kns,knj->ksj", left, held) - slope / cost) * d[:, None]
-    blocks, scales = (hessian, left, right, sides, -gap), (np.stack([d / cost, raised]), d, nodes)
-    work, factors = places
-    out.negative[m], out.smallest[m] = kernels.forward(blocks, scales, weight, np.stack(fixed), work, factors)
-    out.curvature[m] = kernels.backward(blocks, scales, weight, work, factors, (out.steps[m], out.multipliers[m]))
-
-
-def _refuse(out: BlockSolution) -> None:
-    """Make columns NaN as a whole that are not finite somewhere."""
-    unknown = ~(np.all(np.isfinite(out.steps), axis=(1, 2)) & np.all(np.isfinite(out.multipliers), axis=(1, 2)))
-    np.copyto(out.steps, np.nan, where=unknown[:, None, None])
-    np.copyto(out.multipliers, np.nan, where=unknown[:, None, None])
 
 
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
@@ -120,7 +93,7 @@ def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     width, own = whole(rows + columns), whole(z)
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
-    shapes = (z, own), (n, own), (n, own), (rows, width), (columns, rows), (2, width)
+    shapes = (2 * n, own), (rows, width), (columns, rows), (2, width)
     work = tuple(map(np.zeros, shapes))
     return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
 

@@ -3,8 +3,9 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Any, final
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -18,17 +19,24 @@ from ...compilation import compiler_options
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
-Evaluated = Callable[..., Arrays]  # of arrays with the points along the first axis
 
 ALL_TRACED = "all functions are traced to scalar operations"
 
 
-class Evaluator(ABC):
-    """Makes of functions of one point, whose arguments are flat vectors of given sizes, functions of many points.
+class Evaluated(ABC):
+    """A function of flat vectors, evaluated at many points."""
 
-    These take arrays of shape ``(points, size)``, or ``(1, size)`` for what all points share, and return arrays with the
-    points along the first axis.
-    """
+    def __call__(self, *arguments: np.ndarray) -> Arrays:
+        """The values for arrays of shape ``(points, size)``."""
+        return self.at(1, *arguments)
+
+    @abstractmethod
+    def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
+        """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
+
+
+class Evaluator(ABC):
+    """Makes of functions of one point, whose arguments are flat vectors of given sizes, functions of many points."""
 
     @property
     @abstractmethod
@@ -45,9 +53,10 @@ class Evaluator(ABC):
         return self._made(function, sizes, first=None)
 
     def derivatives(self, function: Function, *sizes: int) -> Evaluated:
-        """``(hessian, gradient, jacobian, vector, *others)`` of ``(scalar, vector, *others) = function(d, ...)`` at ``d = 0``.
+        """``(hessian, gradient, *jacobians, *vectors, *others)`` at ``d = 0`` of ``function(d, ...)``.
 
-        ``sizes`` are those of all arguments; ``d`` is left out of the arguments of what is returned.
+        It returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them. ``sizes`` are those of all
+        arguments; ``d`` is left out of the arguments of what is returned.
         """
         return self._made(function, sizes[1:], first=sizes[0])
 
@@ -75,51 +84,62 @@ class TapeEvaluator(Evaluator):
 
         d = [] if first is None else [jnp.zeros(first)]
         tape = Tape.trace(function, *d, *(jnp.zeros(size) for size in sizes))
-        return _OnTape(tape if first is None else tape.expansion(), sizes)
+        return _OnTape(tape if first is None else tape.expansion())
 
 
-class _OnTape:
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """Where a tape finds the numbers of some arrays, and where it writes: fixed by their shapes."""
+
+    count: int
+    filled: list[tuple[int, ...] | None]  # shapes to which arrays are broadcast first
+    sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
+    targets: np.ndarray
+    size: int
+    values: list[tuple[int, int, tuple[int, ...]]]  # the parts of what is written, and their shapes
+
+    @classmethod
+    def of(cls, axes: int, given: Sequence[tuple[int, ...]], found: Sequence[tuple[int, ...]]) -> Self:
+        """The plan for arrays with leading axes, and for the shapes of the values at a point."""
+        leading = np.broadcast_shapes(*(shape[:axes] for shape in given))
+        count, sizes = math.prod(leading), [math.prod(shape[axes:]) for shape in given]
+        shared = [count > 1 and math.prod(shape[:axes]) == 1 for shape in given]
+        alone = [one or shape[:axes] == leading for one, shape in zip(shared, given, strict=True)]
+        filled = [None if own else (*leading, size) for own, size in zip(alone, sizes, strict=True)]
+        sources = _rows((size, 1 if one else count) for one, size in zip(shared, sizes, strict=True))
+        written = [math.prod(shape) for shape in found]
+        cuts = [count * end for end in itertools.accumulate(written, initial=0)]
+        values = [(*pair, (*leading, *shape)) for pair, shape in zip(itertools.pairwise(cuts), found, strict=True)]
+        return cls(count, filled, sources, _rows((size, count) for size in written), cuts[-1], values)
+
+
+def _rows(arrays: Iterable[tuple[int, int]]) -> np.ndarray:
+    """Where the numbers of points stand in arrays one after the other, of these widths and lengths; shared where that is one."""
+    rows, first = list[tuple[int, int]](), 0
+    for size, length in arrays:
+        rows += [(first + k, size if length > 1 else 0) for k in range(size)]
+        first += size * length
+    return np.array(rows, np.int64).reshape(-1, 2)
+
+
+@final
+class _OnTape(Evaluated):
     """A tape with arguments and values in rows."""
 
-    def __init__(self, tape: Any, sizes: Sequence[int]) -> None:
+    def __init__(self, tape: Any) -> None:
         self.tape = tape
-        self.sources, self.targets = _Places(sizes), _Places([math.prod(shape) for shape in tape.shapes])
+        self._planned: tuple[Any, _Plan | None] = None, None
         _ = tape.program
 
-    def __call__(self, *arguments: np.ndarray) -> Arrays:
-        count = max(map(len, arguments))
-        values = np.empty(count * self.targets.total)
-        cuts = self.targets.cuts
-        places = self.sources.of([len(a) for a in arguments]), self.targets.of([count] * (len(cuts) - 1))
-        given = np.concatenate([a.ravel() for a in arguments])
-        self.tape.run(count, (given, places[0], values, places[1]))
-        parts = zip(cuts, cuts[1:], self.tape.shapes, strict=False)
-        return tuple(values[count * begin : count * end].reshape(count, *shape) for begin, end, shape in parts)
-
-
-class _Places:
-    """Where the numbers of the first point stand, and how far those of the next are, in arrays one after the other."""
-
-    def __init__(self, sizes: Sequence[int]) -> None:
-        self.sizes = sizes
-        self.cuts = [0, *itertools.accumulate(sizes)]
-        self.total = self.cuts[-1]
-        self._known: tuple[list[int], np.ndarray] = [], np.empty((0, 2), np.int64)
-
-    def of(self, counts: list[int]) -> np.ndarray:
-        """The places where the arrays have these numbers of points; what all points share is one of them."""
-        known, places = self._known
-        if known != counts or not counts:
-            firsts = itertools.accumulate((size * n for size, n in zip(self.sizes, counts, strict=True)), initial=0)
-            several = max(counts, default=1) > 1
-            rows = [
-                (first + k, 0 if several and n == 1 else size)
-                for first, size, n in zip(firsts, self.sizes, counts, strict=False)
-                for k in range(size)
-            ]
-            places = np.array(rows, np.int64).reshape(-1, 2)
-            self._known = counts, places
-        return places
+    def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
+        key, (known, plan) = (axes, *(a.shape for a in arguments)), self._planned
+        if plan is None or known != key:
+            plan = _Plan.of(axes, key[1:], self.tape.shapes)
+            self._planned = key, plan
+        rows = [(a if to is None else np.broadcast_to(a, to)).ravel() for a, to in zip(arguments, plan.filled, strict=True)]
+        values = np.empty(plan.size)
+        self.tape.run(plan.count, (np.concatenate(rows), plan.sources, values, plan.targets))
+        return tuple(values[first:last].reshape(shape) for first, last, shape in plan.values)
 
 
 @final
@@ -146,27 +166,30 @@ class XlaEvaluator(Evaluator):
             zero = jnp.zeros(first)
             slope = jax.grad(lambda d: function(d, *arguments)[0])
             scalar_slope, push = jax.linearize(lambda d: (slope(d), function(d, *arguments)[1]), zero)
-            curvature, jacobian = jax.vmap(push, out_axes=-1)(jnp.eye(first))
-            _, vector, *others = function(zero, *arguments)
-            return curvature, scalar_slope[0], jacobian, vector, *others
+            curvature, jacobians = jax.vmap(push, out_axes=-1)(jnp.eye(first))
+            return curvature, scalar_slope[0], *jax.tree.leaves((jacobians, function(zero, *arguments)[1:]))
 
         return _Compiled(traced(at_point, *(jnp.zeros(size) for size in sizes)))
 
 
-class _Compiled:
+@final
+class _Compiled(Evaluated):
     """A traced function, compiled for each number of points."""
 
     def __init__(self, program: ClosedJaxpr) -> None:
         self.function = jax.vmap(jaxpr_as_fun(program))
         self.executables: dict[int, Any] = {}
 
-    def __call__(self, *arguments: np.ndarray) -> Arrays:
-        count = max(len(a) for a in arguments)
-        filled = [np.broadcast_to(a, (count, a.shape[1])).astype(working_precision()) for a in arguments]
+    def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
+        leading = np.broadcast_shapes(*(a.shape[:axes] for a in arguments))
+        count = math.prod(leading)
+        wide = ((np.broadcast_to(a, (*leading, a.shape[-1])), a.shape[-1]) for a in arguments)
+        filled = [a.reshape(count, size).astype(working_precision()) for a, size in wide]
         if count not in self.executables:
             self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
         # Copies: the arrays of XLA are read-only, and the assembly adds to them.
-        return tuple(np.array(v, dtype=float, order="C") for v in self.executables[count](*filled))
+        found = self.executables[count](*filled)
+        return tuple(np.array(v, dtype=float, order="C").reshape(*leading, *v.shape[1:]) for v in found)
 
 
 @final

@@ -7,42 +7,50 @@ complement: those of the next step. At the last step all are eliminated.
 import numpy as np
 
 from .arrays import LANES
-from .factors import compiled, copy_vector, dot, factorise, inner, scale, substitute, subtract_one
+from .factors import compiled, copy_vector, dot, factorise, inner, scale, substitute, subtract_two
 
-Blocks = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Units = tuple[np.ndarray, np.ndarray, np.ndarray]
+Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Factors = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Raised = tuple[np.ndarray, np.ndarray]
+Out = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @inner
-def _in_units(out: np.ndarray, block: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> None:
-    """A block in units, with rows of whole vectors."""
-    for i in range(block.shape[0]):
-        for j in range(block.shape[1]):
-            out[i, j] = block[i, j] * (rows[i] * columns[j])
+def _load_ends(ends: np.ndarray, system: System, units: Units, m: int, k: int) -> None:
+    """Left and right of step k in units, their rows in turns, without the equations of free coordinates."""
+    (_, left, right, _, _, start, end), (d, g, _) = system, units
+    for a in range(left.shape[2]):
+        before, after = 1 / g[m, a], 1 / g[m, a]
+        if k == 0:
+            before *= start[m, a]
+        if k == left.shape[1] - 1:
+            after *= end[m, a]
+        for i in range(left.shape[3]):
+            ends[2 * a, i] = left[m, k, a, i] * (before * d[m, i])
+            ends[2 * a + 1, i] = right[m, k, a, i] * (after * d[m, i])
 
 
 @inner
-def _load_blocks(blocks: Blocks, units: Units, k: int, work: Work) -> None:
-    """Hessian, left and right of step k in units, without the equations of free coordinates."""
-    (hessian, left, right, _, _), (rows, columns, nodes), last = blocks, units, blocks[1].shape[0] - 1
-    _in_units(work[0], hessian[k], rows[0], columns)
-    for i in range(columns.size):
-        work[0][i, i] += rows[1, i]
-    _in_units(work[1], left[k], nodes[0 if k == 0 else 1], columns)
-    _in_units(work[2], right[k], nodes[2 if k == last else 1], columns)
+def _gap(system: System, units: Units, m: int, k: int, a: int, j: int) -> float:
+    """What a node lacks, in units; zero in a free coordinate."""
+    gap = system[4][m, k, a, j] / units[1][m, a]
+    if k == 0:
+        gap *= system[5][m, a]
+    return gap * system[6][m, a] if k == system[4].shape[1] - 1 else gap
 
 
 @inner
-def _load_nodes(v: np.ndarray, z: int, sides: np.ndarray) -> None:
+def _load_node(v: np.ndarray, system: System, units: Units, m: int, k: int) -> None:
     """Rows of ``c_k``: its right-hand sides and what the step before left on the node; those of the next node are zero."""
-    n, columns = sides.shape
+    n, z = system[1].shape[2:]
     p = z + n
     for a in range(n):
         for b in range(a, n):
             v[z + a, z + b] = v[p + a, p + b]
-        for j in range(columns):
-            v[z + a, p + n + j] = v[p + a, p + n + j] + sides[a, j]
+        for j in range(system[4].shape[3]):
+            v[z + a, p + n + j] = v[p + a, p + n + j] - _gap(system, units, m, k, a, j)
         for b in range(n):
             v[z + a, p + b] = 0.0
         for j in range(z, v.shape[1]):
@@ -50,39 +58,50 @@ def _load_nodes(v: np.ndarray, z: int, sides: np.ndarray) -> None:
 
 
 @inner
-def _close(v: np.ndarray, sides: np.ndarray, fixed: np.ndarray) -> None:
-    """Rows of the last node."""
-    n, columns = sides.shape
-    p = v.shape[0] - n
+def _open(v: np.ndarray, n: int, z: int, fixed: np.ndarray) -> None:
+    """What is left on the first node, before any step."""
     for a in range(n):
-        v[p + a, p + a] = fixed[a] - 1
-        for j in range(columns):
-            v[p + a, p + n + j] = sides[a, j]
+        for j in range(z, v.shape[1]):
+            v[z + n + a, j] = 0.0
+        v[z + n + a, z + n + a] = fixed[a] - 1
 
 
 @inner
-def _load_step(v: np.ndarray, work: Work, sides: np.ndarray, weight: float) -> None:
+def _close(v: np.ndarray, system: System, units: Units, m: int) -> None:
+    """Rows of the last node."""
+    n, last = system[1].shape[2], system[1].shape[1]
+    p = v.shape[0] - n
+    for a in range(n):
+        v[p + a, p + a] = system[6][m, a] - 1
+        for j in range(system[4].shape[3]):
+            v[p + a, p + n + j] = -_gap(system, units, m, last, a, j)
+
+
+@inner
+def _load_step(system: System, units: Units, raised: Raised, weight: float, m: int, k: int, work: Work) -> None:
     """Rows of ``d_k``, with the Hessian ``H + weight (right' right - left' left)``."""
-    (hessian, left, right, _, _, f), n = work, work[1].shape[0]
-    z, width = hessian.shape
+    (hessian, left, _, slope, _, _, _), (d, _, cost), (ends, v, _, f) = system, units, work
+    n, z = left.shape[2:]
+    sides, inverse = z + 2 * n, 1 / cost[m]
     for i in range(z):
-        for j in range(0, width, LANES):
-            copy_vector(v, i, j, hessian, i, j)
-        for j in range(width, v.shape[1]):
-            v[i, j] = 0.0
-    for side, ends in ((weight, left), (-weight, right)):
+        for j in range(z):
+            v[i, j] = hessian[m, k, i, j] * (d[m, i] * inverse * d[m, j])
+        v[i, i] += raised[0][m] * raised[1][m, i]
         for a in range(n):
+            v[i, z + a], v[i, z + n + a] = ends[2 * a, i], -ends[2 * a + 1, i]
+        for j in range(slope.shape[3]):
+            v[i, sides + j] = -slope[m, k, i, j] * (d[m, i] * inverse)
+        for j in range(sides + slope.shape[3], v.shape[1]):
+            v[i, j] = 0.0
+    for a in range(n):
+        for i in range(z):
+            f[0, i], f[1, i] = weight * ends[2 * a, i], -weight * ends[2 * a + 1, i]
+        for j in range(0, ends.shape[1], LANES):
+            subtract_two(v, 0, min(z, j + LANES), j, f, ends, 2 * a)
+        for j in range(slope.shape[3]):
+            gap = _gap(system, units, m, k, a, j)
             for i in range(z):
-                f[0, i] = side * ends[a, i]
-            for j in range(0, width, LANES):
-                subtract_one(v, 0, min(z, j + LANES), j, f, ends, a)
-    for i in range(z):
-        for j in range(z, width):
-            v[i, j] = 0.0
-        for a in range(n):
-            v[i, z + a], v[i, z + n + a] = left[a, i], -right[a, i]
-        for j in range(sides.shape[1]):
-            v[i, z + 2 * n + j] = sides[i, j]
+                v[i, sides + j] += f[0, i] * gap
 
 
 @inner
@@ -92,29 +111,22 @@ def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int)
             copy_vector(rows, k, bases[i] + j, v, i, j)
 
 
-@compiled
-def forward(blocks: Blocks, units: Units, weight: float, fixed: np.ndarray, work: Work, factors: tuple) -> tuple[int, float]:
-    """Factorise step after step; the number of negative pivots and the size of the smallest.
-
-    ``blocks``: Hessians, left, right, and right-hand sides of steps and nodes, the latter in units; ``units``: for the rows of
-    the Hessians with what raises their diagonals, for the columns, and for the equations of the first node, of others, and of
-    the last; ``fixed``: 1 where a coordinate of either end is; ``work``: Hessian, left and right of a step, the front, columns
-    of unknowns, room for two rows; ``factors``: the rows of all steps, their bases, their units, and the swaps.
-    """
-    (_, lefts, _, steps, nodes), (_, _, _, v, _, f), (rows, bases, sizes, swaps) = blocks, work, factors
-    (count, n, z), negative, smallest = lefts.shape, 0, np.inf
-    for a in range(n):
-        for j in range(z, v.shape[1]):
-            v[z + n + a, j] = 0.0
-        v[z + n + a, z + n + a] = fixed[0, a] - 1
+@inner
+def _forward(
+    system: System, units: Units, raised: Raised, weight: float, m: int, work: Work, factors: Factors
+) -> tuple[int, float]:
+    """Factorise step after step; the number of negative pivots and the size of the smallest."""
+    (ends, v, _, f), (rows, bases, sizes, swaps) = work, factors
+    (count, n, z), negative, smallest = system[1].shape[1:], 0, np.inf
+    _open(v, n, z, system[5][m])
     for k in range(count):
-        _load_blocks(blocks, units, k, work)
-        _load_nodes(v, z, nodes[k])
-        _load_step(v, work, steps[k], weight)
+        _load_ends(ends, system, units, m, k)
+        _load_node(v, system, units, m, k)
+        _load_step(system, units, raised, weight, m, k, work)
         last = z + n
         if k == count - 1:
             last += n
-            _close(v, nodes[count], fixed[1])
+            _close(v, system, units, m)
         scale(v, f, sizes[k], z, last)
         found, size = factorise(v, f, swaps[k], last, z + 2 * n)
         negative += found
@@ -132,30 +144,75 @@ def _curvature(hessian: np.ndarray, d: np.ndarray) -> float:
     return total
 
 
-@compiled
-def backward(blocks: Blocks, units: Units, weight: float, work: Work, factors: tuple, out: tuple) -> float:
-    """Steps and multipliers from the last to the first, and ``sum_k d_k' H_k d_k`` of the first column.
+@inner
+def _backward(
+    system: System, units: Units, raised: Raised, weight: float, m: int, work: Work, factors: Factors, out: Out
+) -> tuple[float, float]:
+    """Steps and multipliers from the last to the first; ``sum_k d_k' H_k d_k`` and the size of the first column, in units.
 
     The weights' share is taken out of the multipliers.
     """
-    (hessian, _, right, _, x, _), (rows, bases, sizes, swaps), (steps, multipliers) = work, factors, out
-    (count, n, z), zero, curvature = blocks[1].shape, np.int64(0), 0.0
-    p = z + n
+    (hessian, left, right, _, _, _, end), (d, g, cost), (_, _, x, f) = system, units, work
+    (rows, bases, sizes, swaps), (count, n, z), zero = factors, left.shape[1:], np.int64(0)
+    p, curvature, size = z + n, 0.0, 0.0
     for k in range(count - 1, -1, -1):
         last = p + n if k == count - 1 else p
-        _load_blocks(blocks, units, k, work)
-        for j in range(x.shape[0]):
+        for j in range(x.shape[0] - 1, -1, -1):
             for a in range(p, p + n):
                 x[j, a] = x[j, a - n]
             substitute(rows[k], bases, swaps[k], x[j], last, p + n + j)
             for i in range(last):
                 x[j, i] *= sizes[k, i]
             for i in range(z):
-                steps[k, i, j] = x[j, i]
+                f[0, i] = x[j, i] * d[m, i]
+                out[0][m, k, i, j] = f[0, i]
             for a in range(n):
-                multipliers[k + 1, a, j] = x[j, p + a] - weight * dot(x[j], zero, z, right[a], zero)
-        curvature += _curvature(hessian, x[0])
-    for a in range(n):
-        for j in range(x.shape[0]):
-            multipliers[0, a, j] = x[j, z + a]
-    return curvature
+                moved = dot(f[0], zero, z, right[m, k, a], zero) / g[m, a]
+                if k == count - 1:
+                    moved *= end[m, a]
+                out[1][m, k + 1, a, j] = (x[j, p + a] - weight * moved) * (cost[m] / g[m, a])
+        curvature += _curvature(hessian[m, k], f[0])
+        for i in range(z):
+            size += raised[1][m, i] * x[0, i] * x[0, i]
+    for j in range(x.shape[0]):
+        for a in range(n):
+            out[1][m, 0, a, j] = x[j, z + a] * (cost[m] / g[m, a])
+    return curvature / cost[m] + raised[0][m] * size, size
+
+
+@inner
+def _refuse(m: int, j: int, steps: np.ndarray, multipliers: np.ndarray) -> bool:
+    """Make a column NaN as a whole if it is not finite somewhere, and whether it was finite."""
+    total, (count, z) = 0.0, steps.shape[1:3]
+    for k in range(count + 1):
+        for a in range(multipliers.shape[2]):
+            total += 0.0 * multipliers[m, k, a, j]
+        for i in range(z if k < count else 0):
+            total += 0.0 * steps[m, k, i, j]
+    if total == 0:
+        return True
+    multipliers[m, :, :, j] = np.nan
+    steps[m, :, :, j] = np.nan
+    return False
+
+
+@compiled
+def solve(
+    first: int, last: int, system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors, out: Out
+) -> None:
+    """Solve the systems of the members ``first`` to ``last``.
+
+    ``system``: Hessians, left, right, slopes, gaps, and 1 where a coordinate of either end is fixed; ``units``: of the unknowns,
+    the nodes and the cost; ``raised``: shifts, and the diagonals that they raise; ``work``: left and right of a step, the front,
+    columns of unknowns, room for two rows; ``factors``: the rows of all steps, their bases, their units, and the swaps;
+    ``out``: the fields of the solution.
+    """
+    steps, multipliers, finite, negative, smallest, curvature, size = out
+    for m in range(first, last):
+        found, least = _forward(system, units, raised, weight, m, work, factors)
+        negative[m], smallest[m] = found, least
+        bent, long = _backward(system, units, raised, weight, m, work, factors, out)
+        for j in range(finite.shape[1]):
+            finite[m, j] = _refuse(m, j, steps, multipliers)
+        curvature[m] = bent if finite[m, 0] else np.nan
+        size[m] = long if finite[m, 0] else np.nan

@@ -25,7 +25,6 @@ RECORD = 0.9
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
-EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 RAISE, LOWER = 10.0, 4.0
 STIFF, SLOW = 1e2, 1e-6  # a shift, or a share of a step, at which hard inequalities are made elastic
@@ -272,16 +271,16 @@ class _Search:
         stuck = arrived & (wanted > SHRINKS * state.correction)
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
-        # The step that is known is made if more than rounding is left: it costs an evaluation and mends half of the digits.
-        exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
-        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
+        # The step that is known is made where it is longer than the tolerance: it costs an evaluation and doubles the digits.
+        near = state.isolated | (wanted <= self.tolerance)
+        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & near) | stuck)
 
     def elsewhere(self, state: _State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
 
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """
-        missing = np.max(np.abs(state.assembled.gap), axis=1) / self.conditions.of(state.member).measured.nodes
+        missing = state.assembled.extent.lacking / self.conditions.of(state.member).measured.nodes
         met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
@@ -304,10 +303,11 @@ class _Search:
         """What remains when members leave that have finished."""
         if not np.any(finished):
             return state
-        self.left.append((taken(state, np.flatnonzero(finished)), self.trials))
         if np.all(finished):
+            self.left.append((state, self.trials))
             self.state = None
             return None
+        self.left.append((taken(state, np.flatnonzero(finished)), self.trials))
         return taken(state, np.flatnonzero(~finished))
 
     def found(self) -> Found:
@@ -322,7 +322,7 @@ class _Search:
         strict = joined.step.strict & (joined.shift == 0)
         if joined.iterate.slacks is not None:
             strict = is_isolated_minimum(self.conditions, joined.iterate, joined.assembled)
-        missing = np.max(np.abs(joined.assembled.gap), axis=1) / self.conditions.measured.nodes
+        missing = joined.assembled.extent.lacking / self.conditions.measured.nodes
         ended = (
             strict & joined.isolated,
             counts[order] - 1,

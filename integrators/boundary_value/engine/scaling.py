@@ -14,7 +14,7 @@ from jaxtyping import Float
 from .arrays import plain, whole
 
 if TYPE_CHECKING:
-    from .elimination import BlockSolution, BlockSystem
+    from .elimination import BlockSystem
 
 SHARE = 1e-3  # of the natural unit: a coordinate that moves by less is not measured by its own size
 NOISE = 0.5  # power of the machine epsilon: what is reached less than this, beside others, is not reached
@@ -86,20 +86,3 @@ def _gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray) -> np.nda
     for m in range(batch):
         scaling_kernels.gramians(near[m], far[m], np.diag(variance[m]), work, np.empty(n, np.int64), out[m])
     return np.diagonal(out[:, 1:], axis1=2, axis2=3)
-
-
-def scaled(system: "BlockSystem", units: Units) -> "BlockSystem":
-    """The system in units, without the equations of free coordinates at its ends."""
-    d, g, cost = units.unknowns[:, None, None], units.nodes[:, None, :, None], units.cost[:, None, None, None]
-    left, right = system.left * (d / g), system.right * (d / g)
-    left[:, 0] *= system.fixed_start[..., None]
-    right[:, -1] *= system.fixed_end[..., None]
-    hessian = system.hessian * (d * d.swapaxes(2, 3) / cost)
-    slope = system.slope * (d / cost).swapaxes(2, 3)
-    return system._replace(hessian=hessian, left=left, right=right, slope=slope, gap=system.gap / g)
-
-
-def unscaled(solution: "BlockSolution", units: Units) -> tuple[Float[np.ndarray, "B N z k"], Float[np.ndarray, "B N+1 n k"]]:
-    """Steps of the unknowns and of the multipliers in the units of the problem."""
-    lengths = (units.cost[:, None] / units.nodes)[:, None, :, None]
-    return solution.steps * units.unknowns[:, None, :, None], solution.multipliers * lengths

@@ -21,7 +21,7 @@ from .condensing import Condensed, condense
 from .conditions import Conditions
 from .evaluator import Evaluator
 from .system import Assembled, Iterate
-from .transcription import Data, Nodes, OneStage, at_points
+from .transcription import Data, Nodes, OneStage
 
 CHANGED = 1e-9  # relative: more than rounding
 SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, leaves derivatives few digits
@@ -109,7 +109,7 @@ class Sensitivities:
         n, found = self.nodes.problem.manifold.dimension, list[tuple[Any, Any]]()
         ends: Any = (-1, assembled.terminal), (0, assembled.initial)
         for function, (place, paid) in zip(self._paid, ends, strict=False):
-            hessian, gradient, *_ = at_points(function, 1, assembled.nodes[:, place], parameters)
+            hessian, gradient, *_ = function.at(1, assembled.nodes[:, place], parameters)
             _require_unchanged((hessian[:, :n, :n], paid.curvature), (gradient[:, :n], paid.slope))
             rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
             mixed = np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2)
@@ -120,14 +120,14 @@ class Sensitivities:
         """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""
         vectors, covectors = (np.einsum("bknj,bkne->bkje", a, assembled.frames) for a in (moved, turned))
         at = assembled.nodes[:, :, None], assembled.costates[:, :, None], vectors, covectors
-        (carried,) = at_points(self._carried, 3, *at)
+        (carried,) = self._carried.at(3, *at)
         return np.moveaxis(vectors, 2, 1), np.moveaxis(carried, 2, 1)
 
     def _of_controls(self, iterate: Iterate, steps: np.ndarray) -> np.ndarray:
         u = iterate.unknowns.controls
         n, columns = self.nodes.problem.manifold.dimension, steps.shape[3]
         turns = steps[:, :, n:].reshape(*u.shape[:3], -1, columns)
-        (found,) = at_points(self._turned, 4, u[:, :, :, None], np.moveaxis(turns, 4, 3))
+        (found,) = self._turned.at(4, u[:, :, :, None], np.moveaxis(turns, 4, 3))
         return np.moveaxis(found, 3, 1).reshape(len(u), columns, -1, u.shape[3])
 
     def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
@@ -165,22 +165,21 @@ class _OneStageColumns:
         self._row = evaluator.derivatives(self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities)
 
     def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
-        data, (x, u), z, n = conditions.data, iterate.unknowns, self.steps.dimension, self.steps.manifold.dimension
+        data, (x, u), z = conditions.data, iterate.unknowns, self.steps.dimension
         nodes, costates = assembled.nodes, assembled.costates
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         blocks, slacks = assembled.blocks, iterate.slacks
         pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
         given = data.steps[:, :, None], data.parameters[:, None], pull
-        hessian, gradient, jacobian, values = at_points(self._row, 2, x, u[:, :, 0], *around, *given)
-        _require_unchanged((values[:, :, 2 * n], blocks.costs), (jacobian[:, :, :n, :z], blocks.left))
+        found = self._row.at(2, x, u[:, :, 0], *around, *given)
+        hessian, gradient, left, right, _, limits, _, _, cost, _ = found
+        _require_unchanged((cost[:, :, 0], blocks.costs), (left[..., :z], blocks.left))
         own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
         free = slice(0 if assembled.initial is None else 1, -1)  # the steps at the ends have the costs of these too
         _require_unchanged((own[:, free], blocks.hessian[:, free]))
-        ends = jacobian[:, :, :n, z:], jacobian[:, :, n : 2 * n, z:]
-        slope = np.concatenate([mixed, jacobian[:, :, 2 * n + 1 :, z:]], axis=2)
-        return Columns(slope, *ends, gradient[:, :, z:])
+        return Columns(np.concatenate([mixed, limits[..., z:]], axis=2), left[..., z:], right[..., z:], gradient[:, :, z:])
 
-    def _row_of(self, d: Array, *given: Array) -> tuple[Array, Array]:
+    def _row_of(self, d: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
         z, (*at, h, parameters, pull) = self.steps.dimension, given
         return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :], pull)
 
@@ -204,10 +203,10 @@ class _CollocationColumns:
         at = unknowns.centres[:, :, None], h[:, :, None, None] * turned, unknowns.velocities, unknowns.controls
         slacks = iterate.slacks
         pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
-        found = at_points(self._point, 3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
-        hessian, gradient, jacobian, values = found[:4]
-        _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (jacobian[..., :n, :q], inner.points.constraints))
-        _require_unchanged((np.sum(values[..., n], axis=2), assembled.blocks.costs))
+        found = self._point.at(3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
+        hessian, gradient, constraints, _, limits, defect, cost, _ = found
+        _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (constraints[..., :q], inner.points.constraints))
+        _require_unchanged((np.sum(cost[..., 0], axis=2), assembled.blocks.costs))
         far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
         points, ends = inner.points, inner.ends
         slope, end_slope, each = gradient[..., :q], ends.slope[..., 0], h[:, :, None, None]
@@ -215,12 +214,12 @@ class _CollocationColumns:
         by_h = np.einsum("bkizy,bkiy->bkiz", hessian[..., :q, n : 2 * n], turned) + slope / each
         by_h[..., 2 * n : 3 * n] += np.einsum("ij,bkia->bkja", table.matrix, slope[..., n : 2 * n])
         by_h[..., 2 * n : 3 * n] += table.weights[:, None] * end_slope[:, :, None, n:]
-        missed = np.einsum("bkiny,bkiy->bkin", jacobian[..., :n, n : 2 * n], turned) + values[..., :n] / each
-        lagrangian = np.sum(gradient[..., n : 2 * n] * turned, axis=3) + values[..., n] / h[:, :, None]
+        missed = np.einsum("bkiny,bkiy->bkin", constraints[..., n : 2 * n], turned) + defect / each
+        lagrangian = np.sum(gradient[..., n : 2 * n] * turned, axis=3) + cost[..., 0] / h[:, :, None]
         lagrangian = np.sum(lagrangian, axis=2) + np.sum(end_slope[..., n:] * far, axis=2)
         wanted = points._replace(
             slope=np.concatenate([by_h[..., None], hessian[..., :q, q:]], axis=4),
-            defect=np.concatenate([missed[..., None], jacobian[..., :n, q:]], axis=4),
+            defect=np.concatenate([missed[..., None], constraints[..., q:]], axis=4),
         )
         none = np.zeros((*ends.slope.shape[:3], data.parameters.shape[1]))
         outer = np.concatenate([np.einsum("bkzy,bky->bkz", ends.hessian[..., n:], far)[..., None], none], axis=3)
@@ -231,15 +230,12 @@ class _CollocationColumns:
         whole = np.concatenate([lagrangian[..., None], np.sum(gradient[..., q:], axis=2)], axis=2)
         rows = parts.slope
         if slacks is not None:
-            rows = np.concatenate([rows, self._limits(assembled, condensed, jacobian, turned, data)], axis=2)
+            rows = np.concatenate([rows, self._limits(assembled, condensed, limits, turned, data)], axis=2)
         return Columns(rows, begin, finish, whole)
 
-    def _limits(
-        self, assembled: Assembled, condensed: Condensed, jacobian: np.ndarray, turned: np.ndarray, data: Data
-    ) -> np.ndarray:
-        """Derivatives of the inequalities of all points, shape (B, N, s c, K)."""
+    def _limits(self, assembled: Assembled, condensed: Condensed, own: np.ndarray, turned: np.ndarray, data: Data) -> np.ndarray:
+        """Derivatives of the inequalities of all points, shape (B, N, s c, K), from those of each, ``own``."""
         n, q, z = self.steps.manifold.dimension, self.dimension, self.steps.dimension
-        own = jacobian[..., n + 1 :, :]
         by_h = np.einsum("bkicy,bkiy->bkic", own[..., n : 2 * n], turned)
         direct = np.concatenate([by_h[..., None], own[..., q:]], axis=4)
         maps = condensed.kept[2].reshape(*data.steps.shape, *condensed.kept[2].shape[1:])

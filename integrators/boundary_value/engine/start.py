@@ -14,7 +14,6 @@ from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction, default_retraction
 from .evaluator import Automatic, Evaluated
 from .layout import Layout
-from .transcription import at_points
 
 ASIDE = 0.05  # of the chord
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
@@ -64,9 +63,9 @@ class Start:
         if len(self._curves) <= place:
             self._curves.append(self._curve(retraction))
         leave, go = self._curves[place]
-        vectors, lengths = at_points(leave, 1, starts, ends)
+        vectors, lengths = leave.at(1, starts, ends)
         steps = np.broadcast_to(fractions[None, :, None], (len(starts), len(fractions), 1))
-        (states,) = at_points(go, 2, starts[:, None], vectors[:, None], steps)
+        (states,) = go.at(2, starts[:, None], vectors[:, None], steps)
         spaced = np.diff(fractions) * len(fractions)
         return states, np.isfinite(lengths) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
 
@@ -104,11 +103,11 @@ class Start:
             size, aside = self.layout.size, jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient))
             begin = Automatic().values(lambda *ends: self._set_out(aside, *ends), size, size)
             self._walk = begin, Automatic().values(self._go, size, size, 1)
-        (x,) = at_points(self._walk[0], 1, starts, ends)
+        (x,) = self._walk[0].at(1, starts, ends)
         states, behind = [], 0.0
         for fraction in fractions:
             share = np.full((len(starts), 1), (fraction - behind) / (1 - behind) if behind < 1 else 0.0)
-            (x,) = at_points(self._walk[1], 1, x, ends, share)
+            (x,) = self._walk[1].at(1, x, ends, share)
             states.append(x)
             behind = fraction
         way = np.linalg.norm(starts - ends, axis=1)

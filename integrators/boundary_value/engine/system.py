@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .barrier import Missed
+from .extent import Extent
 from .inequalities import Slacks, Turn
 from .transcription import Blocks, Terminal
 
@@ -27,10 +28,11 @@ class Assembled(NamedTuple):
     coordinates: np.ndarray  # multipliers in the frames, (B, N + 1, n)
     nodes: np.ndarray  # (B, N + 1, E)
     costates: np.ndarray
-    terminal: Terminal
     cost: np.ndarray
+    terminal: Terminal
     initial: Terminal | None
     distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
+    extent: Extent
 
 
 class Step(NamedTuple):

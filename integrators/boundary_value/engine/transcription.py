@@ -91,17 +91,6 @@ class Terminal(NamedTuple):
 AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
 
 
-def at_points(function: Any, axes: int, *arguments: np.ndarray) -> Arrays:
-    """Evaluate a function of points on arrays with some leading axes in common (of length 1 where an array is shared)."""
-    leading = tuple(map(max, zip(*(a.shape[:axes] for a in arguments), strict=True)))
-    count, flat = math.prod(leading), []
-    for a in arguments:
-        if a.shape[:axes] != leading:
-            a = np.broadcast_to(a, (*leading, a.shape[-1]))
-        flat.append(a.reshape(count, a.shape[-1]))
-    return tuple(value.reshape(*leading, *value.shape[1:]) for value in function(*flat))
-
-
 @final
 class OneStage:
     """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``."""
@@ -131,7 +120,7 @@ class OneStage:
 
     def ends(self, unknowns: Unknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""
-        return at_points(self._ends, 2, unknowns.centres, unknowns.controls[:, :, 0], *_given(data))
+        return self._ends.at(2, unknowns.centres, unknowns.controls[:, :, 0], *_given(data))
 
     def blocks(
         self, unknowns: Unknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
@@ -139,16 +128,13 @@ class OneStage:
         """The blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
-        found = at_points(self._row, 2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data), pull)
-        hessian, slope, jacobian, values = found
-        n = self.manifold.dimension
-        left, right, gradient, limits = np.split(jacobian, [n, 2 * n, 2 * n + 1], axis=2)
-        left, right = np.ascontiguousarray(left), np.ascontiguousarray(right)
-        blocks = Blocks(hessian, left, right, slope, gradient[:, :, 0], values[:, :, 2 * n])
+        found = self._row.at(2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data), pull)
+        hessian, slope, left, right, gradient, pushes, _, _, cost, limits = found
+        blocks = Blocks(hessian, left, right, slope, gradient[:, :, 0], cost[:, :, 0])
         if slacks is None:
             return blocks
         weights = data.steps[:, :, None, None] * data.held(self.inequalities, 1)
-        held = Held(values[:, :, None, 2 * n + 1 :], limits[:, :, None], weights)
+        held = Held(limits[:, :, None], pushes[:, :, None], weights)
         stiff, pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
         return blocks._replace(hessian=stiff[:, :, 0], held=held, pushed=pushed[:, :, 0])
 
@@ -183,20 +169,20 @@ class OneStage:
         del blocks
         steps, part = step.steps, step.fraction
         some = part[:, None, None] * steps
-        x, u = at_points(self._move, 2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
+        x, u = self._move.at(2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])
 
     def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data) -> AtStages:
         """States, controls and costates at the stages, (B, N, ...), from covectors at the nodes, (B, N + 1, E)."""
         x, u = unknowns.centres, unknowns.controls[:, :, 0]
-        (covectors,) = at_points(self._pull, 2, x, u, costates[:, :-1], costates[:, 1:], *_given(data))
+        (covectors,) = self._pull.at(2, x, u, costates[:, :-1], costates[:, 1:], *_given(data))
         return x, u, covectors
 
     def _ends_of(self, x: Array, u: Array, h: Array, parameters: Array) -> tuple[Array, ...]:
         ends = self.stage(h, parameters).ends((self.state.point(x), self.control.point(u)))
         return tuple(map(self.state.flat, ends))
 
-    def _row_of(self, d: Array, x: Array, u: Array, *given: Array) -> tuple[Array, Array]:
+    def _row_of(self, d: Array, x: Array, u: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
         q0, q1, p0, p1 = map(self.state.point, given[:4])
         stage, y = self.stage(*given[4:6]), (self.state.point(x), self.control.point(u))
         moved = stage.move(y, stage.frame(y), d)
@@ -205,7 +191,7 @@ class OneStage:
         e0, e1 = self.manifold.basis(q0), self.manifold.basis(q1)
         values = vec.components(e0, begin), vec.components(e1, finish), cost[None], limits
         lagrangian = cost + vec.pairing(p0, begin) - vec.pairing(p1, finish) + given[4][0] * given[6] @ limits
-        return lagrangian, jnp.concatenate(values)
+        return lagrangian, values
 
     def _moved(self, x: Array, u: Array, d: Array, h: Array, parameters: Array) -> tuple[Array, Array]:
         stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
@@ -230,7 +216,8 @@ class Nodes:
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self.layout, self.parameter = problem, Layout.of(problem.manifold), parameter_layout(parameters)
         self.control = Layout.of(problem.controls)
-        self._frame = evaluator.values(self._frame_of, self.layout.size)
+        self.dimension, e = problem.manifold.dimension, self.layout.size
+        self._in_frame = evaluator.values(self._in_frame_of, e, self.dimension, e, e)
         costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
         sizes = self.layout.size, self.parameter.size
         self._paid = {
@@ -240,29 +227,31 @@ class Nodes:
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
-    def frames(self, nodes: np.ndarray) -> np.ndarray:
-        """Bases of the tangent spaces, shape (B, N + 1, n, E)."""
-        return at_points(self._frame, 2, nodes)[0]
+    def in_frames(self, nodes: np.ndarray, fixed: np.ndarray, gaps: np.ndarray, covectors: np.ndarray) -> Arrays:
+        """Bases of the tangent spaces (B, N + 1, n, E); coordinates of gaps and covectors in them; the covectors with these.
+
+        ``fixed``: 1 for the coordinates that count, else 0, shape (B, N + 1, n).
+        """
+        return self._in_frame.at(2, nodes, fixed, gaps, covectors)
 
     def terminal(self, last: np.ndarray, parameters: np.ndarray) -> Terminal:
         """The terminal cost at last nodes, shape (B, E)."""
         if "final_cost" not in self._paid:
-            n = self.problem.manifold.dimension
-            shapes = (), last.shape[1:], (n,), (n, n)
-            return Terminal(*(np.zeros((len(last), *shape)) for shape in shapes))
-        return Terminal(*at_points(self._paid["final_cost"], 1, last, parameters))
+            count, n = len(last), self.dimension
+            return Terminal(np.zeros(count), np.zeros(last.shape), np.zeros((count, n)), np.zeros((count, n, n)))
+        return Terminal(*self._paid["final_cost"].at(1, last, parameters))
 
     def initial(self, first: np.ndarray, parameters: np.ndarray) -> Terminal | None:
         """The initial cost at first nodes, shape (B, E), if there is one."""
         if "first_cost" not in self._paid:
             return None
-        return Terminal(*at_points(self._paid["first_cost"], 1, first, parameters))
+        return Terminal(*self._paid["first_cost"].at(1, first, parameters))
 
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
         """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s, U)."""
         largest = np.max(np.abs(controls), axis=1)
         if self._directions is not None:
-            directions = np.max(np.abs(at_points(self._directions, 3, controls)[0]), axis=1)
+            directions = np.max(np.abs(self._directions.at(3, controls)[0]), axis=1)
             largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
         return largest.reshape(len(largest), -1)
 
@@ -272,7 +261,7 @@ class Nodes:
         Each array of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
         tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.
         """
-        middle = at_points(self._middle, 1, first, second)[0]
+        middle = self._middle.at(1, first, second)[0]
         found = np.where(np.all(np.isfinite(middle), axis=1, keepdims=True), middle, first)
         sagitta, half = (np.sqrt(a**2 @ self._arrays.T) for a in ((first + second) / 2 - found, (second - first) / 2))
         angle = np.where(half > 0, 2 * np.arctan2(sagitta, np.where(half > 0, half, 1.0)), 0.0)  # of half the arc
@@ -309,8 +298,10 @@ class Nodes:
             m = retraction(m, project(m, vec.subtract(vec.scale(0.5, vec.add(x, y)), m)))
         return (self.layout.flat(m),)
 
-    def _frame_of(self, q: Array) -> tuple[Array]:
-        return (self.layout.flat_frame(self.problem.manifold.basis(self.layout.point(q))),)
+    def _in_frame_of(self, q: Array, fixed: Array, gap: Array, covector: Array) -> tuple[Array, ...]:
+        frame = self.layout.flat_frame(self.problem.manifold.basis(self.layout.point(q)))
+        coordinates = fixed * (frame @ covector)
+        return frame, fixed * (frame @ gap), coordinates, coordinates @ frame
 
     def _directions_of(self, u: Array) -> tuple[Array]:
         return (self.control.flat_frame(self.problem.controls.basis(self.control.point(u))),)

@@ -1,5 +1,6 @@
 """Functions of a point as straight lines of scalar operations, evaluated on many points at once."""
 
+import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
@@ -131,18 +132,22 @@ class Tape:
     def expansion(self) -> "Tape":
         """The expansion at zero of a function of real arrays in its first argument, which the tape no longer has.
 
-        The function has the values ``(scalar, vector, *others)``; the tape has the Hessian and gradient of the scalar, the
-        Jacobian of the vector, the vector and the others.
+        The function has the values ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them; the tape has
+        the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
         """
-        d, scalar, vector = self.graph.inputs[0], column(self._values[0]), column(self._values[1])
-        shapes = [(d.numel(),) * 2, d.shape[:1], (vector.numel(), d.numel()), *(leaf.shape for leaf in self._results[1:])]
-        slope, directions = self.graph.gradient(scalar, d), ca.DM.eye(d.numel())
+        d, (first, vectors, *others) = self.graph.inputs[0], jax.tree.unflatten(self.structure, self._values)
+        several, width = [column(v) for v in jax.tree.leaves(vectors)], d.numel()
+        slope, directions = self.graph.gradient(column(first), d), ca.DM.eye(width)
         # Both along the same directions, in forward mode, so that they share what they compute; each second derivative once.
-        curvature, jacobian = (self.graph.push(of, d, ca.SX(directions)) for of in (slope, vector))
+        curvature, jacobian = (self.graph.push(of, d, ca.SX(directions)) for of in (slope, ca.vertcat(ca.SX(0, 1), *several)))
         curvature = ca.tril2symm(ca.tril(curvature))
-        flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, jacobian)]
-        there = self.graph.unmarked([*flat, vector, *(column(v) for v in self._values[2:])])
-        there = ca.substitute(there, [d], [ca.SX.zeros(d.numel())])
+        cuts = [0, *itertools.accumulate(v.numel() for v in several)]
+        rows = [jacobian[a:b, :] for a, b in itertools.pairwise(cuts)]
+        flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, *rows)]
+        there = self.graph.unmarked([*flat, *several, *(column(v) for v in others)])
+        there = ca.substitute(there, [d], [ca.SX.zeros(width)])
+        shapes = [(width,) * 2, (width,), *((v.numel(), width) for v in several)]
+        shapes += [leaf.shape for leaf in self._results[1:]]
         results: list[Entries] = [scalars(v, shape) for v, shape in zip(there, shapes, strict=True)]
         leaves = self._leaves[1:]
         arguments = leaves, jax.tree.structure((0,) * len(leaves))

@@ -5,7 +5,7 @@ import os
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem, eliminate, is_strict_minimum
-from retrax.integrators.boundary_value.engine.scaling import Units, natural_units, scaled, unscaled
+from retrax.integrators.boundary_value.engine.scaling import Units, natural_units
 
 from .systems import assert_solves, dense, flat, matrix, random_system
 
@@ -96,11 +96,10 @@ def test_units_are_applied_as_if_the_system_were_written_in_them(free):
     )
     shift = np.array([0.0, 0.1, 2.0])
     solution, plain = eliminate(own, units, shift), eliminate(system, shift=shift)
-    for name, ours, theirs in zip(solution._fields, solution, plain, strict=True):
+    in_units = solution._replace(steps=solution.steps / d.swapaxes(2, 3), multipliers=solution.multipliers * (g / cost))
+    for name, ours, theirs in zip(solution._fields, in_units, plain, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-8, err_msg=name)
-    for a, b in zip(scaled(own, units)[:5], scaled(system, Units(*(np.ones_like(u) for u in units)))[:5], strict=True):
-        np.testing.assert_allclose(a, b, rtol=1e-12)
-    steps, multipliers = unscaled(eliminate(own, units), units)
+    steps, multipliers, *_ = eliminate(own, units)
     kkt, side = matrix(own, 1), dense(own, 1)[3]
     found = np.concatenate([steps[1].reshape(-1, 2), multipliers[1].reshape(-1, 2)])
     assert np.all(np.abs(kkt @ found - side) <= 1e-9 * (np.abs(kkt) @ np.abs(found) + np.abs(side)))

@@ -1,0 +1,58 @@
+"""How large a trajectory and the parts of its KKT system are, found in one pass."""
+
+from typing import NamedTuple, final
+
+import numpy as np
+from jaxtyping import Float
+
+from ....threads import in_threads
+from .arrays import plain
+from .transcription import Blocks
+
+
+@final
+class Extent(NamedTuple):
+    """What is largest along the nodes and the steps of trajectories."""
+
+    highest: Float[np.ndarray, "B E"]  # of the entries of the nodes
+    lowest: Float[np.ndarray, "B E"]  # of these with the other sign
+    support: Float[np.ndarray, "B n E"]  # of the entries of the frames
+    missing: Float[np.ndarray, "B n"]  # the sum of what the nodes lack
+    lacking: Float[np.ndarray, "B n"]  # the largest of that
+    held: Float[np.ndarray, " B"]  # the sum of the multipliers on it
+    parts: Float[np.ndarray, "B z"]  # of the parts that cancel in the derivative of the Lagrangian
+    slope: Float[np.ndarray, "B z"]  # of this derivative
+    curvature: Float[np.ndarray, "B z"]  # of the diagonals of the Hessians
+
+    @property
+    def values(self) -> np.ndarray:
+        """Largest value of each entry of a node, shape (B, E)."""
+        return np.maximum(self.highest, self.lowest)
+
+    @property
+    def spreads(self) -> np.ndarray:
+        """From the lowest to the highest value of each, shape (B, E)."""
+        return self.highest + self.lowest
+
+    def along(self, entries: np.ndarray) -> np.ndarray:
+        """Sizes in the coordinates of the nodes from sizes in the entries."""
+        return np.max(self.support * entries[:, None], axis=2, initial=0.0)
+
+
+def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:
+    """The extent of trajectories with these nodes, frames, multipliers, gaps and blocks."""
+    from . import extent_kernels
+
+    batch, count, n, z = blocks.left.shape
+    highest, lowest = np.full((2, batch, nodes.shape[2]), -np.inf)
+    missing, lacking = np.zeros((2, batch, n))
+    support, steps = np.zeros((batch, n, nodes.shape[2])), np.zeros((3, batch, z))
+    found = Extent(highest, lowest, support, missing, lacking, np.zeros(batch), *steps)
+    trajectory = tuple(map(plain, (nodes, frames, coordinates, gap)))
+    arrays = tuple(map(plain, (blocks.hessian, blocks.left, blocks.right, blocks.slope, blocks.gradient)))
+
+    def run(part: range) -> None:
+        extent_kernels.survey(part.start, part.stop, trajectory, arrays, (*found, np.empty((2, z))))
+
+    in_threads(run, batch, count * (2 * n * (z + nodes.shape[2])))
+    return found
