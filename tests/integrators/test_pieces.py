@@ -91,7 +91,7 @@ def require_same(path: Trajectory, other: Trajectory) -> None:
         assert norm(mine - theirs) < 1e-12
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])])
 def test_pieces_are_the_one_loop_that_is_traced(name, taken, monkeypatch):
     """Through pieces that end within blocks of ``save_every`` steps, at their ends, and where no more can be kept."""
     system, method, start = SYSTEMS[name]
@@ -148,7 +148,7 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])])
 def test_another_number_of_steps_compiles_nothing(name, compilations):
     system, method, start = SYSTEMS[name]
     integrate(system, method, start, 0.1, 3)

@@ -64,7 +64,8 @@ MAPS: dict[str, DiscretizationMap] = {
     "shortest time": Theta(Exponential(Euclidean(3)), 1.0),
 }
 on_every_problem = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "underactuated body")) for name in PROBLEMS]
+    "name",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("steered sphere", "underactuated body"))) for name in PROBLEMS],
 )
 
 

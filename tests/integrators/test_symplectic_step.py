@@ -50,7 +50,7 @@ SUBJECTS = {
 }
 
 on_every_manifold = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3*R3") else name for name in MANIFOLDS]
+    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3", "SO3*R3") else name for name in MANIFOLDS]
 )
 
 

@@ -72,7 +72,7 @@ def test_determined_controls_are_functions_of_state_and_costate(name, derivative
 
 
 @pytest.mark.parametrize(
-    "name", ["academic", *(pytest.param(name, marks=pytest.mark.slow) for name in ("massless particle", "chain of 2"))]
+    "name", [pytest.param(name, marks=pytest.mark.slow) for name in ("academic", "massless particle", "chain of 2")]
 )
 def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
     c = classified(name)

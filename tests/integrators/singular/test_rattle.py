@@ -102,7 +102,8 @@ def test_bad_input_is_refused_with_the_reason():
         integrate(chain, higher, (jnp.zeros(2), jnp.zeros(2)), 0.1, 1)
 
 
-@pytest.mark.parametrize("h", [0.1, pytest.param(0.025, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("h", [0.1, 0.025])
 def test_where_an_arc_ends_the_error_says_so(h):
     """``x' = y``, ``y' = u``, cost ``y^3 / 6 - x / 2``: ``{phi, psi} = y`` and ``u = -1/(2 y)``, so ``y^2 = 1 - t``."""
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1)

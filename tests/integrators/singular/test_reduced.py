@@ -87,7 +87,7 @@ PROBLEMS = {
     "free actuator": (lambda: SINGULAR["free actuator"]().problem, (2,), 1),
     "aly-chan": (lambda: SINGULAR["aly-chan"]().problem, (0,), 1),
 }
-LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("costly", "nested", "second order", "free actuator")]
+LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("curved", "costly", "nested", "second order", "free actuator")]
 
 
 @cache
@@ -147,7 +147,7 @@ def chart_facts(name: str) -> Callable:
     return jax.jit(facts)
 
 
-@pytest.mark.parametrize("name", ["curved", "aly-chan", *LARGE])
+@pytest.mark.parametrize("name", ["aly-chan", *LARGE])
 def test_the_final_manifold_is_a_cotangent_bundle_in_the_reduced_coordinates(name):
     assert len(chain_of(name).reductions) == PROBLEMS[name][2]
     for seed in range(5):
