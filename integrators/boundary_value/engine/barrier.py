@@ -9,6 +9,7 @@ from .inequalities import Held, Slacks, central, potential, products
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
+ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
@@ -82,7 +83,8 @@ class Barrier(NamedTuple):
         cheap = self._is_cheap(slacks) & self._is_solved(held, slacks, error)
         while True:
             barrier = slacks.barrier / self.rate
-            solved = self._is_solved(held, slacks, error) & (barrier > LAST * tolerance) & ~cheap
+            # The last barrier times the rate and back is rounded, to more than it was for some rates.
+            solved = self._is_solved(held, slacks, error) & (barrier > (1 + ROUNDING) * LAST * tolerance) & ~cheap
             if not np.any(solved):
                 return slacks, cheap
             less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))
