@@ -104,14 +104,15 @@ class CasadiSlew:
 
     The solver is built once; every ``solve()`` starts from the same ``guess`` (``linear`` or ``smooth``), so the second
     call is the warm re-solve of a built solver. ``options`` are further options of ``casadi.nlpsol``; ``jit=True``
-    compiles the derivatives of one step with the system's C compiler and maps them over the steps.
+    compiles the derivatives of one step with the system's C compiler and maps them over the steps. ``torque_limit``, N m, bounds
+    each component of torques that are variables.
 
     Attributes: ``build_seconds``; after a solve ``iterations`` and ``solve_seconds``, the wall time of that call.
     """
 
-    def __init__(self, steps, guess="linear", torque_variables=False, jit=False, options=None):
+    def __init__(self, steps, guess="linear", torque_variables=False, jit=False, options=None, torque_limit=np.inf):
         start = time.perf_counter()
-        self.steps, self.guess, self.torque_variables = steps, guess, torque_variables
+        self.steps, self.guess, self.torque_variables, self.torque_limit = steps, guess, torque_variables, torque_limit
         self.iterations = self.solve_seconds = None
         self._solver = self._build(jit, options or {})
         self._arguments = self._start_and_bounds()
@@ -146,6 +147,10 @@ class CasadiSlew:
             inner = np.vstack([inner, guess_torques(states, self.guess)])
         z = np.concatenate([inner.T.ravel(), states[:, -1]])
         lower, upper = np.full(z.size, -np.inf), np.full(z.size, np.inf)
+        if self.torque_variables:
+            torques = upper[:-STATE].reshape(self.steps, -1)[:, STATE:]
+            torques[:] = self.torque_limit / TORQUE_UNIT
+            lower[:-STATE] = -upper[:-STATE]
         lower[:STATE] = upper[:STATE] = np.eye(STATE)[0]
         kept, values = prescribed_end()
         lower[z.size - STATE + kept] = upper[z.size - STATE + kept] = values

@@ -15,15 +15,16 @@ STATES = SO(3) * Euclidean(3)  # attitude, body rate (rad/s)
 RETRACTION = Cayley(STATES)
 
 
-def slew_problem(inertia=INERTIA):
-    """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew."""
+def slew_problem(inertia=INERTIA, torque_limit=None):
+    """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew; limits of each torque, N m."""
+    bounds = None if torque_limit is None else (-torque_limit, torque_limit)
     inertia = jnp.asarray(inertia)
 
     def dynamics(q, u):
         attitude, rate = q
         return attitude @ hat(rate), (u - jnp.cross(rate, inertia * rate)) / inertia
 
-    return OptimalControlProblem(STATES, dynamics, lambda q, u: u @ u / 2, controls=3)
+    return OptimalControlProblem(STATES, dynamics, lambda q, u: u @ u / 2, controls=3, control_bounds=bounds)
 
 
 def turns(angles, axes):
@@ -41,10 +42,10 @@ def at_rest(attitudes):
 class RetraxSlew:
     """The slew by Gauss collocation with some stages, one being the midpoint scheme; built once, ``solve`` for any target."""
 
-    def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA):
+    def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA, torque_limit=None):
         method = Midpoint(RETRACTION) if stages == 1 else Gauss(stages, RETRACTION)
         self.steps, self.stages, self.tolerance = steps, stages, tolerance
-        self.solver = Solver(slew_problem(inertia), method, steps)
+        self.solver = Solver(slew_problem(inertia, torque_limit), method, steps)
         self.start, self.end = at_rest(np.eye(3)), at_rest(turns(np.array([ANGLE]), AXIS[None])[0])
 
     def solve(self, end=None):

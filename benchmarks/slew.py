@@ -1,11 +1,12 @@
 """The rest-to-rest slew beside CasADi with IPOPT and FATROP: warm, for a new problem, cold, many at once, and long.
 
-    python benchmarks/slew.py [--only warm new cold many long] [--steps 100 200 400] [--repeats 21]
+    python benchmarks/slew.py [--only warm limited new cold many long] [--steps 100 200 400] [--repeats 21]
 
 All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero), in one
 run, calls taken in turns; medians. One JSON line a case.
 
 - ``warm``: a solve with everything built, the whole call.
+- ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT alone.
 - ``new``: in a running process that solved another problem before, from a body of other inertia to its first solution.
 - ``cold``: a new process from its start to the first solution, and its peak memory.
 - ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad as
@@ -24,8 +25,9 @@ import time
 from pathlib import Path
 
 COLD = "--cold"
-CASES = ("warm", "new", "cold", "many", "long")
+CASES = ("warm", "limited", "new", "cold", "many", "long")
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
+LIMIT = 10.0  # N m
 COUNT, LARGEST_ERROR = 1024, 1e-6  # slews; rad
 STAGES, FEW = (3, 4), (4, 5, 6, 8, 10, 12, 16, 20)  # of collocation; the fewest steps that reach the error are taken
 
@@ -70,6 +72,24 @@ def warm(steps, repeats):
         "steps": steps,
         "median_ms": {name: round(1e3 * value, 3) for name, value in medians.items()},
         "retrax_over": {"the faster IPOPT": round(ours / ipopt, 2), "FATROP": round(ours / medians["FATROP"], 2)},
+        "cost": costs,
+    }
+
+
+def limited(steps, repeats):
+    """Median milliseconds of a warm solve with limited torques on both sides, and the costs."""
+    from casadi_slew import CasadiSlew
+    from retrax_slew import RetraxSlew
+
+    ours, other = RetraxSlew(steps, torque_limit=LIMIT), CasadiSlew(steps, torque_variables=True, torque_limit=LIMIT)
+    costs = {"retrax": ours.solve(), "IPOPT": other.solve()[0]}
+    medians = in_turns({"retrax": ours.solve, "IPOPT": other.solve}, repeats)
+    return {
+        "case": "limited",
+        "steps": steps,
+        "median_ms": {name: round(1e3 * value, 3) for name, value in medians.items()},
+        "iterations": {"retrax": ours.found.statistics.iterations, "IPOPT": other.iterations},
+        "retrax_over": {"IPOPT": round(medians["retrax"] / medians["IPOPT"], 2)},
         "cost": costs,
     }
 
@@ -235,6 +255,7 @@ def main():
         return
     few = max(3, options.repeats // 4)
     runs = [("warm", lambda steps=steps: warm(steps, options.repeats)) for steps in options.steps]
+    runs += [("limited", lambda steps=steps: limited(steps, options.repeats)) for steps in options.steps]
     runs += [("new", lambda: new_problem(few)), ("cold", lambda: cold(few)), ("many", many), ("long", lambda: long(few))]
     for name, run in runs:
         if name in options.only:

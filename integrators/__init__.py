@@ -30,6 +30,7 @@ from .boundary_value import (
     default_guess,
     discretization_error,
     load_solution,
+    load_solutions,
     solve,
     step_errors,
 )
@@ -126,6 +127,7 @@ __all__ = [
     "integrate",
     "integrate_many",
     "load_solution",
+    "load_solutions",
     "load_trajectory",
     "singular_integrator",
     "solve",

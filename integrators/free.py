@@ -14,7 +14,8 @@ class Free:
 
     As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or ``end``,
     an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or arrays of the shape
-    of the guess, infinite where there is none. A horizon is positive in any case.
+    of the guess, infinite where there is none. A horizon is positive in any case. Raises ``InvalidInputError`` for other
+    numbers, and for a guess outside the bounds.
     """
 
     __slots__ = ("guess", "lower", "upper")

@@ -59,7 +59,8 @@ class OptimalControlProblem(eqx.Module):
     ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables use them.
 
     Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and
-    arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them.
+    arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them. Raises
+    ``InvalidInputError`` for arguments that are something else.
     """
 
     manifold: Manifold

@@ -19,7 +19,8 @@ class Power(Manifold):
     """``k`` copies of a manifold: every array of a point has one more axis, the first, of length ``k``.
 
     A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done to all
-    copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``.
+    copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``. Raises
+    ``InvalidInputError`` for what is not a manifold and for a number below 1.
     """
 
     factor: Manifold

@@ -14,7 +14,10 @@ from .numerics.errors import InvalidInputError
 
 @final
 class Product(Manifold):
-    """Product of manifolds; a point is the tuple of its factors' points: ``R, w = q`` on ``SO(3) * Euclidean(3)``."""
+    """Product of manifolds; a point is the tuple of its factors' points: ``R, w = q`` on ``SO(3) * Euclidean(3)``.
+
+    Raises ``InvalidInputError`` for no factors, and for those that are not manifolds.
+    """
 
     factors: tuple[Manifold, ...]
 

@@ -50,7 +50,8 @@ class CotangentLift(DiscretizationMap):
 
         -<p0, D R1[dx, dv]> + <p1, D R2[dx, dv]> = <pdot, dx> + <p, dv>.
 
-    It pulls ``pr2* omega - pr1* omega`` back to the tangent lift of ``omega``.
+    It pulls ``pr2* omega - pr1* omega`` back to the tangent lift of ``omega``. Raises ``InvalidInputError`` for what is not a
+    discretization map.
     """
 
     discretization: DiscretizationMap

@@ -94,7 +94,8 @@ def newton_preimage(discretization: DiscretizationMap, x0: Ambient, x1: Ambient)
 class Theta(DiscretizationMap):
     """``R_d(x, v) = (A(x, -theta v), B(x, (1 - theta) v))`` from retractions ``A`` and ``B``, usually the same one.
 
-    ``theta = 0`` is Euler, ``1/2`` midpoint (symmetric if ``A = B``, hence of order 2), ``1`` backward Euler.
+    ``theta = 0`` is Euler, ``1/2`` midpoint (symmetric if ``A = B``, hence of order 2), ``1`` backward Euler. Raises
+    ``InvalidInputError`` for what is not a retraction, retractions of two manifolds, and ``theta`` outside [0, 1].
     """
 
     backward: Retraction

@@ -1,5 +1,6 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
 
+from .batch_file import load_solutions
 from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
@@ -33,6 +34,7 @@ __all__ = [
     "default_guess",
     "discretization_error",
     "load_solution",
+    "load_solutions",
     "solve",
     "step_errors",
 ]

@@ -30,7 +30,7 @@ NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no ot
 @final
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """The extremals along a path, at ``places`` in [0, 1], up to the last that was reached.
+    """The extremals along a path, at ``places`` in [0, 1], shape ``(K,)``, up to the last that was reached.
 
     ``success``: whether that is the end of the path; ``result`` says in words why not. ``solutions`` belong to the places;
     ``solution`` is the last of them.

@@ -37,10 +37,10 @@ STAGES, TABLE, WEIGHTS, PLACES = 12, DOP853.A[:12, :12], DOP853.B[:12], DOP853.C
 class DiscretizationError:
     """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the manifold.
 
-    ``distances``: arrays over the N + 1 nodes, in the unit of the factor: radians on SO(n), where it is the root of the sum of
-    the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm of the difference in the ambient
-    space. Infinite where the controls lead nowhere. ``resolution``: by how much halving its steps last changed what the
-    integrator finds: the largest distance between the states before and after, an upper estimate of its own error.
+    ``distances``: arrays of shape ``(N + 1,)`` over the nodes, in the unit of the factor: radians on SO(n), where it is the root
+    of the sum of the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm of the difference
+    in the ambient space. Infinite where the controls lead nowhere. ``resolution``: by how much halving its steps last changed
+    what the integrator finds: the largest distance between the states before and after, an upper estimate of its own error.
     """
 
     distances: dict[str, np.ndarray]

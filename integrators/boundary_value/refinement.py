@@ -137,7 +137,7 @@ class Refinement:
         self.method = self._raised(parts)
         if isinstance(method, Gauss) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
-            if not isinstance(finer, str):
+            if not isinstance(finer, str) and self.error(finer) < self.error(found):
                 return finer
             self.method, self._most = method, method.stages
         return self._finer(found, parts)

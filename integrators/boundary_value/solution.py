@@ -14,6 +14,7 @@ from ...manifolds.manifold import default_tolerance
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
+from .batch_file import save_batch
 from .engine.diagnosis import Diagnostics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
@@ -309,6 +310,10 @@ class Solutions(Sequence[Solution]):
         if name in LISTED:
             return [getattr(member, name) for member in self]
         return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
+
+    def save(self, path: str | Path) -> None:
+        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as ``Solution.save``."""
+        save_batch(self, path)
 
     @property
     def converged(self) -> int:

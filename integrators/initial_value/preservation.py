@@ -19,7 +19,7 @@ def form_defect(space: PresymplecticManifold, integrator: Integrator, system: ob
 
     ``space``: the manifold ``P`` in ``T*Q``, on which the step starts and ends, with its form, as
     ``classify(problem).presymplectic``. Rounding for a presymplectic integrator; fit the slope in ``h`` of any other, on a
-    ``P`` that is not affine and has more than two dimensions, where few methods look exact that are not.
+    ``P`` that is not affine and has more than two dimensions, where few methods look exact that are not. Returns a scalar.
 
     Raises ``InvalidInputError`` as ``integrate`` does, and ``ConvergenceError`` if the step cannot be solved.
     """

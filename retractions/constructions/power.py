@@ -15,7 +15,10 @@ from ..retraction import Retraction
 
 @final
 class PowerRetraction(DifferentiatedRetraction):
-    """Retraction of ``Power(M, k)`` from one of ``M``, applied to each copy."""
+    """Retraction of ``Power(M, k)`` from one of ``M``, applied to each copy: ``R(x, v)_i = R_M(x_i, v_i)``.
+
+    Raises ``InvalidInputError`` for what is not a retraction and for a number below 1.
+    """
 
     factor: Retraction
     k: int = eqx.field(static=True)

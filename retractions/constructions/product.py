@@ -13,7 +13,10 @@ from ..retraction import Retraction
 
 @final
 class ProductRetraction(DifferentiatedRetraction):
-    """Retraction of a product from one retraction for each factor."""
+    """Retraction of a product from one retraction for each factor: ``R(x, v)_i = R_i(x_i, v_i)``.
+
+    Raises ``InvalidInputError`` for no factors, and for those that are not retractions.
+    """
 
     factors: tuple[Retraction, ...]
 

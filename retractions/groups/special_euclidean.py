@@ -16,7 +16,8 @@ class SEDecoupled(MidpointRetraction):
 
     With the exponential these are the geodesics of the metric ``|Omega|^2 + |v|^2``, that of the ambient space: straight lines
     turned at a constant rate [Park, "Distance metrics on the rigid-body motions with applications to mechanism design", 1995].
-    With ``SOPolar`` it is the nearest motion to ``x + v``.
+    With ``SOPolar`` it is the nearest motion to ``x + v``. Raises ``InvalidInputError`` for another manifold, and for rotations
+    of another size or by a map that is not symmetric.
     """
 
     manifold: SE

@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Guess, OptimalControlProblem, default_guess, solve
-from retrax.manifolds import DomainError, Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.integrators import Guess, OptimalControlProblem, Solver, default_guess, solve
+from retrax.manifolds import DomainError, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 
 from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation
@@ -64,3 +64,47 @@ def test_controls_that_lead_to_infinity_are_told_with_the_time():
     runaway = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.exp(q) + u, half_square, 1)
     with pytest.raises(DomainError, match="no finite state at time"):
         Guess.from_controls(runaway, Midpoint(default_retraction(Euclidean(1))), np.zeros(1), lambda t: np.ones(1), 20.0, 20)
+
+
+def hung(q, u):
+    """A pendulum: its angle from below, and its rate."""
+    return jnp.stack([q[1], u[0] - 9.81 * jnp.sin(q[0])])
+
+
+@pytest.mark.parametrize("rate", [0.0, 1e-300, *10.0 ** np.arange(-20, 1, 4)])
+def test_rounding_of_a_guess_at_rest_measures_nothing(rate):
+    """At ``sin(pi) = 1e-16`` a pendulum moves by rounding; so do those of guesses that hardly move."""
+    plane = Euclidean(2)
+    method, end = Midpoint(default_retraction(plane)), np.array([np.pi, 0.0])
+    problem = OptimalControlProblem(plane, hung, half_square, 1)
+    for angle in (0.0, np.pi):
+        guess = Guess(np.tile([angle, rate], (20, 1)), np.zeros((20, 1)))
+        solution = solve(problem, method, np.zeros(2), end, 2.0, 20, guess=guess)
+        assert solution.checks.strict_minimum
+        assert solution.statistics.iterations <= 30
+
+
+def turned(q, u):
+    return jnp.cross(u, q)
+
+
+def ways(length, count):
+    """A guess along the way of the solution, all of it ahead by a turn: a gap of this length before, and one after."""
+    places = np.linspace(0, 1, count, endpoint=False) + 0.5 / count + length
+    return np.stack([np.cos(places), np.sin(places), 0 * places], axis=1)
+
+
+@pytest.mark.parametrize("place", [0, 3])
+def test_gaps_through_the_length_at_which_they_are_measured_along_arcs(place):
+    """From half the largest entry of a node on they are; none of the lengths around that is arrived from in more steps."""
+    sphere = Sphere(2)
+    solver = Solver(OptimalControlProblem(sphere, turned, half_square, 3), Midpoint(default_retraction(sphere)), 8)
+    start, end = np.array([1.0, 0.0, 0.0]), np.array([np.cos(1.0), np.sin(1.0), 0.0])
+    counts = []
+    for length in (0.1, 0.4, 0.45, 0.49, 0.499, 0.501, 0.505, 0.51, 0.515, 0.55, 0.6, 0.9, 1.5):
+        states = ways(0.0, 8)
+        states[place:] = ways(length, 8)[place:]
+        solution = solver.solve(start, end, 1.0, guess=Guess(states, np.zeros((8, 3))))
+        assert solution.cost == pytest.approx(solver.solve(start, end, 1.0).cost, rel=1e-10)
+        counts.append(solution.statistics.iterations)
+    assert max(counts) <= 6

@@ -195,3 +195,17 @@ def test_an_inactive_cone_leaves_conjugate_ends_conjugate(avoiding, degrees):
             avoiding.sensitivity(solution)
     else:
         assert avoiding.sensitivity(solution).horizon.cost == pytest.approx(-solution.cost, rel=1e-6)
+
+
+def test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost():
+    """By rounding it may end a little above it, where it does not fall on for ever."""
+    line = Euclidean(1)
+
+    def cost(q, u, unit):
+        return unit * (q @ q + u @ u) / 2
+
+    problem = OptimalControlProblem(line, lambda q, u, unit: u, cost, 1, control_bounds=(-0.5, 0.5))
+    units = np.linspace(1.0, 10.0, 50)
+    many = Solver(problem, Gauss(2, default_retraction(line)), 4).solve_many(np.ones(1), None, 1.0, parameters=units)
+    assert many.success.all()
+    np.testing.assert_allclose(many.cost / units, many.cost[0], rtol=1e-10)

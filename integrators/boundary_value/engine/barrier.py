@@ -9,6 +9,7 @@ from .inequalities import Held, Slacks, central, potential, products
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
+ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
@@ -40,7 +41,7 @@ class Barrier(NamedTuple):
     @classmethod
     def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray) -> "Barrier":
         """The units where the unknowns of the points have these sizes: what these change an inequality by."""
-        size = np.max(np.sum(np.abs(held.jacobian) * sizes[:, :, :, None], axis=4), axis=(1, 2))
+        size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
         return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
 
     @property
@@ -67,10 +68,10 @@ class Barrier(NamedTuple):
     def missed(self, held: Held, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""
         asked = held.asked
-        values = np.max(np.where(asked, np.abs(held.values), 0.0), axis=(1, 2), keepdims=True)
+        values = np.where(asked, np.abs(held.values), 0.0).max(axis=(1, 2), keepdims=True)
         unit = np.maximum(self.unit, VALUE * values)
         parts = np.abs(held.missing(slacks)), slacks.excess
-        violation, excess = (np.max(np.where(asked, a / unit, 0.0), axis=(1, 2, 3), initial=0.0) for a in parts)
+        violation, excess = (np.where(asked, a / unit, 0.0).max(axis=(1, 2, 3), initial=0.0) for a in parts)
         largest, off = products(slacks, asked)
         return Missed(violation, excess, largest / self.rate, off / self.rate)
 
@@ -79,14 +80,17 @@ class Barrier(NamedTuple):
 
         ``error``: the largest residual but for that of ``nu s = mu``.
         """
-        cheap = self._is_cheap(slacks) & self._is_solved(held, slacks, error)
+        solved = self._is_solved(held, slacks, error)
+        cheap = self._is_cheap(slacks) & solved
         while True:
             barrier = slacks.barrier / self.rate
-            solved = self._is_solved(held, slacks, error) & (barrier > LAST * tolerance) & ~cheap
-            if not np.any(solved):
+            # The last barrier times the rate and back is rounded, to more than it was for some rates.
+            going = solved & (barrier > (1 + ROUNDING) * LAST * tolerance) & ~cheap
+            if not going.any():
                 return slacks, cheap
             less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))
-            slacks = slacks._replace(barrier=np.where(solved, less, barrier) * self.rate)
+            slacks = slacks._replace(barrier=np.where(going, less, barrier) * self.rate)
+            solved = self._is_solved(held, slacks, error)
 
     def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
@@ -95,14 +99,14 @@ class Barrier(NamedTuple):
         """
         dear = slacks.elastic & (slacks.multipliers > NEAR * np.where(slacks.elastic, slacks.price, np.inf))
         dear &= np.where(slacks.elastic, slacks.price, 0.0) >= DEAREST * self.price
-        left = np.max(np.where(dear, slacks.excess / self.unit, 0.0), axis=(1, 2, 3), initial=0.0)
+        left = np.where(dear, slacks.excess / self.unit, 0.0).max(axis=(1, 2, 3), initial=0.0)
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))
 
     def infeasibility(self, held: Held, slacks: Slacks, step: np.ndarray) -> np.ndarray:
         """The sum of what the inequalities lack; ``step``: the mean length of the steps, shape (B,)."""
         share = held.weights / step[:, None, None, None]
-        return np.sum(share * np.abs(held.missing(slacks)) / self.unit, axis=(1, 2, 3))
+        return (share * np.abs(held.missing(slacks)) / self.unit).sum(axis=(1, 2, 3))
 
     def potential(self, held: Held, slacks: Slacks) -> np.ndarray:
         """What the barrier and the excesses cost."""
@@ -117,4 +121,4 @@ class Barrier(NamedTuple):
         """Whether multipliers come near to the price of an excess."""
         price = np.where(slacks.elastic, slacks.price, 1.0)
         low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * self.price)
-        return np.any(low, axis=(1, 2, 3))
+        return low.any(axis=(1, 2, 3))

@@ -65,8 +65,8 @@ class Conditions:
         asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
         costates = _turned(costates, terminal, initial, -1)
         blocks = self.blocks(iterate, nodes, costates, terminal, initial)
-        cost = np.sum(blocks.costs, axis=1) + terminal.value + (0.0 if initial is None else initial.value)
-        ends = terminal, initial, np.max(np.abs(gaps), axis=1), extent(nodes, frames, coordinates, gap, blocks)
+        cost = blocks.costs.sum(axis=1) + terminal.value + (0.0 if initial is None else initial.value)
+        ends = terminal, initial, np.abs(gaps).max(axis=1), extent(nodes, frames, coordinates, gap, blocks)
         return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
 
     def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None) -> Blocks:
@@ -112,7 +112,7 @@ class Conditions:
         if blocks.held is not None:
             # Where the cost is not curved in the controls, the distances to their bounds measure them.
             n = assembled.gap.shape[2]
-            curved = np.all(np.sum(np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)), axis=1)[:, n:] > 0, axis=1)
+            curved = (np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)).sum(axis=1)[:, n:] > 0).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, self._room(assembled)))
         fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
         spreads = extent.along(extent.spreads)
@@ -124,8 +124,8 @@ class Conditions:
         slopes = np.abs(held.jacobian[..., -m:]) * held.asked[..., None] if m else np.zeros((*held.values.shape, 0))
         with np.errstate(all="ignore"):
             way = np.where(slopes > 0, np.abs(held.values)[..., None] / slopes, 0.0)
-        way = np.max(way, axis=1)
-        room = np.min(np.where(way > 0, way, np.inf), axis=2, initial=np.inf)
+        way = way.max(axis=1)
+        room = np.where(way > 0, way, np.inf).min(axis=2, initial=np.inf)
         return np.where(np.isfinite(room), room, 0.0).reshape(len(room), -1)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
@@ -148,7 +148,7 @@ class Conditions:
         slacks, cheap = self.barrier.lowered(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
         changed = slacks.barrier != iterate.slacks.barrier
         iterate = iterate._replace(slacks=slacks)
-        if np.any(cheap):
+        if cheap.any():
             factor = np.where(cheap, DEARER, 1.0)
             unknowns = self.transcription.scaled(iterate.unknowns, factor)
             iterate = Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks.scaled(factor))
@@ -176,13 +176,13 @@ class Conditions:
         """Whether a member has inequalities that are not elastic."""
         if iterate.slacks is None:
             return np.zeros(len(assembled.gap), bool)
-        return np.any(assembled.blocks.inequalities.asked & ~iterate.slacks.elastic, axis=(1, 2, 3))
+        return (assembled.blocks.inequalities.asked & ~iterate.slacks.elastic).any(axis=(1, 2, 3))
 
     def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes, points and inequalities lack."""
-        blocks, missing = assembled.blocks, np.sum(assembled.extent.missing / self.measured.nodes, axis=1)
+        blocks, missing = assembled.blocks, (assembled.extent.missing / self.measured.nodes).sum(axis=1)
         if blocks.inner is not None:
-            missing = missing + np.sum(np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None], axis=(1, 2, 3))
+            missing = missing + (np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None]).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
             missing = missing + self.barrier.infeasibility(blocks.inequalities, iterate.slacks, np.mean(self.data.steps, axis=1))
         return missing
@@ -192,33 +192,33 @@ class Conditions:
         blocks, held = assembled.blocks, np.array(assembled.extent.held)
         cost = np.array(assembled.cost)
         if blocks.inner is not None:
-            held += np.sum(blocks.inner.multipliers * blocks.inner.defect, axis=(1, 2, 3))
+            held += (blocks.inner.multipliers * blocks.inner.defect).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
             slacks, limits = iterate.slacks, blocks.inequalities
             cost += self.barrier.potential(limits, slacks)
-            held += np.sum(limits.weights * slacks.multipliers * limits.missing(slacks), axis=(1, 2, 3))
+            held += (limits.weights * slacks.multipliers * limits.missing(slacks)).sum(axis=(1, 2, 3))
         return cost / self.measured.cost, held / self.measured.cost
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
         blocks = assembled.blocks
-        ahead = np.sum(blocks.gradient * step.unknowns, axis=(1, 2))
-        turned = np.sum(step.multipliers * assembled.gap, axis=(1, 2))
+        ahead = (blocks.gradient * step.unknowns).sum(axis=(1, 2))
+        turned = (step.multipliers * assembled.gap).sum(axis=(1, 2))
         inner = blocks.inner
         if inner is not None:
-            ahead += np.sum(assembled.terminal.slope * inner.after[:, -1], axis=1)
+            ahead += (assembled.terminal.slope * inner.after[:, -1]).sum(axis=1)
             if assembled.initial is not None:
-                ahead += np.sum(assembled.initial.slope * inner.before[:, 0], axis=1)
+                ahead += (assembled.initial.slope * inner.before[:, 0]).sum(axis=1)
             velocities, multipliers = step.inner
             direct = inner.kept[2][..., : step.unknowns.shape[2]]
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
-            ahead += np.sum(inner.gradient * (velocities - within), axis=(1, 2, 3))
-            turned += np.sum(multipliers * inner.defect, axis=(1, 2, 3))
+            ahead += (inner.gradient * (velocities - within)).sum(axis=(1, 2, 3))
+            turned += (multipliers * inner.defect).sum(axis=(1, 2, 3))
         if step.turn is not None and iterate.slacks is not None:
             slacks, limits = iterate.slacks, blocks.inequalities
             ahead += potential_slope(slacks, step.turn, limits.weights)
             lacking = limits.weights * step.turn.multipliers * limits.missing(slacks)
-            dual = step.turn.dual * np.sum(lacking, axis=(1, 2, 3))
+            dual = step.turn.dual * lacking.sum(axis=(1, 2, 3))
             return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
         return ahead / self.measured.cost, turned / self.measured.cost
 
@@ -244,7 +244,7 @@ class Conditions:
         if assembled.blocks.held is not None:
             return np.ones(d.shape)
         diagonal = assembled.extent.curvature * d * d / self.measured.cost[:, None]
-        floor = 1e-3 * np.max(diagonal, axis=1, keepdims=True)
+        floor = 1e-3 * diagonal.max(axis=1, keepdims=True)
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
     def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
@@ -268,9 +268,9 @@ class Conditions:
         """
         extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
-        largest = np.max(np.abs(step.unknowns), axis=1) / np.maximum(own, SHARE * units)
+        largest = np.abs(step.unknowns).max(axis=1) / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
-        return np.max(largest, axis=1), np.max(spread / units, axis=1)
+        return largest.max(axis=1), (spread / units).max(axis=1)
 
     def _nodes(
         self, begins: np.ndarray, finishes: np.ndarray
@@ -285,8 +285,8 @@ class Conditions:
         nodes, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
         gaps = after - nodes
         nodes[:, -1:] = last
-        far = np.max(np.abs(gaps), axis=2) > FAR * np.max(np.abs(nodes), axis=(1, 2), initial=0.0)[:, None]
-        if not np.any(far):
+        far = np.abs(gaps).max(axis=2) > FAR * np.abs(nodes).max(axis=(1, 2), initial=0.0)[:, None]
+        if not far.any():
             return nodes, gaps, None
         arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
         nodes[far], arcs[far], shares[far] = self.at_nodes.amid(after[far] - gaps[far], after[far])
@@ -322,13 +322,13 @@ class Conditions:
         extent = assembled.extent
         own = np.maximum(extent.spreads, VALUE * extent.values)
         along = np.maximum(extent.along(own), SHARE * self.measured.nodes)
-        entries = np.maximum(own, np.max(extent.support * along[:, :, None], axis=1, initial=0.0))
-        gap = np.max(assembled.distance / np.where(entries > 0, entries, 1.0), axis=1)
+        entries = np.maximum(own, (extent.support * along[:, :, None]).max(axis=1, initial=0.0))
+        gap = (assembled.distance / np.where(entries > 0, entries, 1.0)).max(axis=1)
         inner = assembled.blocks.inner
         if inner is None:
             return gap
-        missed = np.max(np.sum(np.abs(inner.defect), axis=2), axis=1) / np.where(along > 0, along, 1.0)
-        return np.maximum(gap, np.max(missed, axis=1))
+        missed = np.abs(inner.defect).sum(axis=2).max(axis=1) / np.where(along > 0, along, 1.0)
+        return np.maximum(gap, missed.max(axis=1))
 
     def _stationarity(self, assembled: Assembled) -> np.ndarray:
         """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
@@ -339,18 +339,18 @@ class Conditions:
         blocks, extent, d = assembled.blocks, assembled.extent, self.measured.unknowns
         parts = d * extent.parts
         # With a barrier that of the Hessian has no bound.
-        curvature = np.max(d * d * extent.curvature, axis=1) if blocks.held is None else self.measured.cost
-        largest = np.maximum(np.max(parts, axis=1), curvature)
+        curvature = (d * d * extent.curvature).max(axis=1) if blocks.held is None else self.measured.cost
+        largest = np.maximum(parts.max(axis=1), curvature)
         scale = np.maximum(parts, SHARE * largest[:, None])
-        found = np.max(extent.slope * d / np.where(scale > 0, scale, 1.0), axis=1)
+        found = (extent.slope * d / np.where(scale > 0, scale, 1.0)).max(axis=1)
         inner = blocks.inner
         if inner is None:
             return found
         weights = self.data.steps[:, :, None, None] * self.transcription.tableau.weights[:, None]
         d = self.measured.nodes
-        scale = np.maximum(d * np.max(np.abs(inner.multipliers), axis=(1, 2)), SHARE * largest[:, None])
-        slopes = d * np.max(np.abs(inner.slope) / weights, axis=(1, 2))
-        return np.maximum(found, np.max(slopes / np.where(scale > 0, scale, 1.0), axis=1))
+        scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * largest[:, None])
+        slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2))
+        return np.maximum(found, (slopes / np.where(scale > 0, scale, 1.0)).max(axis=1))
 
 
 def _turned(costates: np.ndarray, terminal: Terminal, initial: Terminal | None, sign: int) -> np.ndarray:

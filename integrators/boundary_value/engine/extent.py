@@ -36,7 +36,7 @@ class Extent(NamedTuple):
 
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
-        return np.max(self.support * entries[:, None], axis=2, initial=0.0)
+        return (self.support * entries[:, None]).max(axis=2, initial=0.0)
 
 
 def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:

@@ -145,7 +145,7 @@ def _reach(value: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The largest fraction of a step, up to 1, that leaves ``1 - BOUNDARY`` of every value."""
     with np.errstate(all="ignore"):
         share = np.where(step < 0, -BOUNDARY * value / step, 1.0)
-    return np.minimum(np.min(share, axis=(1, 2, 3), initial=1.0), 1.0)
+    return np.minimum(share.min(axis=(1, 2, 3), initial=1.0), 1.0)
 
 
 def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
@@ -161,9 +161,9 @@ def products(slacks: Slacks, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     """The largest of ``nu s`` and ``zeta t``, and their largest difference from the barrier, shape (B,)."""
     both = slacks.slacks * slacks.multipliers, slacks.excess * np.where(slacks.elastic, slacks.rest, 0.0)
     places = asked, asked & slacks.elastic
-    largest = [np.max(np.where(a, p, 0.0), axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
+    largest = [np.where(a, p, 0.0).max(axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
     apart = (np.where(a, np.abs(p - slacks.mu), 0.0) for a, p in zip(places, both, strict=True))
-    off = [np.max(a, axis=(1, 2, 3), initial=0.0) for a in apart]
+    off = [a.max(axis=(1, 2, 3), initial=0.0) for a in apart]
     return np.maximum(*largest), np.maximum(*off)
 
 
@@ -173,7 +173,7 @@ def potential(slacks: Slacks, weights: np.ndarray, limits: np.ndarray) -> np.nda
     t = np.where(elastic, slacks.excess, 1.0)
     logs = np.log(slacks.slacks / limits) + np.where(elastic, np.log(t / limits), 0.0)
     paid = np.where(elastic, np.where(elastic, slacks.price, 0.0) * t, 0.0)
-    return np.sum(weights * (paid - slacks.mu * logs), axis=(1, 2, 3))
+    return (weights * (paid - slacks.mu * logs)).sum(axis=(1, 2, 3))
 
 
 def potential_slope(slacks: Slacks, turn: Turn, weights: np.ndarray) -> np.ndarray:
@@ -181,4 +181,4 @@ def potential_slope(slacks: Slacks, turn: Turn, weights: np.ndarray) -> np.ndarr
     elastic = slacks.elastic & (weights > 0)
     t = np.where(elastic, slacks.excess, 1.0)
     paid = np.where(elastic, (np.where(elastic, slacks.price, 0.0) - slacks.mu / t) * turn.excess, 0.0)
-    return np.sum(weights * (paid - slacks.mu * turn.slacks / slacks.slacks), axis=(1, 2, 3))
+    return (weights * (paid - slacks.mu * turn.slacks / slacks.slacks)).sum(axis=(1, 2, 3))

@@ -166,7 +166,7 @@ class _Search:
         again |= lowered
         residual = state.residuals.largest
         arrived = state.residuals.final <= self.tolerance
-        if not np.any(again):
+        if not again.any():
             return state
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
@@ -184,13 +184,13 @@ class _Search:
         iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= SLOW)
         stuck &= conditions.is_hard(iterate, state.assembled)
-        if np.any(stuck):
+        if stuck.any():
             iterate = conditions.softened(iterate, state.assembled, stuck)
             state = state._replace(shift=np.where(stuck, 0.0, state.shift))
-        if np.any(stuck | cheap):
+        if (stuck | cheap).any():
             state = state._replace(assembled=conditions.assemble(iterate))
         changed = changed | stuck | cheap
-        if not np.any(changed):
+        if not changed.any():
             return state, changed
         residuals = conditions.residuals(iterate, state.assembled)
         funnel = np.maximum(conditions.infeasibility(iterate, state.assembled), 1.0)
@@ -247,7 +247,7 @@ class _Search:
         descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
         while True:
             going = ~(descends | keep) & (shift < LARGEST_SHIFT)
-            if not np.any(going):
+            if not going.any():
                 return step, shift, descends
             shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
             places = np.flatnonzero(going)
@@ -264,7 +264,7 @@ class _Search:
         Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one
         of a family of extremals; or it has grown along the null vector until rounding hides that there is none.
         """
-        if not np.any(arrived):
+        if not arrived.any():
             return state
         wanted, grown = (conditions or self.conditions).wanted(state.iterate, state.assembled, state.step)
         isolated = arrived & (wanted <= np.sqrt(self.tolerance))
@@ -281,7 +281,7 @@ class _Search:
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """
         missing = state.assembled.extent.lacking / self.conditions.of(state.member).measured.nodes
-        met = np.all(missing <= self.tolerance, axis=1) & (state.residuals.stationarity <= self.tolerance)
+        met = (missing <= self.tolerance).all(axis=1) & (state.residuals.stationarity <= self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
     def contradictory(self, state: _State) -> np.ndarray:
@@ -301,9 +301,9 @@ class _Search:
 
     def leave(self, state: _State, finished: np.ndarray) -> _State | None:
         """What remains when members leave that have finished."""
-        if not np.any(finished):
+        if not finished.any():
             return state
-        if np.all(finished):
+        if finished.all():
             self.left.append((state, self.trials))
             self.state = None
             return None
@@ -337,7 +337,7 @@ class _Search:
 
 def merged(mask: np.ndarray, new: Any, old: Any) -> Any:
     """The members of ``new`` where ``mask``, of ``old`` elsewhere."""
-    if np.all(mask) or not np.any(mask):
+    if mask.all() or not mask.any():
         return new if mask[0] else old
     return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from .elimination import BlockSystem
 
 SHARE = 1e-3  # of the natural unit: a coordinate that moves by less is not measured by its own size
-NOISE = 0.5  # power of the machine epsilon: what is reached less than this, beside others, is not reached
+NOISE = 0.5  # power of the machine epsilon: what is reached less than this, beside the terms of it, is not reached
 
 
 @final
@@ -49,9 +49,6 @@ def natural_units(
         reach = np.concatenate([_reach(system, count * push**2), push], axis=1)
         asked = np.where(reach > 0, own / reach, 0.0)
         asked = np.maximum(asked, np.where(convex, slope * reach / (1 + curvature * reach**2), 0.0))
-        order = np.sort(np.where(asked > 0, asked, np.inf), axis=1)
-        middle = np.maximum(np.sum(asked > 0, axis=1) - 1, 0) // 2
-        asked = np.where(asked * np.finfo(float).eps ** NOISE <= np.take_along_axis(order, middle[:, None], 1), asked, 0.0)
         unknowns = np.maximum(own, asked.max(axis=1)[:, None] * reach)
         unknowns = _or_one(np.where(unknowns > 0, unknowns, values))
         cost = np.max(np.maximum(curvature * unknowns**2, slope * unknowns), axis=1) / count
@@ -63,11 +60,34 @@ def _or_one(size: np.ndarray) -> np.ndarray:
 
 
 def _reach(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> Float[np.ndarray, "B n"]:
-    """How far controls of this variance move each coordinate of a node between two fixed ends."""
-    sizes = np.stack([_gramians(*ends, variance) for ends in _both_ways(system)], axis=2)
+    """How far controls of this variance move each coordinate of a node between two fixed ends, zero where it is rounding."""
+    n = system.left.shape[2]
+    found, parts = [], []
+    for near, far in _both_ways(system):
+        found.append(_gramians(near, far, variance))
+        # Of what does not cancel: A = F N^-1 and B = F_u - A N_u with the sizes of their terms.
+        moved = np.abs(far[..., :n]) @ np.abs(_inverse(near[..., :n]))
+        pushed = np.abs(far[..., n:]) + moved @ np.abs(near[..., n:])
+        still = np.concatenate([np.broadcast_to(np.eye(n), moved.shape), np.zeros_like(pushed)], axis=3)
+        parts.append(_gramians(still, np.concatenate([moved, pushed], axis=3), variance))
+    reach, terms = (np.sqrt(_between(sizes)) for sizes in (found, parts))
+    return np.where(reach > np.finfo(float).eps ** NOISE * terms, reach, 0.0)
+
+
+def _between(sizes: list[np.ndarray]) -> np.ndarray:
+    """The largest over the nodes of the smaller of the variances from both ends, zero where that is not finite."""
+    first, last = sizes
     # One step has no node between its ends.
-    between = np.minimum(sizes[:, :-1, 0], sizes[:, -2::-1, 1]).max(axis=1) if sizes.shape[1] > 1 else sizes[:, 0, 0]
-    return np.sqrt(np.where(np.isfinite(between), np.maximum(between, 0.0), 0.0))
+    between = np.minimum(first[:, :-1], last[:, -2::-1]).max(axis=1) if first.shape[1] > 1 else first[:, 0]
+    return np.where(np.isfinite(between), np.maximum(between, 0.0), 0.0)
+
+
+def _inverse(matrices: np.ndarray) -> np.ndarray:
+    """Inverses, NaN where there is none."""
+    regular = np.abs(np.linalg.det(matrices)) > 0
+    out = np.full_like(matrices, np.nan)
+    out[regular] = np.linalg.inv(matrices[regular])
+    return out
 
 
 def _both_ways(system: "BlockSystem") -> list[tuple[np.ndarray, np.ndarray]]:

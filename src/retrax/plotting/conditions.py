@@ -102,7 +102,7 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
 def optimality(solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None) -> np.ndarray:
     """The controls, under them their switching functions if ``problem`` is given, and the multipliers if there are any.
 
-    Bounds of the problem are dashed. ``ax``: as many axes as there are panels. Returns the array of axes.
+    Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape ``(panels,)``.
     """
     found = view(_checked(solution), problem)
     rows = 1 + (problem is not None) + bool(solution.multipliers)

@@ -194,7 +194,7 @@ def irregular() -> KnownClassification:
     return KnownClassification(problem, OWN, (0, 0), dimension=1, rank=0, gauge=1, regular_equations=False)
 
 
-SINGULAR: dict[str, Callable[[], KnownClassification]] = {
+SINGULAR: dict[str, Callable[[], KnownClassification]] = {  # functions that make singular problems with known answers, by name
     "academic": academic,
     "chain of 2": lambda: integrator_chain(2),
     "chain of 3": lambda: integrator_chain(3),

@@ -1,0 +1,33 @@
+"""Docstrings as reStructuredText: formulas that are set off become literal blocks, and signs of mathematics are no markup."""
+
+import re
+from typing import Any
+
+LITERAL = re.compile(r"(``.*?``)")
+MARKUP = re.compile(r"([|*\\]|(?<=\w)_(?!\w))")
+
+
+def process(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Change the lines of a docstring in place."""
+    found: list[str] = []
+    inside = False  # a literal block
+    for place, line in enumerate(lines):
+        before = next((earlier for earlier in reversed(found) if earlier.strip()), "")
+        if not line.strip():
+            found.append(line)
+            continue
+        if line.startswith("    "):
+            if not inside and not before.rstrip().endswith("::") and place and not found[-1].strip():
+                found += ["::", ""]
+            inside = inside or not found[-1].strip()
+            found.append(line if inside else escaped(line))
+            continue
+        inside = False
+        found.append(line if line.startswith(">>>") else escaped(line))
+    lines[:] = found
+
+
+def escaped(line: str) -> str:
+    """The line with the signs of markup escaped, where it is no literal."""
+    parts = LITERAL.split(line)
+    return "".join(part if part.startswith("``") else MARKUP.sub(r"\\\1", part) for part in parts)

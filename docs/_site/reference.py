@@ -1,0 +1,79 @@
+"""Pages of the API reference: every public name of every room, by its own docstring."""
+
+import importlib
+import inspect
+import re
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+from docstrings import escaped
+from retrax import retractions
+from retrax.retractions import RetractionFamily
+
+ROOMS = {
+    "manifolds": "Manifolds",
+    "retractions": "Retractions and discretization maps",
+    "integrators": "Integrators and solvers",
+    "problems": "Problems with known optima",
+    "plotting": "Pictures and pages",
+    "interop": "Doors to other libraries",
+    "testing": "The conformance kit",
+    "tape": "Functions as tapes of scalars",
+}
+
+
+def write(folder: Path) -> None:
+    """Write a page for each room, the table of retractions, and the page that lists them."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    for room, title in ROOMS.items():
+        module = importlib.import_module(f"retrax.{room}")
+        lines = [title, "=" * len(title), "", f".. module:: retrax.{room}", ""]
+        for name in sorted(module.__all__, key=str.lower):
+            lines += entry(module, name)
+        (folder / f"{room}.rst").write_text("\n".join(lines) + "\n")
+    (folder / "table.rst").write_text("\n".join(table()) + "\n")
+    rows = "\n".join(f"   {page}" for page in (*ROOMS, "table"))
+    (folder / "index.rst").write_text(f"Reference\n=========\n\n.. toctree::\n   :maxdepth: 1\n\n{rows}\n")
+
+
+def entry(module: ModuleType, name: str) -> list[str]:
+    """What documents a public name."""
+    thing, path = getattr(module, name), f"{module.__name__}.{name}"
+    if inspect.isclass(thing) or inspect.isroutine(thing):
+        return [f".. auto{'class' if inspect.isclass(thing) else 'function'}:: {path}", ""]
+    if isinstance(thing, RetractionFamily):
+        kinds = ", ".join(kind.__name__ for kind in thing._members)
+        return [f".. data:: {path}", "", f"   The ``RetractionFamily`` of this name, for {kinds}, and products and powers.", ""]
+    return [f".. data:: {path}", "", f"   {escaped(comment(module, name))}", ""]
+
+
+def comment(module: ModuleType, name: str) -> str:
+    """The comment behind the line that defines a constant; raises where there is none."""
+    for path in sorted(Path(str(module.__file__)).parent.rglob("*.py")):
+        found = re.search(rf"^{name}\b[^#\n]*=[^#\n]*# (.*)$", path.read_text(), re.MULTILINE)
+        if found:
+            return found[1][0].upper() + found[1][1:] + "."
+    raise LookupError(f"{module.__name__}.{name} has no comment behind the line that defines it, expected what it is")
+
+
+def table() -> list[str]:
+    """Which retraction each family has on each manifold."""
+    families = {name: thing for name, thing in vars(retractions).items() if isinstance(thing, RetractionFamily)}
+    kinds = sorted({kind for family in families.values() for kind in family._members}, key=lambda kind: kind.__name__)
+    lines = ["Retractions by manifold", "=======================", ""]
+    lines += ["``Cayley(manifold)`` is the retraction in the column of that name; products are taken factor by factor.", ""]
+    lines += [".. list-table::", "   :header-rows: 1", "", "   * - manifold", *(f"     - {name}" for name in families)]
+    for kind in kinds:
+        found = [family._members.get(kind) for family in families.values()]
+        lines += [f"   * - ``{kind.__name__}``", *(f"     - {cell(member)}" for member in found)]
+    return lines
+
+
+def cell(member: Callable | None) -> str:
+    """The name of a retraction, or that there is one which a function without a name makes."""
+    if member is None:
+        return ""
+    return f"``{member.__name__}``" if inspect.isclass(member) else "yes"

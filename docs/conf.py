@@ -1,0 +1,58 @@
+"""Settings of the site: python -m sphinx -W --keep-going docs build/site, without network."""
+
+import os
+import sys
+from pathlib import Path
+
+import jax
+import matplotlib as mpl
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE / "_site"))
+
+import docstrings  # noqa: E402
+import gallery  # noqa: E402
+import reference  # noqa: E402
+from retrax import __version__  # noqa: E402
+
+jax.config.update("jax_enable_x64", True)
+mpl.use("Agg")
+
+project, author, copyright = "retrax", "The retrax authors", "The retrax authors"
+version = release = __version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
+exclude_patterns = ["_site", "_gallery"]
+html_theme, html_title = "furo", f"retrax {__version__}"
+html_show_sourcelink = False
+highlight_language = "none"  # formulas are set off as literal blocks
+myst_heading_anchors = 3
+autodoc_member_order, autodoc_typehints_format = "bysource", "short"
+autodoc_default_options = {"members": True, "show-inheritance": True}
+autodoc_preserve_defaults = True
+templates_path: list[str] = []
+
+# Which examples run when the site is built, a pattern: by default those that take seconds, ".*" runs all.
+RUN = os.environ.get("RETRAX_SITE_EXAMPLES", "attitude_slew|spherical_pendulum")
+sphinx_gallery_conf = {
+    "examples_dirs": [str(HERE / "_gallery")],
+    "gallery_dirs": ["examples"],
+    "filename_pattern": rf"/({RUN})\.py$",
+    "image_scrapers": (gallery.written,),
+    "remove_config_comments": True,
+    "abort_on_example_error": True,
+    "within_subsection_order": "FileNameSortKey",
+    "show_signature": False,
+    "download_all_examples": False,
+    "min_reported_time": 1e9,
+    "write_computation_times": False,
+}
+suppress_warnings = ["config.cache"]
+
+gallery.prepare(HERE.parent / "examples", HERE / "_gallery")
+reference.write(HERE / "api")
+
+
+def setup(app):
+    """What is done to docstrings on their way into a page."""
+    app.connect("autodoc-process-docstring", docstrings.process)

@@ -1,0 +1,68 @@
+"""Files of batches of solutions: an archive with the file of each member, and a line that says what it is."""
+
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ...manifolds import InvalidInputError, Manifold
+from ...retractions import Retraction
+
+if TYPE_CHECKING:
+    from .solution import Solution, Solutions
+
+SCHEMA = "retrax.Solutions 1"
+HEAD = "schema.txt"
+
+
+def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
+    """Write the members of a batch to one file; raises what ``Solution.save`` raises, before the file is there."""
+    with tempfile.TemporaryDirectory() as folder:
+        places = [Path(folder) / f"{k}.npz" for k in range(len(members))]
+        for member, place in zip(members, places, strict=True):
+            member.save(place)
+        with zipfile.ZipFile(path, "w") as archive:
+            archive.writestr(HEAD, f"{SCHEMA}\n{len(members)} members\n")
+            for place in places:
+                archive.write(place, place.name)
+
+
+def load_solutions(path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None) -> "Solutions":
+    """Read a batch that ``Solutions.save`` wrote; nothing in the file is executed.
+
+    ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file is
+    something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
+    """
+    from .solution import Solutions, load_solution
+
+    with tempfile.TemporaryDirectory() as folder:
+        places = _unpacked(Path(path), Path(folder))
+        try:
+            return Solutions.of([load_solution(place, retraction, controls) for place in places])
+        except (InvalidInputError, ValueError) as error:
+            words = str(error).replace(f"{folder}/", "member ")
+            raise InvalidInputError(f"{path} is not a saved batch: {words}") from error
+
+
+def _unpacked(path: Path, folder: Path) -> list[Path]:
+    """The files of the members, written to a folder."""
+    content: dict[str, Any] = {}
+    try:
+        with zipfile.ZipFile(path) as archive:
+            names = archive.namelist()
+            content = {name: archive.read(name) for name in names}
+    except (zipfile.BadZipFile, IsADirectoryError, NotImplementedError, RuntimeError, EOFError) as error:
+        raise InvalidInputError(f"{path} is not a saved batch: it is damaged, or not an archive ({error})") from error
+    count = len(content) - 1
+    expected = [f"{k}.npz" for k in range(count)]
+    head = content.pop(HEAD, b"").decode("utf-8", errors="replace")
+    if head != f"{SCHEMA}\n{count} members\n" or sorted(content) != sorted(expected) or len(names) != count + 1 or not count:
+        begins = head.partition("\n")[0]
+        raise InvalidInputError(
+            f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected {SCHEMA!r} and a "
+            "file for each of one or more members, from Solutions.save; try load_solution for a single one"
+        )
+    for name in expected:
+        (folder / name).write_bytes(content[name])
+    return [folder / name for name in expected]
