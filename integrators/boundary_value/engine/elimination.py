@@ -74,14 +74,17 @@ def eliminate(
     columns = system.slope.shape[3]
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
-    given = tuple(map(plain, system)), tuple(map(plain, units))
     raised = np.zeros(batch) if shift is None else plain(shift), np.ones((batch, z)) if scales is None else plain(scales)
+    given = tuple(map(plain, system)), (plain(units.unknowns), 1 / units.nodes, plain(units.cost)), raised
     steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
     out = BlockSolution(steps, multipliers, np.empty((batch, columns), bool), *np.empty((4, batch)))
 
     def run(part: range) -> None:
         places = _places(count, n, z, columns)
-        kernels.solve(part.start, part.stop, *given, raised, WEIGHT * count, *places, tuple(out))
+        for m in part:
+            *of, found = (tuple(a[m] if a.ndim > 1 else a[m : m + 1] for a in arrays) for arrays in (*given, out[:3]))
+            out.negative[m], out.smallest[m] = kernels.forward(*of, WEIGHT * count, *places)
+            out.curvature[m], out.size[m] = kernels.backward(*of, WEIGHT * count, *places, found)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
     return out

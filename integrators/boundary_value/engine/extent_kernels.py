@@ -1,7 +1,5 @@
 """Compiled pass over a trajectory and its KKT system that finds what is largest in them."""
 
-import numpy as np
-
 from .factors import compiled, inner
 
 
@@ -11,36 +9,6 @@ def _larger(a: float, b: float) -> float:
     return b if b > a or b != b else a
 
 
-@inner
-def _node(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, m: int, out: tuple) -> None:
-    """What the node of these entries raises."""
-    (highest, lowest, support, missing, lacking, held), size = out[:6], nodes.size
-    for e in range(size):
-        highest[m, e], lowest[m, e] = _larger(highest[m, e], nodes[e]), _larger(lowest[m, e], -nodes[e])
-    for a in range(gap.size):
-        missing[m, a] += abs(gap[a])
-        held[m] += coordinates[a] * gap[a]
-        lacking[m, a] = _larger(lacking[m, a], abs(gap[a]))
-        for e in range(size):
-            support[m, a, e] = _larger(support[m, a, e], abs(frames[a, e]))
-
-
-@inner
-def _step(blocks: tuple, before: np.ndarray, after: np.ndarray, m: int, k: int, out: tuple) -> None:
-    """What step k raises, with the multipliers before and after it."""
-    (hessian, left, right, slope, gradient), (parts, slopes, curvature, sums) = blocks, out[6:]
-    for i in range(slope.shape[2]):
-        sums[0, i], sums[1, i] = 0.0, 0.0
-    for a in range(left.shape[2]):
-        for i in range(slope.shape[2]):
-            sums[0, i] += left[m, k, a, i] * before[a]
-            sums[1, i] += right[m, k, a, i] * after[a]
-    for i in range(slope.shape[2]):
-        parts[m, i] = _larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
-        slopes[m, i] = _larger(slopes[m, i], abs(slope[m, k, i]))
-        curvature[m, i] = _larger(curvature[m, i], abs(hessian[m, k, i, i]))
-
-
 @compiled
 def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) -> None:
     """Survey the members ``first`` to ``last``.
@@ -48,9 +16,27 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
     ``trajectory``: nodes, frames, coordinates of the multipliers, gaps; ``blocks``: Hessian, left, right, slope, gradient of the
     cost; ``out``: the fields of the extent, which come as the least that they can be, and room for two sums.
     """
-    nodes, frames, coordinates, gap = trajectory
+    (nodes, frames, coordinates, gap), (hessian, left, right, slope, gradient) = trajectory, blocks
+    highest, lowest, support, missing, lacking, held, parts, slopes, curvature, sums = out
+    (_, count, n, size), z = frames.shape, slope.shape[2]
     for m in range(first, last):
-        for k in range(nodes.shape[1]):
-            _node(nodes[m, k], frames[m, k], coordinates[m, k], gap[m, k], m, out)
-        for k in range(blocks[0].shape[1]):
-            _step(blocks, coordinates[m, k], coordinates[m, k + 1], m, k, out)
+        for k in range(count):
+            for e in range(size):
+                highest[m, e], lowest[m, e] = _larger(highest[m, e], nodes[m, k, e]), _larger(lowest[m, e], -nodes[m, k, e])
+            for a in range(n):
+                missing[m, a] += abs(gap[m, k, a])
+                held[m] += coordinates[m, k, a] * gap[m, k, a]
+                lacking[m, a] = _larger(lacking[m, a], abs(gap[m, k, a]))
+                for e in range(size):
+                    support[m, a, e] = _larger(support[m, a, e], abs(frames[m, k, a, e]))
+        for k in range(count - 1):
+            for i in range(z):
+                sums[0, i], sums[1, i] = 0.0, 0.0
+            for a in range(n):
+                for i in range(z):
+                    sums[0, i] += left[m, k, a, i] * coordinates[m, k, a]
+                    sums[1, i] += right[m, k, a, i] * coordinates[m, k + 1, a]
+            for i in range(z):
+                parts[m, i] = _larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
+                slopes[m, i] = _larger(slopes[m, i], abs(slope[m, k, i]))
+                curvature[m, i] = _larger(curvature[m, i], abs(hessian[m, k, i, i]))
