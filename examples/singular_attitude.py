@@ -96,7 +96,7 @@ def plot(found, path):
         plotting.state(run, 1, problem=Q, ax=row[0]).set_ylabel(f"{name}\nbody rate")
         plotting.controls(run, ax=row[1]).set_ylabel("torque")
         row[2].plot(run.times, error)
-        row[2].set_ylabel("energy error")
+        row[2].set(xlabel="time", ylabel="energy error")
         row[2].set_title(f"$\\omega_f$ changes by {np.max(numbers['omega_f']):.0e} a step", fontsize="medium")
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -8,7 +8,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-SLOW = ("README.md", "dirac.md", "integration.md", "optimal_control.md", "own_manifold.md", "pictures.md", "singular.md")
+SLOW = (
+    "README.md",
+    "conventions.md",
+    "dirac.md",
+    "integration.md",
+    "optimal_control.md",
+    "own_manifold.md",
+    "pictures.md",
+    "singular.md",
+)
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 
