@@ -14,10 +14,11 @@ from .solution import Solution, Statistics
 @final
 @dataclass(frozen=True, eq=False)
 class PhasedSolution:
-    """The extremal of phases that follow one another: a ``Solution`` of each, whose times go on from phase to phase.
+    """The extremal of P phases that follow one another: a ``Solution`` of each, whose times go on from phase to phase.
 
-    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names, and of
-    the ``horizon`` if it was given: the sum of the costs changes by ``multiplier . e`` where the constraint is to be ``-e``.
+    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names, each of
+    shape ``(k,)`` for k equations, and of the ``horizon`` if it was given: the cost changes by ``multiplier . e`` where the
+    constraint ``b = 0`` is to be ``b = -e``. ``times`` has the shape ``(P + 1,)``.
     """
 
     phases: tuple[Solution, ...]
