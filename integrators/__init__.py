@@ -16,6 +16,9 @@ from .boundary_value import (
     DiscretizationError,
     Extremal,
     Guess,
+    Phase,
+    PhasedSolution,
+    PhaseEnds,
     RegularChecks,
     Sensitivity,
     SingularArc,
@@ -32,6 +35,7 @@ from .boundary_value import (
     load_solution,
     load_solutions,
     solve,
+    solve_phases,
     step_errors,
 )
 from .dirac import DiracIntegrator, DiracSystem
@@ -100,6 +104,9 @@ __all__ = [
     "LiftedIntegrator",
     "MorseTest",
     "OptimalControlProblem",
+    "Phase",
+    "PhaseEnds",
+    "PhasedSolution",
     "PresymplecticIntegrator",
     "Quantities",
     "Quantity",
@@ -131,6 +138,7 @@ __all__ = [
     "load_trajectory",
     "singular_integrator",
     "solve",
+    "solve_phases",
     "step_errors",
 ]
 

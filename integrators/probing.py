@@ -1,5 +1,6 @@
 """How the functions of a problem depend on the controls, seen at a few of them: curved, flat, or kinked."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -7,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
+from .constraints import constraint_words
 from .functions import failing_line
 
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
@@ -264,3 +267,27 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
     except FAILURES:
         return False
     return True
+
+
+def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
+    """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
+    first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
+    u, size = jax.tree.map(lambda leaf: leaf[first], probed.controls), probed.sizes[first]
+    if not np.all(np.isfinite((size, *probed.costs))):
+        raise InvalidInputError(
+            f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
+            f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
+        )
+    if not np.all(np.isfinite(probed.slopes[0])):
+        raise InvalidInputError(
+            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
+            "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
+        )
+    for name, values, slopes in zip(names, *probed.limits, strict=True):
+        if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
+            what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
+            raise InvalidInputError(
+                f"{constraint_words(name)} {what} at q = {q}, u = {u}, where "
+                f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in place "
+                "of sqrt(u @ u) - a"
+            )

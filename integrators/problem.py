@@ -10,12 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, RetraxError
+from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Product, RetraxError
 from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
+from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
 from .costs import is_steep, require_cost
@@ -34,6 +35,7 @@ from .probing import (
     flats,
     kink_words,
     probe,
+    require_finite,
 )
 from .quantities import Quantities
 from .statement import statement
@@ -54,6 +56,10 @@ class OptimalControlProblem(eqx.Module):
     vector, whose entries are not positive along a trajectory. With ``time_dependent`` the functions take the time after ``u``:
     ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the initial cost does not.
 
+    ``boundary_constraints``: functions ``b(q_0, q_T)`` of the first and the last state by their names, of which each returns a
+    number or a vector that is to be zero; with ``time_dependent`` they take the time T of the end after these.
+    ``periodic``: True for ``q(T) = q(0)``, or a function ``g`` of a point for ``q(T) = g(q(0))``.
+
     ``labels`` name the ``"states"`` and ``"controls"``: a word for an array, or a tuple with one for each entry of a vector; in
     a tuple, one for each array, where a point has several. ``units`` say in the same way what they are measured in, and what the
     ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables use them.
@@ -71,6 +77,7 @@ class OptimalControlProblem(eqx.Module):
     abnormal: bool = eqx.field(static=True)
     initial_cost: TerminalCost | None
     limits: Inequalities
+    boundary: BoundaryConditions
     time_dependent: bool = eqx.field(static=True)
     quantities: Quantities = eqx.field(static=True)
     takes_parameters: bool = eqx.field(static=True)
@@ -90,6 +97,8 @@ class OptimalControlProblem(eqx.Module):
         time_dependent: bool = False,
         labels: Mapping[str, Any] | Quantities | None = None,
         units: Mapping[str, Any] | None = None,
+        boundary_constraints: Mapping[str, BoundaryConstraint] | None = None,
+        periodic: bool | Callable[..., Any] = False,
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost = dynamics, running_cost
@@ -103,21 +112,26 @@ class OptimalControlProblem(eqx.Module):
             if not isinstance(flag, bool | np.bool_):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
         self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
-        given = isinstance(constraints, Inequalities)
-        self.limits = constraints if given else Inequalities.of(control_bounds, constraints, self.controls)
-        expected = {2: "(q, u, t)", 1: "(q, t)"} if time_dependent else {2: "(q, u)", 1: "q"}
-        expected[0] = "q"
+        given: Any = constraints
+        self.limits = given if isinstance(given, Inequalities) else Inequalities.of(control_bounds, given, self.controls)
+        given = boundary_constraints
+        self.boundary = given if isinstance(given, BoundaryConditions) else BoundaryConditions.of(given, periodic)
+        expected = ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
         takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
         self.takes_parameters = any(takes)
 
     def _functions(self) -> Iterator[tuple[str, Callable, int]]:
-        """Names of the functions, and of what they are: 2 of state and control, 1 of the last state, 0 of the first."""
+        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of the last state, 0 of one."""
         names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
         for name, kind in names:
             if getattr(self, name) is not None or kind == 2:
                 yield name, getattr(self, name), kind
         for name, function in zip(self.limits.names, self.limits.functions, strict=True):
             yield constraint_words(name), function, 2
+        for name, function in zip(self.boundary.names, self.boundary.functions, strict=True):
+            yield boundary_words(name), function, 3
+        if self.boundary.turn is not None:
+            yield PERIODIC, self.boundary.turn, 0
 
     @property
     def functions(self) -> dict[str, Callable]:
@@ -147,7 +161,7 @@ class OptimalControlProblem(eqx.Module):
         """The problem whose functions have the parameters; the problem itself if they take none."""
         if not self.takes_parameters:
             return self
-        counts = (1, 2, 3) if self.time_dependent else (1, 1, 2)
+        counts = (1, 2, 3, 3) if self.time_dependent else (1, 1, 2, 2)
         return self._changed(lambda f, kind: _bound(f, counts[kind], parameters), self.time_dependent)
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
@@ -160,11 +174,14 @@ class OptimalControlProblem(eqx.Module):
         """The problem with other functions, made of these and their kinds."""
         made = [change(function, kind) for _, function, kind in self._functions()]
         given: dict[str, Any] = dict(zip(self.functions, made, strict=True))
-        functions = tuple(made[len(made) - len(self.limits.names) :])
-        limits: Any = Inequalities(self.limits.lower, self.limits.upper, self.limits.names, functions, self.limits.at_first)
+        own, ends = self.limits, self.boundary
+        functions = tuple(given[constraint_words(name)] for name in own.names)
+        limits: Any = Inequalities(own.lower, own.upper, own.names, functions, own.at_first)
+        between = tuple(given[boundary_words(name)] for name in ends.names)
+        boundary: Any = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor)
         costs = given["running_cost"], self.controls, given.get("terminal_cost"), self.abnormal, given.get("initial_cost")
-        more: Any = {"constraints": limits, "time_dependent": time_dependent, "labels": self.quantities}
-        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, **more)
+        more: Any = {"constraints": limits, "boundary_constraints": boundary, "labels": self.quantities}
+        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, time_dependent=time_dependent, **more)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
         """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in order."""
@@ -191,6 +208,8 @@ class OptimalControlProblem(eqx.Module):
             "constraints": bool(self.limits.functions),
             "an initial cost": self.initial_cost is not None,
             "an explicit time": self.time_dependent,
+            "boundary constraints": bool(self.boundary.functions),
+            "periodic ends": self.boundary.turn is not None,
         }
         left = [words for words, there in has.items() if there and words not in treated]
         if left:
@@ -229,6 +248,11 @@ class OptimalControlProblem(eqx.Module):
         """Initial cost ``Phi_0(q)``, zero if there is none."""
         return jnp.zeros(()) if self.initial_cost is None else real_number("initial_cost", self.initial_cost(q))
 
+    def turned(self, q: Ambient) -> Ambient:
+        """``g(q)`` of periodic ends, ``q(T) = g(q(0))``."""
+        own = self.manifold.factors[0] if self.boundary.factor and isinstance(self.manifold, Product) else self.manifold
+        return linked(PERIODIC, self.boundary.turn or same, own, q)
+
     def parts(self, q: Ambient, p: Ambient, u: Ambient) -> tuple[Array, Array]:
         """The power ``<p, X(q, u)>`` and the cost rate ``p_0 F(q, u)``."""
         return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
@@ -257,9 +281,10 @@ class OptimalControlProblem(eqx.Module):
 
         return digest(self._values, self.manifold.ambient, self.controls.ambient)
 
-    def _values(self, q: Ambient, u: Ambient) -> tuple[Ambient, Array, Array, Array, Array]:
+    def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
         """What all functions return."""
-        return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q), self.first_cost(q), self.inequalities(q, u)
+        ends = self.boundary.values(q, q), None if self.boundary.turn is None else self.turned(q)
+        return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q), self.first_cost(q), self.inequalities(q, u), ends
 
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
@@ -276,7 +301,7 @@ class OptimalControlProblem(eqx.Module):
         """
         directions, covectors = self._directions()
         probed = self._probed(q, u, directions, covectors)
-        self._require_finite(probed, q)
+        require_finite(self.limits.names, probed, q)
         normal, size = np.max(probed.normals), np.max(probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(
@@ -342,29 +367,6 @@ class OptimalControlProblem(eqx.Module):
                 raise InvalidInputError(kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there))
         counts = np.cumsum([0, *map(len, found)])
         return any(all(bent is not None for bent in bends[a:b]) for a, b in pairwise(counts))
-
-    def _require_finite(self, probed: Probed, q: Ambient) -> None:
-        """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
-        first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
-        u, size = jax.tree.map(lambda leaf: leaf[first], probed.controls), probed.sizes[first]
-        if not np.all(np.isfinite((size, *probed.costs))):
-            raise InvalidInputError(
-                f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
-                f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
-            )
-        if not np.all(np.isfinite(probed.slopes[0])):
-            raise InvalidInputError(
-                f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
-                "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
-            )
-        for name, values, slopes in zip(self.limits.names, *probed.limits, strict=True):
-            if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
-                what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
-                raise InvalidInputError(
-                    f"{constraint_words(name)} {what} at q = {q}, u = {u}, where "
-                    f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in place "
-                    "of sqrt(u @ u) - a"
-                )
 
     def _directions(self) -> tuple[np.ndarray, Ambient]:
         """Random coordinates of controls and random ambient covectors, the same at every call."""

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .boundary_conditions import same
 from .functions import Bound
 
 if TYPE_CHECKING:
@@ -25,6 +26,11 @@ def statement(problem: "OptimalControlProblem") -> str:
     ]
     lines += [f"            {text}" for text in _bounds(problem.control_bounds)]
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
+    last = ", T" if t else ""
+    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem.boundary.names]
+    turn = problem.boundary.turn
+    if turn is not None:
+        lines.append("            q(T) = q(0)" if turn is same else f"            q(T) = {_name(turn)}(q(0){p})")
     lines += [f"{'where' if not place else '':12}{text}" for place, text in enumerate(problem.quantities.lines)]
     return "\n".join(lines)
 

@@ -4,6 +4,9 @@ from .batch_file import load_solutions
 from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
+from .phase import PhaseEnds
+from .phased_solution import PhasedSolution
+from .phases import Phase, solve_phases
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
 from .solution import Checks, RegularChecks, SingularArc, SingularChecks, Solution, Solutions, Statistics, load_solution
@@ -20,6 +23,9 @@ __all__ = [
     "DiscretizationError",
     "Extremal",
     "Guess",
+    "Phase",
+    "PhaseEnds",
+    "PhasedSolution",
     "RegularChecks",
     "Sensitivity",
     "SingularArc",
@@ -36,5 +42,6 @@ __all__ = [
     "load_solution",
     "load_solutions",
     "solve",
+    "solve_phases",
     "step_errors",
 ]

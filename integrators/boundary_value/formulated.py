@@ -80,15 +80,24 @@ class Formulated:
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
 
     def _solved(self, asked: Asked, options: dict[str, Any]) -> Solution:
+        formulation, solver, own = self.formulated(asked)
+        found = solver.solve(*own, throw=False, **options)
+        return self._kept(formulation, solver, found, asked.parameters)
+
+    def formulated(self, asked: Asked, begins: float | None = None) -> tuple[Formulation, Any, Asked]:
+        """The formulation of a single trajectory, its solver, and what is asked of that.
+
+        The time starts at zero, or is free at the start and guessed to begin there.
+        """
         if is_free(asked.horizon):
             checked_horizon(asked.horizon)
         members = self.reader.one(_guesses(asked))
         formulation, solver = self.of(asked.horizon, asked.parameters)
-        constants = formulation.guesses(asked.horizon, asked.parameters)
-        ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons)
-        guess, own = self._guess(formulation, members, 0, constants), formulation.parameters(asked.horizon, asked.parameters)
-        found = solver.solve(*ends, float(members.horizons[0]), guess, own, throw=False, **options)
-        return self._kept(formulation, solver, found, asked.parameters)
+        constants, times = formulation.guesses(asked.horizon, asked.parameters), members.horizons + (begins or 0.0)
+        start, end = formulation.start(asked.start, constants, begins), formulation.end(asked.end, times)
+        guess = self._guess(formulation, members, 0, constants, begins or 0.0)
+        own = formulation.parameters(asked.horizon, asked.parameters)
+        return formulation, solver, Asked(start, end, float(members.horizons[0]), guess, own)
 
     def solve_many(self, asked: Asked, **options: Any) -> Solutions:
         """The extremals of a batch."""
@@ -120,9 +129,11 @@ class Formulated:
         formulation, solver, found = self._found[solution]
         return formulation.sensitivity(solver.sensitivity(found))
 
-    def _guess(self, formulation: Formulation, members: Members, k: int, constants: np.ndarray) -> Guess | None:
-        guess, times = members.guess_of(k), self.reader.mesh.times(float(members.horizons[k]))
-        return None if guess is None else formulation.guess(guess, constants, times)
+    def _guess(
+        self, formulation: Formulation, members: Members, k: int, constants: np.ndarray, begins: float = 0.0
+    ) -> Guess | None:
+        guess, (nodes, stages) = members.guess_of(k), self.reader.mesh.times(float(members.horizons[k]))
+        return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
 
     def _kept(self, formulation: Formulation, solver: Any, found: Solution, parameters: Any) -> Solution:
         solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)

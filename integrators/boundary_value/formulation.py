@@ -14,6 +14,7 @@ from ...manifolds import Euclidean, InvalidInputError, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
+from ..boundary_conditions import BoundaryConditions
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
 from ..free import Free, guessed, is_free
 from ..problem import OptimalControlProblem
@@ -101,13 +102,13 @@ class Formulation:
         costs = (problem.terminal_cost, self._final, "terminal_cost"), (problem.initial_cost, self._first, "initial_cost")
         paid: Any = {name: self._of_state(f, 1) for given, f, name in costs if given is not None}
         manifold, limits = Product(problem.manifold, *added), cast(Any, self._limits())
-        self.problem = OptimalControlProblem(
-            manifold, *functions, problem.controls, abnormal=problem.abnormal, constraints=limits, **paid
-        )
+        paid |= {"constraints": limits, "boundary_constraints": self._boundary()}
+        self.problem = OptimalControlProblem(manifold, *functions, problem.controls, abnormal=problem.abnormal, **paid)
 
-    def start(self, start: Any, constants: np.ndarray) -> tuple:
-        """The start with the guesses of the constants, and the clock at zero."""
-        return start, *([Free(constants)] if self.constants else []), *([np.zeros(1)] if self.own.time_dependent else [])
+    def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
+        """The start with the guesses of the constants, and the clock at zero, or free and guessed."""
+        clock = np.zeros(1) if begins is None else Free(np.full(1, begins))
+        return start, *([Free(constants)] if self.constants else []), *([clock] if self.own.time_dependent else [])
 
     def end(self, end: Any, times: np.ndarray) -> tuple:
         """The end with free constants and time, guessed as these."""
@@ -175,7 +176,8 @@ class Formulation:
 
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
         """The multipliers in the time of the problem; those of the bounds of ``s`` as those of the bounds of ``T``."""
-        own = {name: values / rate for name, values in found.multipliers.items()}
+        between = self.own.boundary.names
+        own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
         times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
         return {**own, **times}
 
@@ -203,10 +205,14 @@ class Formulation:
         leaves = [None if place in self.kind.free else own(next(fixed)) for place in range(len(self.kind.shapes))]
         return Sensitivity(*ends, horizon, jax.tree.unflatten(self.kind.structure, leaves) if leaves else None)
 
+    def rate(self, y: tuple) -> Any:
+        """``e^s``, the time over that which is guessed."""
+        return jnp.exp(y[1][-1]) if self.kind.horizon else 1.0
+
     def _at(self, y: tuple, given: Any) -> tuple[Ambient, OptimalControlProblem, Any]:
         """The state, the problem with its parameters and its time, and the rate of that."""
         q, *added = y
-        bound, entries, rate = self.own, self.kind.entries, jnp.exp(y[1][-1]) if self.kind.horizon else 1.0
+        bound, entries, rate = self.own, self.kind.entries, self.rate(y)
         if bound.takes_parameters:
             bound = bound.with_parameters(self.kind.parameters(added[0][:entries] if self.constants else None, given[0]))
         return q, bound.at_time(rate * added[-1][0] if self.own.time_dependent else None), rate
@@ -229,6 +235,24 @@ class Formulation:
     def _first(self, y: tuple, given: Any) -> Array:
         q, bound, _ = self._at(y, given)
         return bound.first_cost(q)
+
+    def _boundary(self) -> BoundaryConditions:
+        """The conditions of both ends."""
+        own = self.own.boundary
+        functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
+        turn = None if own.turn is None else self._of_state(self._turned, 1)
+        return BoundaryConditions(own.names, functions, turn, factor=True)
+
+    def _between(self, place: int) -> Callable:
+        def between(first: tuple, last: tuple, given: Any) -> Any:
+            (q, *_), (end, bound, _) = self._at(first, given), self._at(last, given)
+            return bound.boundary.functions[place](q, end)
+
+        return between
+
+    def _turned(self, y: tuple, given: Any) -> Ambient:
+        q, bound, _ = self._at(y, given)
+        return bound.turned(q)
 
     def _limits(self) -> Inequalities:
         """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""

@@ -9,8 +9,10 @@ import numpy as np
 from ...retractions import Gauss, Midpoint
 from ..problem import OptimalControlProblem, resting_control
 from .arguments import Method, structure_of
+from .coupled import Own, coupling_of
 from .engine.collocation import Collocation
 from .engine.conditions import Conditions
+from .engine.coupling import Coupling
 from .engine.diagnosis import Diagnosis
 from .engine.evaluator import Evaluator
 from .engine.layout import Layout
@@ -29,6 +31,8 @@ class Traced(NamedTuple):
     diagnosis: Diagnosis
     mask: Callable[..., np.ndarray] | None  # of so many steps and stages: where each inequality holds, if there are any
     named: Callable[[np.ndarray], dict[str, np.ndarray]]  # what belongs to the inequalities, along the last axis, by their names
+    own: Own
+    coupling: Coupling | None  # of the ends, if they are coupled
 
 
 class Posed(NamedTuple):
@@ -73,7 +77,9 @@ class Posing:
             sizes = example.inequality_sizes
             mask = partial(example.limits.mask, sizes) if example.limits.any else None
             named = partial(example.limits.by_name, sizes=sizes)
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named)
+            own = Own(self.problem, parameters)
+            coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named, own, coupling)
         return self._found[key]
 
     def of(self, members: Members) -> Traced:

@@ -57,9 +57,10 @@ class Recording:
             "spatial_costates": diagnostics.spatial,
             "cost": found.assembled.cost,
             "success": success,
-            "multipliers": _multipliers(traced, found),
+            "multipliers": {**_multipliers(traced, found), **(found.boundary or {})},
         }
-        results = [words + _excesses(traced, found, k) for k, words in enumerate(results)]
+        notes = found.notes or [""] * len(results)
+        results = [words + _excesses(traced, found, k) + notes[k] for k, words in enumerate(results)]
         if self.problem.limits.functions:  # they may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)

@@ -31,11 +31,19 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
         for name, largest in checks.between.items():
             yield "", f"{name}: violated between the stages by up to {largest:.1e}"
-    if solution.multipliers and isinstance(checks, RegularChecks):
-        held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
-        yield "inequalities", held
-        for name, rows in solution.multipliers.items():
-            yield "", f"{name}: {_active(rows)}"
+    for name, values in solution.multipliers.items():
+        if values.ndim == 1:
+            yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
+    held = {name: rows for name, rows in solution.multipliers.items() if rows.ndim > 1}
+    if held and isinstance(checks, RegularChecks):
+        yield from _inequalities(held, checks)
+
+
+def _inequalities(multipliers: dict[str, np.ndarray], checks: RegularChecks) -> Iterator[tuple[str, str]]:
+    held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
+    yield "inequalities", held
+    for name, rows in multipliers.items():
+        yield "", f"{name}: {_active(rows)}"
 
 
 def _unit(solution: Solution, of: str) -> str:

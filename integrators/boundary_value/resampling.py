@@ -30,7 +30,8 @@ def resampled(solution: Solution, mesh: Mesh) -> Guess:
     Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one chart.
     """
     mesh.interpolant.require_fits("guess: ", solution.states, solution.controls)
-    times, stage_times = mesh.times(float(solution.times[-1]))
+    begin = solution.times[0]
+    times, stage_times = (begin + places for places in mesh.times(solution.horizon))
     if _same(times, solution.times) and _same(stage_times, solution.stage_times):
         return solution.guess()
     # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all the same.

@@ -152,8 +152,10 @@ class Solution:
     computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem. ``parameters`` are
     those of the problem's functions, as given or found, and None if there are none. ``multipliers`` of the inequalities by their
     names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X> - F - nu g`` is stationary in the
-    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage. ``quantities``: the
-    names and units of the problem.
+    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage. Multipliers ``mu`` of
+    boundary constraints, one for each equation: ``p(T) = -d(Phi + mu . b)`` by the last state, ``p(0) = d(Phi_0 + mu . b)`` by
+    the first one, and the cost changes by ``mu . e`` where ``b`` is to be ``-e``. ``quantities``: the names and units of the
+    problem.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -260,6 +262,8 @@ class Solution:
         values["geometry"] = None if self.interpolant is None else self.interpolant.text
         values["quantities"] = None if self.quantities is None else self.quantities.text
         values["parameters"] = _in_tuples(self.parameters)
+        values["multipliers"] = {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
+        values["boundary"] = {name: row for name, row in self.multipliers.items() if row.ndim == 1}
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 
 
@@ -358,7 +362,7 @@ _SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=
 _FILE = RecordFile(
     "Solution",
     VERSION,
-    {**_SCHEMA, "geometry": str | None, "quantities": str | None},
+    {**_SCHEMA, "geometry": str | None, "quantities": str | None, "boundary": Annotated[Any, Values()]},
     lambda values: not_finite(values) if values["success"] else "",
 )
 
@@ -372,6 +376,7 @@ def load_solution(path: str | Path, retraction: Retraction | None = None, contro
     """
     values = _FILE.read(path)
     text, names = values.pop("geometry"), values.pop("quantities")
+    values["multipliers"] |= values.pop("boundary")
     own: Any = Euclidean(np.shape(values["controls"])[1:]) if isinstance(values["controls"], np.ndarray) else None
     try:
         quantities = None if names is None else Quantities.from_text(names)

@@ -17,10 +17,11 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
+from .arguments import ALONG, Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
+from .coupled import extremals
 from .differentiable import Extremal, Given, extremal_of
 from .engine.evaluator import chosen
-from .engine.newton import Found, Iteration, newton, taken
+from .engine.newton import Found, Iteration, taken
 from .engine.sensitivity import Sensitivities
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
@@ -210,6 +211,7 @@ class Solver:
         made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a family, or its ends
         are conjugate, and it has no derivatives.
         """
+        self.problem.require_treated("sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
         if formulated is not None:
             return formulated
@@ -259,7 +261,7 @@ class Solver:
         posed = self._posing.posed(members)
         tracing = time.perf_counter() - began
         with np.errstate(all="ignore"):  # what is not finite is judged
-            found = newton(posed.conditions, posed.guess, *options)
+            found = extremals(posed, options)
             seconds = tracing, time.perf_counter() - began - tracing
             parameters = members.parameters()
             fields, member = self._recording.of(posed, parameters, found, options, seconds)

@@ -210,7 +210,9 @@ class Collocation:
         del costates
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
         states, covectors = self._state.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
-        states, controls, covectors = (a.reshape(len(a), -1, a.shape[-1]) for a in (states, unknowns.controls, covectors))
+        states, controls, covectors = (
+            a.reshape(len(a), a.shape[1] * self.stages, a.shape[-1]) for a in (states, unknowns.controls, covectors)
+        )
         return states, controls, covectors
 
     def _eta(self, unknowns: GaussUnknowns, data: Data) -> np.ndarray:

@@ -10,7 +10,7 @@ from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Slacks, moved, potential_slope, turned
 from .scaling import SHARE, Units, natural_units
-from .system import Assembled, Ends, Iterate, Residuals, Step
+from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
@@ -54,16 +54,26 @@ class Conditions:
             raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
 
-    def assemble(self, iterate: Iterate) -> Assembled:
-        """The KKT system at an iterate."""
+    def paid(self, nodes: np.ndarray) -> Paid:
+        """The costs of the first and of the last node."""
+        given = self.data.parameters
+        return self.at_nodes.initial(nodes[:, 0], given), self.at_nodes.terminal(nodes[:, -1], given)
+
+    def reached(self, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+        """The first and the last node of an iterate."""
+        begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
+        first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])
+        return first, np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])
+
+    def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
+        """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the problem."""
         nodes, gaps, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
-        terminal = self.at_nodes.terminal(nodes[:, -1], self.data.parameters)
-        initial = self.at_nodes.initial(nodes[:, 0], self.data.parameters)
-        covectors = _turned(iterate.costates, terminal, initial, 1)
+        initial, terminal = self.paid(nodes) if paid is None else paid
+        covectors = turned_by(iterate.costates, terminal, initial, 1)
         along = gaps if far is None else far[0] * gaps
         frames, gap, coordinates, costates = self.at_nodes.in_frames(nodes, self._fixed, along, covectors)
         asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
-        costates = _turned(costates, terminal, initial, -1)
+        costates = turned_by(costates, terminal, initial, -1)
         blocks = self.blocks(iterate, nodes, costates, terminal, initial)
         cost = blocks.costs.sum(axis=1) + terminal.value + (0.0 if initial is None else initial.value)
         ends = terminal, initial, np.abs(gaps).max(axis=1), extent(nodes, frames, coordinates, gap, blocks)
@@ -72,9 +82,9 @@ class Conditions:
     def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None) -> Blocks:
         """The blocks of the steps, with the costs of the last node and of the first."""
         blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
-        _pay(blocks, -1, last, blocks.right[:, -1])
+        pay(blocks, -1, last, blocks.right[:, -1])
         if first is not None:
-            _pay(blocks, 0, first, blocks.left[:, 0])
+            pay(blocks, 0, first, blocks.left[:, 0])
         return blocks
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
@@ -85,7 +95,7 @@ class Conditions:
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         covectors = assembled.coordinates + part[:, None, None] * multipliers
         costates = (covectors[:, :, None] @ assembled.frames)[:, :, 0]
-        costates = _turned(costates, assembled.terminal, assembled.initial, -1)
+        costates = turned_by(costates, assembled.terminal, assembled.initial, -1)
         slacks = iterate.slacks
         if slacks is not None and step.turn is not None:
             slacks = moved(slacks, step.turn, fraction)
@@ -93,18 +103,25 @@ class Conditions:
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
         """The first iterate with its system; takes the units from it."""
-        if not self.transcription.inequalities:
-            assembled = self.assemble(guess)
-            self.units = self._natural(guess, assembled)
-            return guess, assembled
-        shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
-        first = guess._replace(slacks=Slacks.none(shape))
-        assembled = self.assemble(first)
-        self.units, held = self._natural(first, assembled), assembled.blocks.inequalities
-        rate = self.measured.cost / np.mean(self.data.steps, axis=1)
+        return self.begun(*self.in_units(guess))
+
+    def in_units(self, guess: Iterate, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
+        """The guess, with inequalities that do not pull yet, and its system, from which the units are taken."""
+        if self.transcription.inequalities:
+            shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
+            guess = guess._replace(slacks=Slacks.none(shape))
+        assembled = self.assemble(guess, paid)
+        self.units = self._natural(guess, assembled)
+        return guess, assembled
+
+    def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
+        """The first iterate with the slacks of its inequalities, and its system."""
+        if first.slacks is None:
+            return first, assembled
+        held, rate = assembled.blocks.inequalities, self.measured.cost / np.mean(self.data.steps, axis=1)
         self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
-        begun = guess._replace(slacks=self.barrier.first(held))
-        return begun, self.assemble(begun)
+        begun = first._replace(slacks=self.barrier.first(held))
+        return begun, self.assemble(begun, paid)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""
@@ -116,7 +133,7 @@ class Conditions:
             controls = np.where(curved[:, None], controls, np.maximum(controls, self._room(assembled)))
         fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
         spreads = extent.along(extent.spreads)
-        return natural_units(self._system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
+        return natural_units(self.system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
 
     def _room(self, assembled: Assembled) -> np.ndarray:
         """How far the controls can go before an inequality holds them, shape (B, s m)."""
@@ -142,17 +159,25 @@ class Conditions:
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
+        iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance)
+        return (self.dearer(iterate, cheap) if np.any(cheap) else iterate), changed, cheap
+
+    def less(
+        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
+    ) -> tuple[Iterate, np.ndarray, np.ndarray]:
+        """The same before the cost counts less."""
         if self.barrier is None or iterate.slacks is None:
             none = np.zeros(len(residuals.gap), bool)
             return iterate, none, none
         slacks, cheap = self.barrier.lowered(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
-        changed = slacks.barrier != iterate.slacks.barrier
-        iterate = iterate._replace(slacks=slacks)
-        if cheap.any():
-            factor = np.where(cheap, DEARER, 1.0)
-            unknowns = self.transcription.scaled(iterate.unknowns, factor)
-            iterate = Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks.scaled(factor))
-        return iterate, changed, cheap
+        return iterate._replace(slacks=slacks), slacks.barrier != iterate.slacks.barrier, cheap
+
+    def dearer(self, iterate: Iterate, cheap: np.ndarray) -> Iterate:
+        """The iterate with all multipliers as where the cost counts less, in some members."""
+        factor = np.where(cheap, DEARER, 1.0)
+        unknowns = self.transcription.scaled(iterate.unknowns, factor)
+        slacks = None if iterate.slacks is None else iterate.slacks.scaled(factor)
+        return Iterate(unknowns, factor[:, None, None] * iterate.costates, slacks)
 
     def softened(self, iterate: Iterate, assembled: Assembled, where: np.ndarray) -> Iterate:
         """The iterate with all inequalities elastic in some members."""
@@ -224,10 +249,14 @@ class Conditions:
 
     def eliminate(self, iterate: Iterate, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
-        found = eliminate(self._system(iterate, assembled), self.measured, shift, self._scales(assembled))
+        found = eliminate(self.system(iterate, assembled), self.measured, shift, self._scales(assembled))
         steps, multipliers, count = found.steps[..., 0], found.multipliers[..., 0], found.multipliers[0].size
         step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
-        blocks = assembled.blocks
+        return self.completed(iterate, assembled, step), found.curvature, found.size
+
+    def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
+        """The step with what it is of what was condensed, and of the slacks."""
+        blocks, steps = assembled.blocks, step.unknowns
         if blocks.inner is not None or blocks.held is not None:
             moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
             if blocks.inner is not None:
@@ -236,7 +265,7 @@ class Conditions:
             if iterate.slacks is not None:
                 turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
-        return step, found.curvature, found.size
+        return step
 
     def _scales(self, assembled: Assembled) -> np.ndarray:
         """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all coordinates."""
@@ -299,7 +328,8 @@ class Conditions:
         fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
         return fixed
 
-    def _system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
+    def system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
+        """The equations of Newton's step."""
         blocks, fixed = assembled.blocks, (self._fixed[:, 0], self._fixed[:, -1])
         gap, slope = assembled.asked, blocks.slope
         if blocks.pushed is not None and iterate.slacks is not None:
@@ -314,15 +344,19 @@ class Conditions:
         """Sizes of the controls, shape (B, s m)."""
         return self.at_nodes.control_sizes(iterate.unknowns.controls)
 
+    def measures(self, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
+        """By what gaps are measured: in the coordinates of the nodes, (B, n), and entry by entry, (B, E)."""
+        extent = assembled.extent
+        own = np.maximum(extent.spreads, VALUE * extent.values)
+        along = np.maximum(extent.along(own), SHARE * self.measured.nodes)
+        return along, np.maximum(own, np.max(extent.support * along[:, :, None], axis=1, initial=0.0))
+
     def _gap(self, assembled: Assembled) -> np.ndarray:
         """Largest distance between ends that should meet, entry by entry of the ambient space.
 
         An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its unit.
         """
-        extent = assembled.extent
-        own = np.maximum(extent.spreads, VALUE * extent.values)
-        along = np.maximum(extent.along(own), SHARE * self.measured.nodes)
-        entries = np.maximum(own, (extent.support * along[:, :, None]).max(axis=1, initial=0.0))
+        along, entries = self.measures(assembled)
         gap = (assembled.distance / np.where(entries > 0, entries, 1.0)).max(axis=1)
         inner = assembled.blocks.inner
         if inner is None:
@@ -351,22 +385,3 @@ class Conditions:
         scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * largest[:, None])
         slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2))
         return np.maximum(found, (slopes / np.where(scale > 0, scale, 1.0)).max(axis=1))
-
-
-def _turned(costates: np.ndarray, terminal: Terminal, initial: Terminal | None, sign: int) -> np.ndarray:
-    """Covectors at the nodes with the derivatives of the costs of the ends added to them, or taken from them."""
-    turned = np.array(costates)
-    turned[:, -1] += sign * terminal.derivative
-    if initial is not None:
-        turned[:, 0] -= sign * initial.derivative
-    return turned
-
-
-def _pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:
-    """Add the cost of an end to the blocks of the step there; ``end``: the derivative of that, shape (B, n, z)."""
-    blocks.hessian[:, place] += end.mT @ paid.curvature @ end
-    blocks.gradient[:, place] += np.einsum("bn,bnz->bz", paid.slope, end)
-    if blocks.inner is not None:  # what the condensed velocities move the end by, the slope of its cost is moved with
-        pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
-        moved = blocks.inner.after[:, -1] if place else blocks.inner.before[:, 0]
-        pushed[:, place] += np.einsum("bnz,bnj,bj->bz", end, paid.curvature, moved)

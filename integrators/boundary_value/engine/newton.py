@@ -10,13 +10,14 @@ taken.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import numpy as np
 
 from .bordered import is_isolated_minimum
 from .conditions import Conditions
+from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
@@ -86,6 +87,8 @@ class Found(NamedTuple):
     stopped: bool
     missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
     contradictory: np.ndarray  # the inequalities, or they and the ends
+    boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
+    notes: list[str] | None = None  # what is to be said of each member beside its result
 
 
 def newton(
@@ -321,7 +324,9 @@ class _Search:
         joined = joined if len(states) == 1 else taken(joined, order)
         strict = joined.step.strict & (joined.shift == 0)
         if joined.iterate.slacks is not None:
-            strict = is_isolated_minimum(self.conditions, joined.iterate, joined.assembled)
+            own: Any = self.conditions
+            minimum = JointConditions.is_isolated_minimum if isinstance(own, JointConditions) else is_isolated_minimum
+            strict = cast(Any, minimum)(own, joined.iterate, joined.assembled)
         missing = joined.assembled.extent.lacking / self.conditions.measured.nodes
         ended = (
             strict & joined.isolated,

@@ -9,6 +9,8 @@ from .extent import Extent
 from .inequalities import Slacks, Turn
 from .transcription import Blocks, Terminal
 
+Paid = tuple[Terminal | None, Terminal]  # what the first and the last node cost
+
 
 class Iterate(NamedTuple):
     """Unknowns of the steps, and covectors at the nodes, shape (B, N + 1, E)."""
@@ -84,3 +86,22 @@ class Ends(NamedTuple):
     end_entries: np.ndarray
     start_coordinates: np.ndarray
     end_coordinates: np.ndarray
+
+
+def turned_by(costates: np.ndarray, terminal: Terminal, initial: Terminal | None, sign: int) -> np.ndarray:
+    """Covectors at the nodes with the derivatives of the costs of the ends added to them, or taken from them."""
+    turned = np.array(costates)
+    turned[:, -1] += sign * terminal.derivative
+    if initial is not None:
+        turned[:, 0] -= sign * initial.derivative
+    return turned
+
+
+def pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:
+    """Add the cost of an end to the blocks of the step there; ``end``: the derivative of that, shape (B, n, z)."""
+    blocks.hessian[:, place] += end.mT @ paid.curvature @ end
+    blocks.gradient[:, place] += np.einsum("bn,bnz->bz", paid.slope, end)
+    if blocks.inner is not None:  # what the condensed velocities move the end by, the slope of its cost is moved with
+        pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
+        moved = blocks.inner.after[:, -1] if place else blocks.inner.before[:, 0]
+        pushed[:, place] += np.einsum("bnz,bnj,bj->bz", end, paid.curvature, moved)

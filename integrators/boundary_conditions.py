@@ -1,0 +1,79 @@
+"""Conditions on both ends of a trajectory: equations between them, and periodic ends."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, final
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..manifolds import InvalidInputError, Manifold
+from ..manifolds.numerics.ambient import Ambient
+from .functions import in_precision, real_vector
+
+PERIODIC = "periodic"
+BoundaryConstraint = Callable[..., Any]
+
+
+@final
+class BoundaryConditions(eqx.Module):
+    """``b(q(0), q(T)) = 0`` for functions by their ``names``, and ``q(T) = turn(q(0))`` if there is a ``turn``.
+
+    ``factor``: the latter is of the first factor of a product only.
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True, default=())
+    functions: tuple[BoundaryConstraint, ...] = ()
+    turn: Callable[..., Any] | None = None
+    factor: bool = eqx.field(static=True, default=False)
+
+    @classmethod
+    def of(cls, constraints: Any, periodic: Any) -> "BoundaryConditions":
+        """Those of a user, checked; the arguments of the functions are not looked at."""
+        given = {} if constraints is None else constraints
+        expected = 'boundary_constraints must be a dictionary of functions by their names, {"name": function of (q_0, q_T)}'
+        if not isinstance(given, Mapping):
+            raise InvalidInputError(f"{expected}, got {given!r:.80}")
+        for name in given:
+            if not isinstance(name, str) or not name.strip() or name == PERIODIC:
+                raise InvalidInputError(f"{expected}, got the name {name!r}; try another word")
+        if not (isinstance(periodic, bool) or callable(periodic)):
+            raise InvalidInputError(
+                f"periodic must be True, for q(T) = q(0), or a function g with q(T) = g(q(0)), got {periodic!r:.80}"
+            )
+        turn = same if periodic is True else periodic if callable(periodic) else None
+        return cls(tuple(given), tuple(given.values()), turn)
+
+    @property
+    def any(self) -> bool:
+        """Whether there is one."""
+        return bool(self.functions) or self.turn is not None
+
+    def each(self, first: Ambient, last: Ambient) -> tuple[Array, ...]:
+        """The values of each function, in a row."""
+        named = zip(self.names, self.functions, strict=True)
+        return tuple(jnp.ravel(real_vector(boundary_words(name), function(first, last))) for name, function in named)
+
+    def values(self, first: Ambient, last: Ambient) -> Array:
+        """The values of all functions."""
+        return jnp.concatenate([jnp.zeros(0), *self.each(first, last)])
+
+
+def same(q: Ambient) -> Ambient:
+    """The point itself."""
+    return q
+
+
+def boundary_words(name: str) -> str:
+    """What the function of a boundary constraint is called in a message."""
+    return f"boundary_constraints[{name!r}]"
+
+
+def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:
+    """What a map between states returns; raises ``InvalidInputError`` if it is no point of the manifold by its structure."""
+    image = function(q)
+    wrong = manifold.describe_mismatch(jax.eval_shape(lambda: image), f"the value of {name}, a point")
+    if wrong:
+        raise InvalidInputError(wrong)
+    return jax.tree.map(lambda s, a: in_precision(name, a, s.dtype), manifold.ambient, image)

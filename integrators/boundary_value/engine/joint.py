@@ -1,0 +1,330 @@
+"""The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic ends."""
+
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from .barrier import DEARER, Missed
+from .border import Response, Solved, responses, solve_border
+from .conditions import Conditions
+from .coupling import Coupled, Coupling
+from .elimination import CLEAR, MANY
+from .inequalities import Slacks
+from .system import Assembled, Iterate, Residuals, Step
+
+
+class JointIterate(NamedTuple):
+    """The iterates of the phases, and the multipliers of the equations between their ends, (B, M)."""
+
+    parts: tuple[Iterate, ...]
+    multipliers: np.ndarray
+
+    @property
+    def slacks(self) -> Slacks | None:
+        """Those of a phase that has inequalities, if there is one."""
+        return next((part.slacks for part in self.parts if part.slacks is not None), None)
+
+
+class JointExtent(NamedTuple):
+    """The largest of what the nodes of all phases lack in each coordinate, then the equations, shape (B, n)."""
+
+    lacking: np.ndarray
+
+
+class JointAssembled(NamedTuple):
+    """The KKT systems of the phases, and the equations between their ends."""
+
+    parts: tuple[Assembled, ...]
+    coupled: Coupled
+
+    @property
+    def cost(self) -> np.ndarray:
+        """The cost of all phases."""
+        return sum((part.cost for part in self.parts), np.zeros(len(self.coupled.values)))
+
+    @property
+    def extent(self) -> JointExtent:
+        """What the nodes lack."""
+        parts = [part.extent.lacking for part in self.parts]
+        return JointExtent(np.concatenate([*parts, np.abs(self.coupled.values)], axis=1))
+
+
+class JointStep(NamedTuple):
+    """The steps of the phases, what their ends move by, (B, Z), and the steps of the multipliers in coordinates, (B, r)."""
+
+    parts: tuple[Step, ...]
+    moves: np.ndarray
+    multipliers: np.ndarray
+    strict: np.ndarray
+    convex: np.ndarray
+    finite: np.ndarray
+    reach: np.ndarray
+
+
+class JointUnits(NamedTuple):
+    """The units of all nodes, then of the equations, (B, n); and of the cost."""
+
+    nodes: np.ndarray
+    cost: np.ndarray
+
+
+@final
+class JointConditions:
+    """The conditions of a batch of trajectories in phases, of which each has its own conditions."""
+
+    def __init__(self, phases: tuple[Conditions, ...], coupling: Coupling, units: JointUnits | None = None) -> None:
+        self.phases, self.coupling, self.units = phases, coupling, units
+
+    def of(self, members: np.ndarray) -> "JointConditions":
+        """The conditions of some members."""
+        units = None if self.units is None else JointUnits(*(leaf[members] for leaf in self.units))
+        return JointConditions(tuple(phase.of(members) for phase in self.phases), self.coupling, units)
+
+    @property
+    def measured(self) -> JointUnits:
+        """The units, once they are measured."""
+        if self.units is None:
+            raise RuntimeError("the conditions have no units yet; call begin with a guess")
+        return self.units
+
+    def guess(self, parts: tuple[Iterate, ...]) -> JointIterate:
+        """A guess of the phases, with the multipliers that fit their costates at the ends best."""
+        none = JointIterate(parts, np.zeros((len(parts[0].costates), sum(self.coupling.sizes))))
+        if not any(np.any(part.costates) for part in parts):
+            return none
+        (coupled, paid), frames, asked = self._coupled(none), [], []
+        for phase, part, pays in zip(self.phases, parts, paid, strict=True):
+            for side, node, pay in zip((1, -1), phase.reached(part), pays, strict=True):
+                covector, one = part.costates[:, 0 if side > 0 else -1], np.ones((len(node), 1, pay.slope.shape[1]))
+                at = phase.at_nodes.in_frames(node[:, None], one, np.zeros_like(node)[:, None], covector[:, None])
+                frames.append(at[0][:, 0])
+                asked.append(side * at[2][:, 0] - pay.slope)
+        free, wanted = self.free, np.concatenate(asked, axis=1)
+        own = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(coupled.jacobian, wanted, strict=True)]
+        return none._replace(multipliers=self.coupling.lifted(np.stack(own), frames))
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which coordinates of all ends are free."""
+        masks = ((phase.ends.start_coordinates, phase.ends.end_coordinates) for phase in self.phases)
+        return np.concatenate([mask == 0 for pair in masks for mask in pair])
+
+    def begin(self, guess: JointIterate) -> tuple[JointIterate, JointAssembled]:
+        """The first iterate with its system; takes the units from it, those of the cost from all phases together."""
+        coupled, paid = self._coupled(guess)
+        first = [phase.in_units(part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
+        counts = [phase.data.steps.shape[1] for phase in self.phases]
+        cost = np.max([self._cost(phase, own[1]) for phase, own in zip(self.phases, first, strict=True)], axis=0) / sum(counts)
+        for phase in self.phases:
+            phase.units = phase.measured._replace(cost=np.where(cost > 0, cost, 1.0))
+        nodes = np.concatenate([phase.measured.nodes for phase in self.phases], axis=1)
+        ends = np.concatenate([phase.measured.nodes for phase in self.phases for _ in range(2)], axis=1)
+        rows = np.sum(np.abs(coupled.jacobian) * ends[:, None], axis=2)
+        units = np.concatenate([nodes, np.where((rows > 0) & np.isfinite(rows), rows, 1.0)], axis=1)
+        self.units = JointUnits(units, self.phases[0].measured.cost)
+        begun = [phase.begun(*own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
+        parts, systems = zip(*begun, strict=True)
+        return JointIterate(parts, guess.multipliers), JointAssembled(systems, coupled)
+
+    def _each(self, iterate: JointIterate, assembled: JointAssembled) -> list[tuple[Conditions, Iterate, Assembled]]:
+        """The conditions, iterates and systems of all phases."""
+        return list(zip(self.phases, iterate.parts, assembled.parts, strict=True))
+
+    @staticmethod
+    def _cost(phase: Conditions, assembled: Assembled) -> np.ndarray:
+        """The unit of the cost of a whole phase; zero where it costs nothing."""
+        pays = np.any(assembled.blocks.gradient, axis=(1, 2)) | np.any(assembled.blocks.costs, axis=1)
+        return np.where(pays, phase.measured.cost * phase.data.steps.shape[1], 0.0)
+
+    def _coupled(self, iterate: JointIterate) -> tuple[Coupled, list[tuple[Any, Any]]]:
+        """The equations at an iterate, and what the ends of each phase cost with them."""
+        ends = [end for phase, part in zip(self.phases, iterate.parts, strict=True) for end in phase.reached(part)]
+        coupled, paid = self.coupling(ends, [phase.data.parameters for phase in self.phases], iterate.multipliers)
+        return coupled, list(zip(paid[::2], paid[1::2], strict=True))
+
+    def assemble(self, iterate: JointIterate) -> JointAssembled:
+        """The KKT system at an iterate."""
+        coupled, paid = self._coupled(iterate)
+        parts = (phase.assemble(part, pay) for phase, part, pay in zip(self.phases, iterate.parts, paid, strict=True))
+        return JointAssembled(tuple(parts), coupled)
+
+    def move(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray) -> JointIterate:
+        """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
+        parts = []
+        for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
+            parts.append(phase.move(part, system, turn, fraction if turn.turn is not None else fraction * step.reach))
+        frames = [frame for part in assembled.parts for frame in (part.frames[:, 0], part.frames[:, -1])]
+        coordinates = assembled.coupled.multipliers + (fraction * step.reach)[:, None] * step.multipliers
+        return JointIterate(tuple(parts), self.coupling.lifted(coordinates, frames))
+
+    def residuals(self, iterate: JointIterate, assembled: JointAssembled) -> Residuals:
+        """How far iterates are from satisfying the conditions."""
+        each = [phase.residuals(part, system) for phase, part, system in self._each(iterate, assembled)]
+        limits = Missed(*(np.max(values, axis=0) for values in zip(*(own.limits for own in each), strict=True)))
+        gap = np.max([self._gap(iterate, assembled), *(own.gap for own in each)], axis=0)
+        return Residuals(gap, np.max([own.stationarity for own in each], axis=0), limits)
+
+    def _gap(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
+        """By how much the equations between the ends are missed, relative to what the trajectories change them by."""
+        coupled, count, begin = assembled.coupled, self.coupling.count, 0
+        sizes = [phase.measures(system) for phase, part, system in self._each(iterate, assembled)]
+        along = np.concatenate([size for size, _ in sizes for _ in range(2)], axis=1)
+        unit = np.sum(np.abs(coupled.jacobian[:, :count]) * along[:, None], axis=2)
+        missed = [np.abs(coupled.values[:, :count]) / np.where(unit > 0, unit, 1.0)]
+        for link, size in zip(self.coupling.links, self.coupling.sizes[1:], strict=True):
+            entries = sizes[link.target // 2][1][:, :size]
+            missed.append(np.abs(coupled.apart[:, begin : begin + size]) / np.where(entries > 0, entries, 1.0))
+            begin += size
+        return np.max(np.concatenate(missed, axis=1), axis=1, initial=0.0)
+
+    def lowered(
+        self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
+    ) -> tuple[JointIterate, np.ndarray, np.ndarray]:
+        """The iterate with lower barriers where their problem is solved; where that is; and where excesses are too cheap."""
+        each = [phase.less(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)]
+        changed, cheap = np.any([own[1] for own in each], axis=0), np.any([own[2] for own in each], axis=0)
+        parts, multipliers = [own[0] for own in each], iterate.multipliers
+        if np.any(cheap):
+            dearer = [phase.dearer(part, cheap) for phase, part in zip(self.phases, parts, strict=True)]
+            parts, multipliers = dearer, multipliers * np.where(cheap, DEARER, 1.0)[:, None]
+        return JointIterate(tuple(parts), multipliers), changed, cheap
+
+    def softened(self, iterate: JointIterate, assembled: JointAssembled, where: np.ndarray) -> JointIterate:
+        """The iterate with all inequalities elastic in some members."""
+        return iterate._replace(
+            parts=tuple(phase.softened(part, system, where) for phase, part, system in self._each(iterate, assembled))
+        )
+
+    def is_infeasible(
+        self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
+    ) -> np.ndarray:
+        """Whether inequalities contradict each other, or the ends."""
+        return np.any(
+            [phase.is_infeasible(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)],
+            axis=0,
+        )
+
+    def barriers(self, iterate: JointIterate) -> np.ndarray:
+        """The largest barriers relative to the units of the cost rates."""
+        return np.max([phase.barriers(part) for phase, part in zip(self.phases, iterate.parts, strict=True)], axis=0)
+
+    def is_hard(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
+        """Whether a member has inequalities that are not elastic."""
+        return np.any([phase.is_hard(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
+
+    def infeasibility(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
+        """Sum of what all nodes, points, inequalities and equations between the ends lack."""
+        missing = np.sum([phase.infeasibility(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
+        return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
+
+    @property
+    def _rows(self) -> np.ndarray:
+        """The units of the equations."""
+        return self.measured.nodes[:, -self.coupling.rows :] if self.coupling.rows else np.ones((1, 0))
+
+    def merit(self, iterate: JointIterate, assembled: JointAssembled) -> tuple[np.ndarray, np.ndarray]:
+        """The cost with its barriers, and the multipliers on what is lacking, in the unit of the cost."""
+        cost, held = np.sum([phase.merit(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
+        coupled = assembled.coupled
+        return cost, held + np.sum(coupled.multipliers * coupled.values, axis=1) / self.measured.cost
+
+    def promise(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
+        coupled, ahead, turned = assembled.coupled, np.zeros(len(step.reach)), np.zeros(len(step.reach))
+        for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
+            share = 1.0 if turn.turn is not None else step.reach
+            one, other = phase.promise(part, system, turn)
+            ahead, turned = ahead + share * one, turned + share * other
+        # What the ends cost in a phase has the multipliers times the equations in it.
+        pulled = np.einsum("br,brz,bz->b", coupled.multipliers, coupled.jacobian, step.moves)
+        changed = np.sum(step.multipliers * coupled.values, axis=1)
+        unit = step.reach / self.measured.cost
+        return ahead - unit * pulled, turned + unit * changed
+
+    def eliminate(
+        self, iterate: JointIterate, assembled: JointAssembled, shift: np.ndarray
+    ) -> tuple[JointStep, np.ndarray, np.ndarray]:
+        """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
+        parts = [responses(*own, shift) for own in self._each(iterate, assembled)]
+        coupled, places = assembled.coupled, self._places(parts)
+        solved = solve_border(parts, places, coupled, self._sizes(places))
+        p, counts = len(places[0]), [phase.measured.nodes.shape[1] for phase in self.phases]
+        moves = np.zeros((len(shift), coupled.jacobian.shape[2]))
+        moves[:, np.concatenate(places)] = solved.moves
+        starts = np.split(solved.moves[:, :p], np.cumsum([len(part.free[0]) for part in parts])[:-1], 1)
+        ends = np.split(solved.moves[:, p:], np.cumsum([len(part.free[1]) for part in parts])[:-1], 1)
+        forces = np.split(solved.forces, np.cumsum(counts)[:-1], 1)
+        steps, curved, sizes = [], np.einsum("bz,bzy,by->b", moves, coupled.curvature, moves), np.zeros(len(shift))
+        for k, (phase, part) in enumerate(zip(self.phases, parts, strict=True)):
+            step = self._step(part, starts[k], forces[k], ends[k])
+            curvature, size = self._curved(phase, assembled.parts[k], step, shift)
+            curved, sizes = curved + curvature, sizes + size
+            steps.append(phase.completed(iterate.parts[k], assembled.parts[k], step))
+        step = self._joined(steps, moves, solved, parts, sum(counts) + coupled.values.shape[1])
+        return step, curved / self.measured.cost, sizes
+
+    def _places(self, parts: list[Response]) -> tuple[np.ndarray, np.ndarray]:
+        """Places of the free coordinates of all starts, and of all ends, among the coordinates of all of them."""
+        begins = np.cumsum([0, *self.coupling.dimensions])
+        both = ([begins[2 * k + side] + part.free[side] for k, part in enumerate(parts)] for side in (0, 1))
+        starts, ends = (np.concatenate(own) for own in both)
+        return starts, ends
+
+    def _sizes(self, places: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """Sizes of the unknowns of the border."""
+        nodes = np.concatenate([phase.measured.nodes for phase in self.phases for _ in range(2)], axis=1)
+        cost, forces = self.measured.cost[:, None], np.concatenate([phase.measured.nodes for phase in self.phases], axis=1)
+        return np.concatenate([nodes[:, np.concatenate(places)], cost / forces, cost / self._rows], axis=1)
+
+    @staticmethod
+    def _step(part: Response, start: np.ndarray, force: np.ndarray, end: np.ndarray) -> Step:
+        """The step of a phase whose ends move so."""
+        columns = np.concatenate([np.ones((len(start), 1)), start, force], axis=1)
+        steps = np.einsum("bkzj,bj->bkz", part.steps, columns)
+        multipliers = np.einsum("bknj,bj->bkn", part.multipliers, columns)
+        moved = np.array(part.wanted)
+        moved[:, part.free[1]] = end
+        multipliers[:, -1] = -(force + part.weight * moved)
+        finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
+        return Step(steps, multipliers, finite, finite, finite)
+
+    @staticmethod
+    def _curved(phase: Conditions, assembled: Assembled, step: Step, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The curvature along the step of a phase, with the shift, and its size."""
+        d, units = step.unknowns, phase.measured
+        size = np.sum((d / units.unknowns[:, None]) ** 2, axis=(1, 2))
+        upper = np.triu(assembled.blocks.hessian)
+        whole = upper + np.triu(assembled.blocks.hessian, 1).mT
+        return np.einsum("bkz,bkzy,bky->b", d, whole, d) + shift * size * units.cost, size
+
+    def _joined(self, steps: list[Step], moves: np.ndarray, solved: Solved, parts: list[Response], equations: int) -> JointStep:
+        """The steps of all phases, with one share that the inequalities let them go; ``equations`` of the border."""
+        reach = np.min([np.broadcast_to(step.reach, len(moves)) for step in steps], axis=0)
+        same = (step if step.turn is None else step._replace(turn=step.turn._replace(reach=reach)) for step in steps)
+        counts = [step.multipliers[0].size for step in steps]
+        convex, clear = _convex(solved, parts, sum(counts), equations)
+        finite = np.all([step.finite for step in steps], axis=0) & np.all(np.isfinite(solved.multipliers), axis=1)
+        return JointStep(tuple(same), moves, solved.multipliers, convex & clear, convex, finite, reach)
+
+    def wanted(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
+        """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units."""
+        both = zip(self._each(iterate, assembled), step.parts, strict=True)
+        wanted, grown = np.max([phase.wanted(part, system, turn) for (phase, part, system), turn in both], axis=0)
+        return wanted, grown
+
+    def is_isolated_minimum(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
+        """Whether the Hessian of the Lagrangian is positive definite on the null space of all constraints, beyond rounding."""
+        parts = [responses(*own, None) for own in self._each(iterate, assembled)]
+        places = self._places(parts)
+        solved = solve_border(parts, places, assembled.coupled, self._sizes(places))
+        counts = [part.multipliers[0, :, :, 0].size for part in parts]
+        equations = sum(part.end.shape[1] for part in parts) + assembled.coupled.values.shape[1]
+        convex, clear = _convex(solved, parts, sum(counts), equations)
+        return convex & clear
+
+
+def _convex(solved: Solved, parts: list[Response], count: int, equations: int) -> tuple[np.ndarray, np.ndarray]:
+    """Whether the inertia is that of a minimum, by constraints so many in the phases and in the border; whether it is clear."""
+    negative = solved.negative + np.sum([part.negative for part in parts], axis=0)
+    smallest = np.min([solved.smallest, *(part.smallest for part in parts)], axis=0)
+    return negative == count + equations, smallest > np.finfo(float).eps ** CLEAR * max(1.0, count / MANY)

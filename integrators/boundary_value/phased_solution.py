@@ -1,0 +1,96 @@
+"""The record of a trajectory in phases."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self, final
+
+import numpy as np
+
+from ..singular.words import table
+from .interpolation import Sample, checked_times
+from .solution import Solution, Statistics
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class PhasedSolution:
+    """The extremal of P phases that follow one another: a ``Solution`` of each, whose times go on from phase to phase.
+
+    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names, each of
+    shape ``(k,)`` for k equations, and of the ``horizon`` if it was given: the cost changes by ``multiplier . e`` where the
+    constraint ``b = 0`` is to be ``b = -e``. ``times`` has the shape ``(P + 1,)``.
+    """
+
+    phases: tuple[Solution, ...]
+    cost: float
+    success: bool
+    result: str
+    multipliers: dict[str, np.ndarray]
+    statistics: Statistics
+
+    @classmethod
+    def of(cls, phases: Sequence[Solution], multipliers: dict[str, np.ndarray]) -> Self:
+        """The record of phases, each of which begins at the time zero or at its own."""
+        begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
+        moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
+        success = all(phase.success for phase in phases)
+        failed = next((k for k, phase in enumerate(phases) if not phase.success), 0)
+        result = phases[failed].result
+        return cls(moved, sum(phase.cost for phase in phases), success, result, multipliers, phases[0].statistics)
+
+    def renewed(self, **changes: Any) -> Self:
+        """The record with changes."""
+        return replace(self, **changes)
+
+    @property
+    def times(self) -> np.ndarray:
+        """The times at which phases begin, and at which the last one ends."""
+        return np.array([*(phase.times[0] for phase in self.phases), self.phases[-1].times[-1]])
+
+    @property
+    def durations(self) -> np.ndarray:
+        """How long the phases take."""
+        return np.diff(self.times)
+
+    @property
+    def horizon(self) -> float:
+        """The sum of all durations."""
+        return float(self.times[-1])
+
+    @property
+    def strict_minimum(self) -> bool:
+        """Whether the extremal is shown to be a strict local minimum of the discrete problem of all phases together."""
+        return all(phase.checks.strict_minimum for phase in self.phases)
+
+    def __call__(self, t: float) -> Sample:
+        """States, controls and costates at a time, of the phase that it is in; where one ends, of the next."""
+        time = float(checked_times(t, self.times))
+        k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.phases) - 1))
+        return self.phases[k](time)
+
+    def report(self) -> None:
+        """Print what a user checks."""
+        print(self)
+
+    def __repr__(self) -> str:
+        """The essential numbers."""
+        spans = ", ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(self.times, self.times[1:], strict=False))
+        return f"PhasedSolution({len(self.phases)} phases, times {spans}; cost={self.cost:.12g}, success={self.success})"
+
+    def __str__(self) -> str:
+        kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
+        rows = [
+            ("result", self.result),
+            ("cost", f"{self.cost:.12g}"),
+            ("times", ", ".join(f"{t:.9g}" for t in self.times)),
+            ("second order", f"{kind} of the discrete problem of all phases (inertia of the KKT matrix)"),
+            *(("boundary", f"{name}: multipliers {np.array2string(row, precision=8)}") for name, row in self.multipliers.items()),
+        ]
+        parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
+        return "\n\n".join([table(rows), *parts])
+
+
+def _at(phase: Solution, begin: float) -> Solution:
+    """The phase with times that begin there."""
+    move = begin - phase.times[0]
+    return replace(phase, times=phase.times + move, stage_times=phase.stage_times + move)

@@ -1,0 +1,220 @@
+"""Trajectories in phases, each with its own problem, method and duration, linked to one another and solved as one problem."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, final
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds.numerics.ambient import is_finite_number
+from ...reading import reads_once
+from ..boundary_conditions import BoundaryConditions, linked
+from ..free import Free, guessed, is_free
+from ..functions import real_vector, require_concrete
+from ..options import known_options
+from ..problem import OptimalControlProblem
+from .arguments import Method, Options, check_problem, checked_options
+from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
+from .engine.coupling import Link
+from .engine.joint import JointConditions
+from .engine.newton import Iteration, newton
+from .formulated import AGAIN, FAR, TOO_FAR
+from .phase import PhaseEnds, Phases, Posed, posed
+from .phase_guess import guessed_phases
+from .phased_solution import PhasedSolution
+
+LOST = (
+    "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to leave the "
+    "phase out, another guess of its duration, or a lower or an upper bound."
+)
+
+
+@final
+class Phase(NamedTuple):
+    """A phase of a trajectory: a problem over a duration, fixed or ``Free``, with the method and the steps it is solved by.
+
+    ``start``, ``end``: what is prescribed there, as in ``solve``; None where only links and boundary constraints say something.
+    ``guess``: a ``Guess`` or ``Solution``, by default on the way between the ends that are known.
+    """
+
+    problem: OptimalControlProblem
+    method: Method
+    steps: Any
+    duration: Any
+    start: Any = None
+    end: Any = None
+    guess: Any = None
+    parameters: Any = None
+
+
+@known_options
+@reads_once
+def solve_phases(
+    phases: Sequence[Phase],
+    links: Sequence[Any] | None = None,
+    horizon: float | None = None,
+    boundary_constraints: Mapping[str, Callable[[Sequence[PhaseEnds]], Any]] | None = None,
+    guess: PhasedSolution | None = None,
+    tolerance: float | None = None,
+    max_iterations: int = 100,
+    throw: bool = True,
+    callback: Callable[[Iteration], Any] | None = None,
+    verbose: bool = False,
+) -> PhasedSolution:
+    """Solve phases that follow one another as one optimal control problem, the sum of their costs being least.
+
+    ``links``: for each phase and the next, True where the next begins as this one ends, the default; a function ``g`` where it
+    begins at ``g(q)``, a point of its own manifold, as at the staging of a rocket; False where nothing links them. One more,
+    from the last phase to the first, makes them periodic. ``horizon``: the sum of all durations, if it is given.
+    ``boundary_constraints``: functions by their names of the list of the ends of all phases, each with ``start``, ``end`` and
+    ``duration``, that return a number or a vector which is to be zero; ``multipliers`` of the solution are theirs. The time of
+    phases whose functions depend on it goes on from phase to phase.
+
+    The costate before a link is ``dg' p`` of that after it. With free durations the Hamiltonian is continuous where nothing
+    depends on the time. Raises what ``solve`` raises.
+    """
+    require_concrete("solve_phases", guess)
+    options = checked_options(tolerance, max_iterations, callback, verbose)
+    if horizon is not None and not (is_finite_number(horizon) and horizon > 0):
+        raise InvalidInputError(f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}")
+    given = _checked(phases, guess)
+    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints))
+    solution = task.solved(guessed_phases(given, task.links), options)
+    for _ in range(AGAIN):
+        lost, far = _strayed(given, solution)
+        if lost:
+            solution = solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))
+        if lost or not (far and solution.success):
+            break
+        given = [_near(phase, own) for phase, own in zip(given, solution.phases, strict=True)]
+        solution = task.solved(given, options)
+    if throw and not solution.success:
+        raise ConvergenceError(f"{solution.result}\n{solution}", solution)
+    return solution
+
+
+class _Task:
+    """What links phases."""
+
+    def __init__(self, links: list[Any], horizon: float | None, constraints: dict[str, Any]) -> None:
+        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, Phases()
+
+    def solved(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+        """The extremal from guesses of all phases."""
+        began = time.perf_counter()
+        begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
+        parts = [posed(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))]
+        owns = [Own(part.inner.problem, part.asked.parameters) for part in parts]
+        sizes = dict[str, int]()
+        coupling = coupling_of(owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at))
+        joint = JointConditions(tuple(part.posed.conditions for part in parts), coupling)
+        first = joint.guess(tuple(part.posed.guess for part in parts))
+        names = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
+        require_independent(joint, first, [*equation_words(owns), *names])
+        tracing = time.perf_counter() - began
+        with np.errstate(all="ignore"):  # what is not finite is judged
+            found = newton(joint, first, *options)  # pyright: ignore[reportArgumentType]
+            seconds = tracing, time.perf_counter() - began - tracing
+            solutions = [part.recorded(phase_of(found, k, owns), options, seconds) for k, part in enumerate(parts)]
+        solutions = [part.checked(solution) for part, solution in zip(parts, solutions, strict=True)]
+        joined: Any = found.assembled
+        rows = joined.coupled.multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
+        cuts = np.cumsum([0, *sizes.values()])
+        multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
+        return PhasedSolution.of(solutions, multipliers)
+
+    def _links(self, parts: list[Posed]) -> list[Link]:
+        """The links between phases."""
+        found = []
+        for k, link in enumerate(self.links):
+            if link is not False:
+                after = (k + 1) % len(parts)
+                found.append(_link(k, after, link, parts))
+        return found
+
+    def _equations(self, parts: list[Posed], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
+        """The boundary constraints of all phases, the sum of the durations, and the times at which phases begin."""
+        each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
+        values = {n: jnp.ravel(real_vector(f"boundary_constraints[{n!r}]", f(each))) for n, f in self.constraints.items()}
+        if self.horizon is not None:
+            values["horizon"] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
+        passed: Any = 0.0
+        for k, (part, own) in enumerate(zip(parts, each, strict=True)):
+            if k and part.problem.time_dependent:
+                values[f"start of phase {k}"] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
+            passed = passed + own.duration
+        sizes.update({name: value.shape[0] for name, value in values.items()})
+        return jnp.concatenate([jnp.zeros(0), *values.values()])
+
+
+def _link(before: int, after: int, link: Any, parts: list[Posed]) -> Link:
+    """The link from the end of a phase to the start of another."""
+    one, other = parts[before], parts[after]
+    name, manifold = f"links[{before}]", other.problem.manifold
+    turn = (lambda q: q) if link is True else link
+    return Link(manifold, 2 * before + 1, 2 * after, lambda y, _: linked(name, turn, manifold, one.state(y)), other.state)
+
+
+def _checked(phases: Any, guess: Any) -> list[Phase]:
+    """The phases, with the guesses of a solution."""
+    if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
+        raise InvalidInputError(f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]")
+    for phase in phases:
+        check_problem(phase.problem, phase.method)
+    if guess is None:
+        return list(phases)
+    if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
+        raise InvalidInputError(f"guess must be a PhasedSolution of {len(phases)} phases, got {guess!r:.80}")
+    return [_near(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
+
+
+def _near(phase: Phase, solution: Any) -> Phase:
+    """The phase with guesses as they were found."""
+    duration = phase.duration
+    if is_free(duration):
+        duration = Free(np.clip(solution.horizon, duration.lower, duration.upper), duration.lower, duration.upper)
+    return phase._replace(duration=duration, guess=solution)
+
+
+def _strayed(phases: Sequence[Phase], solution: PhasedSolution) -> tuple[list[int], bool]:
+    """The phases whose duration was lost, and whether another is far from its guess."""
+    free = [k for k, phase in enumerate(phases) if is_free(phase.duration)]
+    ratios = {k: solution.phases[k].horizon / phases[k].duration.guess for k in free}
+    lost = [k for k, ratio in ratios.items() if not 1 / TOO_FAR < ratio < TOO_FAR]
+    return lost, any(not 1 / FAR < ratio < FAR for ratio in ratios.values())
+
+
+def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
+    """The links, each True, False or a function."""
+    count = len(phases)
+    given = [True] * (count - 1) if links is None else links
+    if not (isinstance(given, Sequence) and len(given) in (count - 1, count)):
+        raise InvalidInputError(
+            f"links must be a list of {count - 1}, one from each phase to the next, or one more from the last to the first, got "
+            f"{links!r:.80}"
+        )
+    for k, link in enumerate(given):
+        if not (isinstance(link, bool) or callable(link)):
+            raise InvalidInputError(
+                f"links[{k}] must be True for a continuous state, a function of the state before it, or False, got {link!r:.80}"
+            )
+        one, other = (phases[at].problem.manifold for at in (k, (k + 1) % count))
+        if link is True and one.ambient != other.ambient:
+            raise InvalidInputError(
+                f"links[{k}] is True for a continuous state, and leads from {one} to {other}; expected one manifold; try a "
+                "function that makes of a point of the one a point of the other"
+            )
+    return list(given)
+
+
+def _checked_constraints(given: Any) -> dict[str, Any]:
+    """The boundary constraints of all phases."""
+    functions = BoundaryConditions.of(given, False)
+    for name, function in zip(functions.names, functions.functions, strict=True):
+        if not callable(function):
+            raise InvalidInputError(
+                f"boundary_constraints[{name!r}] must be a function of the ends of all phases, got {function!r}"
+            )
+    return dict(zip(functions.names, functions.functions, strict=True))
