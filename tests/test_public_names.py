@@ -115,9 +115,7 @@ def test_the_test_sees_what_lacks():
 
 def write() -> None:
     """Record what is lacking now, in place of what was."""
-    lines = [
-        "# Public names whose documentation lacks something; python tests/test_public_names.py writes it. It only gets shorter."
-    ]
+    lines = ["# Public names whose documentation lacks something; python tests/test_public_names.py writes this list."]
     for room in ROOMS:
         lines += ["", f"[{room}]"]
         for what, names in lacking(room).items():
