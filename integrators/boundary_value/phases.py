@@ -10,7 +10,7 @@ import numpy as np
 from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...reading import reads_once
-from ..boundary_conditions import BoundaryConditions, linked
+from ..boundary_conditions import BoundaryConditions, boundary_words, linked
 from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
@@ -21,9 +21,9 @@ from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
 from .formulated import AGAIN, FAR, TOO_FAR
-from .phase import PhaseEnds, Phases, Posed, posed
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
+from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
 
 LOST = (
     "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to leave the "
@@ -99,13 +99,15 @@ class _Task:
     """What links phases."""
 
     def __init__(self, links: list[Any], horizon: float | None, constraints: dict[str, Any]) -> None:
-        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, Phases()
+        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, TracedPhases()
 
     def solved(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
         """The extremal from guesses of all phases."""
         began = time.perf_counter()
         begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
-        parts = [posed(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))]
+        parts = [
+            posed_phase(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
+        ]
         owns = [Own(part.inner.problem, part.asked.parameters) for part in parts]
         sizes = dict[str, int]()
         coupling = coupling_of(owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at))
@@ -125,7 +127,7 @@ class _Task:
         multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, multipliers)
 
-    def _links(self, parts: list[Posed]) -> list[Link]:
+    def _links(self, parts: list[PosedPhase]) -> list[Link]:
         """The links between phases."""
         found = []
         for k, link in enumerate(self.links):
@@ -134,10 +136,10 @@ class _Task:
                 found.append(_link(k, after, link, parts))
         return found
 
-    def _equations(self, parts: list[Posed], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
+    def _equations(self, parts: list[PosedPhase], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
         """The boundary constraints of all phases, the sum of the durations, and the times at which phases begin."""
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
-        values = {n: jnp.ravel(real_vector(f"boundary_constraints[{n!r}]", f(each))) for n, f in self.constraints.items()}
+        values = {n: jnp.ravel(real_vector(boundary_words(n), f(each))) for n, f in self.constraints.items()}
         if self.horizon is not None:
             values["horizon"] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
         passed: Any = 0.0
@@ -149,7 +151,7 @@ class _Task:
         return jnp.concatenate([jnp.zeros(0), *values.values()])
 
 
-def _link(before: int, after: int, link: Any, parts: list[Posed]) -> Link:
+def _link(before: int, after: int, link: Any, parts: list[PosedPhase]) -> Link:
     """The link from the end of a phase to the start of another."""
     one, other = parts[before], parts[after]
     name, manifold = f"links[{before}]", other.problem.manifold
@@ -214,7 +216,5 @@ def _checked_constraints(given: Any) -> dict[str, Any]:
     functions = BoundaryConditions.of(given, False)
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
-            raise InvalidInputError(
-                f"boundary_constraints[{name!r}] must be a function of the ends of all phases, got {function!r}"
-            )
+            raise InvalidInputError(f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}")
     return dict(zip(functions.names, functions.functions, strict=True))
