@@ -15,6 +15,7 @@ from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
+from ..singular.words import many
 from .arguments import Method, Options, check_problem, checked_options
 from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
 from .engine.coupling import Link
@@ -25,6 +26,7 @@ from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
 
+HORIZON = "horizon"
 LOST = (
     "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to leave the "
     "phase out, another guess of its duration, or a lower or an upper bound."
@@ -80,7 +82,7 @@ def solve_phases(
     if horizon is not None and not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}")
     given = _checked(phases, guess)
-    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints))
+    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints, len(given)))
     solution = task.solved(guessed_phases(given, task.links), options)
     for _ in range(AGAIN):
         lost, far = _strayed(given, solution)
@@ -141,14 +143,19 @@ class _Task:
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
         values = {n: jnp.ravel(real_vector(boundary_words(n), f(each))) for n, f in self.constraints.items()}
         if self.horizon is not None:
-            values["horizon"] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
+            values[HORIZON] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
         passed: Any = 0.0
         for k, (part, own) in enumerate(zip(parts, each, strict=True)):
             if k and part.problem.time_dependent:
-                values[f"start of phase {k}"] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
+                values[_start_words(k)] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
             passed = passed + own.duration
         sizes.update({name: value.shape[0] for name, value in values.items()})
         return jnp.concatenate([jnp.zeros(0), *values.values()])
+
+
+def _start_words(k: int) -> str:
+    """The name of the equation that says when a phase begins."""
+    return f"start of phase {k}"
 
 
 def _link(before: int, after: int, link: Any, parts: list[PosedPhase]) -> Link:
@@ -168,7 +175,10 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
-        raise InvalidInputError(f"guess must be a PhasedSolution of {len(phases)} phases, got {guess!r:.80}")
+        raise InvalidInputError(
+            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {guess!r:.80}; try what "
+            "solve_phases returned for phases like these"
+        )
     return [_near(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
 
 
@@ -211,9 +221,9 @@ def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
     return list(given)
 
 
-def _checked_constraints(given: Any) -> dict[str, Any]:
-    """The boundary constraints of all phases."""
-    functions = BoundaryConditions.of(given, False)
+def _checked_constraints(given: Any, count: int) -> dict[str, Any]:
+    """The boundary constraints of so many phases."""
+    functions = BoundaryConditions.of(given, False, (HORIZON, *map(_start_words, range(count))))
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
             raise InvalidInputError(f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}")
