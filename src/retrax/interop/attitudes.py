@@ -14,12 +14,10 @@ from typing import Any, Literal, final
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..channels import rotations, view
-from ..integrators import OptimalControlProblem
-from ..manifolds import InvalidInputError, Manifold
+from ..channels import About, rotations, view
+from ..manifolds import InvalidInputError
 
 Scalar = Literal["first", "last"]
-About = OptimalControlProblem | Manifold | None
 ROUNDED = 1e-6  # by what the norm of a quaternion written with few digits is off
 VERSION = "2.0"
 REQUIRED = "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"

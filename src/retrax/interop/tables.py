@@ -7,13 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..channels import View, raw, view
-from ..integrators import OptimalControlProblem, Quantity, Solution, Solutions
+from ..channels import About, View, raw, view
+from ..integrators import Quantity, Solution, Solutions
 from ..integrators.quantities import with_unit
-from ..manifolds import InvalidInputError, Manifold
+from ..manifolds import InvalidInputError
 from .optional import needed
-
-About = OptimalControlProblem | Manifold | None
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:

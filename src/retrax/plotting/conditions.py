@@ -8,7 +8,6 @@ import numpy as np
 from ..channels import Channel, control_channels, raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
 from ..integrators.functions import require_concrete
-from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
 from ..reading import reads_once
 from .axes import draw, one, several, time_axis
@@ -130,7 +129,6 @@ def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) 
         return
     for bound in {float(b) for side in problem.control_bounds for b in side.ravel() if np.isfinite(b)}:
         axis.axhline(bound, color="0.4", linestyle="--", linewidth=0.8)
-    axis.set_ylabel(with_unit(channel.name, channel.unit))
 
 
 def _checked(solution: Any) -> Solution:
