@@ -104,7 +104,7 @@ class Arcs:
         hamiltonians = found.hamiltonians / rates
         own = found.parameters[OWN] if self.own.takes_parameters else None
         multipliers = {name: rows for name, rows in found.multipliers.items() if name != LAST}
-        multipliers |= {name: rows / rates[:, None] for name, rows in multipliers.items() if rows.ndim > 1}
+        multipliers |= {name: rows / rates[:, None] for name, rows in found.stage_multipliers.items() if name != LAST}
         for name in (PARAMETERS_LOWER, PARAMETERS_UPPER):  # of the durations first, in the order of the names
             rows = multipliers.pop(name, None)
             more = 0 if name == PARAMETERS_UPPER else durations.size - (not is_free(self.horizon))
@@ -143,8 +143,7 @@ class Arcs:
         stages = len(solution.stage_times) // solution.steps
         places = (np.arange(FINER * stages) + 0.5) / (FINER * stages)
         found = interpolant.within(solution, places)
-        along = {name: rows for name, rows in solution.multipliers.items() if rows.ndim > 1}
-        rows = {name: values.reshape(solution.steps, stages, -1) for name, values in along.items()}
+        rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.stage_multipliers.items()}
         at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
         shares = lagrange(at, places)
         own = {name: np.einsum("is,ksc->kic", shares, values).reshape(-1, values.shape[2]) for name, values in rows.items()}

@@ -70,7 +70,10 @@ def view(record: Any, problem: About = None) -> View:
         quantities = _quantities(problem, states, controls)
         found = View(np.asarray(record.times), states, costates, stages.ravel(), controls, quantities)
     else:
-        raise InvalidInputError(f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, record[0]")
+        raise InvalidInputError(
+            f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, "
+            "record[0], or one of the phases, record.phases[0]"
+        )
     found.quantities.require_fits("", tuple(found.states), tuple(found.controls or _nothing(found.quantities)))
     return found
 
