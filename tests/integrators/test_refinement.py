@@ -115,6 +115,18 @@ def test_ends_on_a_set_hold_in_arcs_too(slopes):
         assert found.quantities.controls[0].name == "force"
 
 
+@pytest.mark.parametrize("shares", [(1.0001,), pytest.param((0.99, 0.999999, 1.000001, 1.0003, 1.01), marks=pytest.mark.slow)])
+def test_a_bound_of_the_horizon_holds_in_arcs_too(shares):
+    """It passes the horizon in arcs, then that of the first mesh, which is too long."""
+    least, _, _ = quickest(0.9)
+    ends = np.array([0.0, 0.9]), np.array([1.0, 0.0])
+    for share in shares:
+        horizon = Free(3.0, lower=share * least)
+        found = solve(QUICKEST, Gauss(2, Addition(PLANE)), *ends, horizon, 10, accuracy=1e-6)
+        assert found.horizon == pytest.approx(max(share, 1.0) * least, rel=1e-9)
+        np.testing.assert_allclose(found.states[-1], ends[1], atol=1e-9)
+
+
 @pytest.mark.slow
 def test_a_singular_arc_comes_and_goes():
     """To a singular arc and away from it, ``x = u = 0``, for which there is time only beyond 3/2."""
