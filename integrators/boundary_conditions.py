@@ -79,7 +79,7 @@ def boundary_words(name: str) -> str:
 
 
 def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:
-    """What a map between states returns; raises ``InvalidInputError`` if it is no point of the manifold by its structure."""
+    """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its structure."""
     image = function(q)
     wrong = manifold.describe_mismatch(jax.eval_shape(lambda: image), f"the value of {name}, a point")
     if wrong:

@@ -80,7 +80,7 @@ class _Body(NamedTuple):
 
 
 def _checked(mesh: Any) -> _Body:
-    """The body that is drawn; raises for what is no mesh."""
+    """The body that is drawn; raises for what is not a mesh."""
     if mesh is None:
         return _Body(BOX, np.array(SIDES), given=False)
     if not isinstance(mesh, Sequence) or len(mesh) != 2:
