@@ -70,18 +70,11 @@ def zoomed(
             s = low + (high - low) * jnp.arange(PIECES + 1) / PIECES
             slopes, curvatures = jax.vmap(derivatives)(s)
             changes, curvatures = jnp.diff(slopes), jnp.where(jnp.isfinite(curvatures), curvatures, 0.0)
-            a, b = curvatures[:-1], curvatures[1:]
-            # Beside a point where it is not bounded the mean of two second derivatives is that of the larger one alone.
-            usual = jnp.where(jnp.abs(a - b) <= jnp.abs(a + b) / 2, (a + b) / 2, jnp.where(jnp.abs(a) < jnp.abs(b), a, b))
-            missing = changes - jnp.diff(s) * usual
+            missing = changes - jnp.diff(s) * _usual(curvatures[:-1], curvatures[1:])
             i = jnp.argmax(jnp.where(jnp.isfinite(missing), jnp.abs(missing), -1.0))
-            seen = (
-                s[i + 1] - s[i],
-                changes[i],
-                jnp.maximum(jnp.abs(a[i]), jnp.abs(b[i])),
-                s[i],
-                jnp.max(jnp.where(jnp.isfinite(slopes), jnp.abs(slopes), 0.0)),
-            )
+            bends = jnp.maximum(jnp.abs(curvatures[i]), jnp.abs(curvatures[i + 1]))
+            largest = jnp.max(jnp.where(jnp.isfinite(slopes), jnp.abs(slopes), 0.0))
+            seen = s[i + 1] - s[i], changes[i], bends, s[i], largest
             fine = (high - low) / PIECES < FINEST * jnp.finfo(s.dtype).eps * reach
             return jax.tree.map(lambda a, b: jnp.where(fine, a, b), ends, (s[i], s[i + 1])), seen
 
@@ -92,6 +85,12 @@ def zoomed(
     by_part = jax.vmap(one, (None, None, None, None, 0))
     by_way = jax.vmap(by_part, (None, None, None, 0, None))
     return jax.vmap(by_way, (0, 0, 0, 0, None))(q, p, u, ways, jnp.arange(len(PARTS)))
+
+
+def _usual(a: Array, b: Array) -> Array:
+    """The mean of second derivatives at the ends of intervals, by which a slope changes over them where it is smooth."""
+    # Beside a point where it is not bounded the mean is that of the larger one alone, and the smaller one is taken.
+    return jnp.where(jnp.abs(a - b) <= jnp.abs(a + b) / 2, (a + b) / 2, jnp.where(jnp.abs(a) < jnp.abs(b), a, b))
 
 
 def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, size: float) -> bool:
