@@ -213,7 +213,7 @@ class Refinement:
 
         A free horizon that leaves its bounds is held at the one that it passed, ``bound``.
         """
-        horizon = self._horizon(guess) if bound is None else bound
+        horizon: Any = self._horizon(guess) if bound is None else bound
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
             self._arcs[key] = Arcs(self.problem, structure.sides, horizon, abs(guess.cost) / guess.horizon or 1.0)
