@@ -121,4 +121,4 @@ class Barrier(NamedTuple):
         """Whether multipliers come near to the price of an excess."""
         price = np.where(slacks.elastic, slacks.price, 1.0)
         low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * self.price)
-        return low.any(axis=(1, 2, 3))
+        return np.any(low, axis=(1, 2, 3))

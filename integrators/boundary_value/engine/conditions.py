@@ -176,7 +176,7 @@ class Conditions:
         """Whether a member has inequalities that are not elastic."""
         if iterate.slacks is None:
             return np.zeros(len(assembled.gap), bool)
-        return (assembled.blocks.inequalities.asked & ~iterate.slacks.elastic).any(axis=(1, 2, 3))
+        return np.any(assembled.blocks.inequalities.asked & ~iterate.slacks.elastic, axis=(1, 2, 3))
 
     def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes, points and inequalities lack."""
