@@ -1,6 +1,6 @@
 """Conditions on both ends of a trajectory: equations between them, and periodic ends."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, final
 
 import equinox as eqx
@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
+from .constraints import TAKEN
 from .functions import in_precision, real_vector
 
 PERIODIC = "periodic"
@@ -29,15 +30,22 @@ class BoundaryConditions(eqx.Module):
     factor: bool = eqx.field(static=True, default=False)
 
     @classmethod
-    def of(cls, constraints: Any, periodic: Any) -> "BoundaryConditions":
-        """Those of a user, checked; the arguments of the functions are not looked at."""
+    def of(cls, constraints: Any, periodic: Any, taken: Collection[str] = ()) -> "BoundaryConditions":
+        """Those of a user, checked; the arguments of the functions are not looked at. ``taken``: names of other multipliers."""
+        if isinstance(constraints, cls):
+            return constraints
         given = {} if constraints is None else constraints
         expected = 'boundary_constraints must be a dictionary of functions by their names, {"name": function of (q_0, q_T)}'
         if not isinstance(given, Mapping):
             raise InvalidInputError(f"{expected}, got {given!r:.80}")
         for name in given:
-            if not isinstance(name, str) or not name.strip() or name == PERIODIC:
-                raise InvalidInputError(f"{expected}, got the name {name!r}; try another word")
+            if not isinstance(name, str) or not name.strip():
+                raise InvalidInputError(f"{expected}, got the name {name!r}; try a word")
+            if name in (PERIODIC, *TAKEN, *taken):
+                raise InvalidInputError(
+                    f"{boundary_words(name)} has a name under which other conditions or their multipliers are found; "
+                    f"expected one of its own; try {name + ' of the ends'!r}"
+                )
         if not (isinstance(periodic, bool) or callable(periodic)):
             raise InvalidInputError(
                 f"periodic must be True, for q(T) = q(0), or a function g with q(T) = g(q(0)), got {periodic!r:.80}"
@@ -71,7 +79,7 @@ def boundary_words(name: str) -> str:
 
 
 def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:
-    """What a map between states returns; raises ``InvalidInputError`` if it is no point of the manifold by its structure."""
+    """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its structure."""
     image = function(q)
     wrong = manifold.describe_mismatch(jax.eval_shape(lambda: image), f"the value of {name}, a point")
     if wrong:

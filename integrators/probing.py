@@ -23,7 +23,6 @@ CURVATURES = 3  # random controls and covectors at which second derivatives are 
 SPREAD = 0.3  # size of the coordinates of these controls around the resting one
 ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SINGULAR_POWER = 0.67  # of the machine epsilon: smallest singular value of a matrix in units of its rows
-SAME = 1e-6  # largest distance of a direction from a space that it is in
 ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
 SAME = 1e-6  # largest distance of a direction from a space that it is in
 REACH = 10.0 ** np.arange(-4.5, 8.5)  # how far along a flat line the functions are looked at: no numbers that users write

@@ -114,8 +114,7 @@ class OptimalControlProblem(eqx.Module):
         self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given: Any = constraints
         self.limits = given if isinstance(given, Inequalities) else Inequalities.of(control_bounds, given, self.controls)
-        given = boundary_constraints
-        self.boundary = given if isinstance(given, BoundaryConditions) else BoundaryConditions.of(given, periodic)
+        self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.names)
         expected = ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
         takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
         self.takes_parameters = any(takes)

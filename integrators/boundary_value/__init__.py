@@ -4,9 +4,9 @@ from .batch_file import load_solutions
 from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
-from .phase import PhaseEnds
 from .phased_solution import PhasedSolution
 from .phases import Phase, solve_phases
+from .posed_phase import PhaseEnds
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
 from .solution import Checks, RegularChecks, SingularArc, SingularChecks, Solution, Solutions, Statistics, load_solution

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..boundary_conditions import BoundaryConditions
 from ..constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
 from ..free import Free, is_free
 from ..problem import OptimalControlProblem
@@ -62,7 +63,8 @@ class Arcs:
         paid: Any = {"terminal_cost": self._final} if problem.terminal_cost is not None else {}
         paid |= {"initial_cost": self._first} if problem.initial_cost is not None else {}
         velocity, rate = cast(Any, (self._velocity, self._rate))
-        paid |= {"constraints": held, "abnormal": problem.abnormal, "time_dependent": True}
+        paid |= {"constraints": held, "boundary_constraints": self._boundary(), "labels": problem.quantities}
+        paid |= {"abnormal": problem.abnormal, "time_dependent": True}
         self.problem = OptimalControlProblem(problem.manifold, velocity, rate, problem.controls, **paid)
 
     def parameters(self, durations: np.ndarray, own: Any) -> Any:
@@ -101,7 +103,8 @@ class Arcs:
         checks, size = found.checks, np.max(durations)
         hamiltonians = found.hamiltonians / rates
         own = found.parameters[OWN] if self.own.takes_parameters else None
-        multipliers = {name: rows / rates[:, None] for name, rows in found.multipliers.items() if name != LAST}
+        multipliers = {name: rows for name, rows in found.multipliers.items() if name != LAST}
+        multipliers |= {name: rows / rates[:, None] for name, rows in found.stage_multipliers.items() if name != LAST}
         for name in (PARAMETERS_LOWER, PARAMETERS_UPPER):  # of the durations first, in the order of the names
             rows = multipliers.pop(name, None)
             more = 0 if name == PARAMETERS_UPPER else durations.size - (not is_free(self.horizon))
@@ -140,7 +143,7 @@ class Arcs:
         stages = len(solution.stage_times) // solution.steps
         places = (np.arange(FINER * stages) + 0.5) / (FINER * stages)
         found = interpolant.within(solution, places)
-        rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.multipliers.items()}
+        rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.stage_multipliers.items()}
         at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
         shares = lagrange(at, places)
         own = {name: np.einsum("is,ksc->kic", shares, values).reshape(-1, values.shape[2]) for name, values in rows.items()}
@@ -206,6 +209,21 @@ class Arcs:
 
     def _first(self, q: Any, given: Any) -> Array:
         return self._bound(0.0, given).first_cost(q)
+
+    def _boundary(self) -> BoundaryConditions:
+        own = self.own.boundary
+        turn = None if own.turn is None else self._turned
+        return BoundaryConditions(own.names, tuple(map(self._between, range(len(own.names)))), turn)
+
+    def _between(self, place: int) -> Any:
+        def between(first: Any, last: Any, tau: Array, given: Any) -> Any:
+            end = jnp.sum(self.durations(given[DURATIONS]))
+            return self._bound(end, given).boundary.functions[place](first, last)
+
+        return between
+
+    def _turned(self, q: Any, given: Any) -> Any:
+        return self._bound(0.0, given).turned(q)
 
     def _last(self, q: Any, v: Array, tau: Array, given: Any) -> Array:
         return -self.durations(given[DURATIONS])[-1]

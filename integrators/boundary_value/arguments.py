@@ -20,6 +20,7 @@ from .progress import printed
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 ALONG = "control bounds", "constraints", "an initial cost", "an explicit time"
+BETWEEN = "boundary constraints", "periodic ends"
 Method = DiscretizationMap | Gauss
 
 
@@ -91,7 +92,7 @@ def check_problem(problem: Any, method: Any) -> None:
         raise InvalidInputError(
             f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
         )
-    problem.require_treated("solve", *ALONG, "boundary constraints", "periodic ends")
+    problem.require_treated("solve", *ALONG, *BETWEEN)
     problem.check_discretization(method)
 
 

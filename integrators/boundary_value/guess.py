@@ -11,7 +11,7 @@ from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
 from ..problem import OptimalControlProblem, resting_control
 from ..records import shapes
-from .arguments import Method, check_problem, fractions_of
+from .arguments import BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
 from .engine.layout import Layout
 from .engine.rollout import RollOut
@@ -112,7 +112,7 @@ def rolled_out(
 ) -> Guess:
     """The guess that controls lead to."""
     check_problem(problem, method)
-    problem.require_treated("Guess.from_controls", "control bounds", "constraints", "an initial cost")
+    problem.require_treated("Guess.from_controls", "control bounds", "constraints", "an initial cost", *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     begin = EndReader(problem.manifold).point(start)

@@ -13,7 +13,7 @@ from .end_points import EndReader
 from .engine.layout import Layout
 from .engine.start import Start
 from .guess import default_guess
-from .phase import NAMED
+from .posed_phase import NAMED
 
 
 def guessed_phases(phases: Sequence[Any], links: Sequence[Any]) -> list[Any]:

@@ -10,21 +10,23 @@ import numpy as np
 from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...reading import reads_once
-from ..boundary_conditions import BoundaryConditions, linked
+from ..boundary_conditions import BoundaryConditions, boundary_words, linked
 from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
+from ..singular.words import many
 from .arguments import Method, Options, check_problem, checked_options
 from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
 from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
 from .formulated import AGAIN, FAR, TOO_FAR
-from .phase import PhaseEnds, Phases, Posed, posed
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
+from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
 
+HORIZON = "horizon"
 LOST = (
     "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to leave the "
     "phase out, another guess of its duration, or a lower or an upper bound."
@@ -80,7 +82,7 @@ def solve_phases(
     if horizon is not None and not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}")
     given = _checked(phases, guess)
-    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints))
+    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints, len(given)))
     solution = task.solved(guessed_phases(given, task.links), options)
     for _ in range(AGAIN):
         lost, far = _strayed(given, solution)
@@ -99,13 +101,15 @@ class _Task:
     """What links phases."""
 
     def __init__(self, links: list[Any], horizon: float | None, constraints: dict[str, Any]) -> None:
-        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, Phases()
+        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, TracedPhases()
 
     def solved(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
         """The extremal from guesses of all phases."""
         began = time.perf_counter()
         begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
-        parts = [posed(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))]
+        parts = [
+            posed_phase(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
+        ]
         owns = [Own(part.inner.problem, part.asked.parameters) for part in parts]
         sizes = dict[str, int]()
         coupling = coupling_of(owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at))
@@ -125,7 +129,7 @@ class _Task:
         multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, multipliers)
 
-    def _links(self, parts: list[Posed]) -> list[Link]:
+    def _links(self, parts: list[PosedPhase]) -> list[Link]:
         """The links between phases."""
         found = []
         for k, link in enumerate(self.links):
@@ -134,22 +138,27 @@ class _Task:
                 found.append(_link(k, after, link, parts))
         return found
 
-    def _equations(self, parts: list[Posed], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
+    def _equations(self, parts: list[PosedPhase], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
         """The boundary constraints of all phases, the sum of the durations, and the times at which phases begin."""
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
-        values = {n: jnp.ravel(real_vector(f"boundary_constraints[{n!r}]", f(each))) for n, f in self.constraints.items()}
+        values = {n: jnp.ravel(real_vector(boundary_words(n), f(each))) for n, f in self.constraints.items()}
         if self.horizon is not None:
-            values["horizon"] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
+            values[HORIZON] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
         passed: Any = 0.0
         for k, (part, own) in enumerate(zip(parts, each, strict=True)):
             if k and part.problem.time_dependent:
-                values[f"start of phase {k}"] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
+                values[_start_words(k)] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
             passed = passed + own.duration
         sizes.update({name: value.shape[0] for name, value in values.items()})
         return jnp.concatenate([jnp.zeros(0), *values.values()])
 
 
-def _link(before: int, after: int, link: Any, parts: list[Posed]) -> Link:
+def _start_words(k: int) -> str:
+    """The name of the equation that says when a phase begins."""
+    return f"start of phase {k}"
+
+
+def _link(before: int, after: int, link: Any, parts: list[PosedPhase]) -> Link:
     """The link from the end of a phase to the start of another."""
     one, other = parts[before], parts[after]
     name, manifold = f"links[{before}]", other.problem.manifold
@@ -166,7 +175,10 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
-        raise InvalidInputError(f"guess must be a PhasedSolution of {len(phases)} phases, got {guess!r:.80}")
+        raise InvalidInputError(
+            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {guess!r:.80}; try what "
+            "solve_phases returned for phases like these"
+        )
     return [_near(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
 
 
@@ -209,12 +221,10 @@ def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
     return list(given)
 
 
-def _checked_constraints(given: Any) -> dict[str, Any]:
-    """The boundary constraints of all phases."""
-    functions = BoundaryConditions.of(given, False)
+def _checked_constraints(given: Any, count: int) -> dict[str, Any]:
+    """The boundary constraints of so many phases."""
+    functions = BoundaryConditions.of(given, False, (HORIZON, *map(_start_words, range(count))))
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
-            raise InvalidInputError(
-                f"boundary_constraints[{name!r}] must be a function of the ends of all phases, got {function!r}"
-            )
+            raise InvalidInputError(f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}")
     return dict(zip(functions.names, functions.functions, strict=True))

@@ -18,7 +18,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
-from .arguments import check_parameters
+from .arguments import ALONG, BETWEEN, check_parameters
 from .engine.chart import lagrange
 from .engine.evaluator import Automatic, Evaluator
 from .engine.layout import Layout, parameter_layout
@@ -63,7 +63,7 @@ def discretization_error(
     ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
     manifold, and ``InvalidInputError`` if parameters are missing.
     """
-    problem.require_treated("discretization_error", "control bounds", "constraints", "an initial cost", "an explicit time")
+    problem.require_treated("discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)

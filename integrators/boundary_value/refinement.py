@@ -63,7 +63,7 @@ class Refinement:
         if not (is_finite_number(self.accuracy) and self.accuracy > 0):
             raise InvalidInputError(f"accuracy must be a positive finite number, got {self.accuracy!r}; try 1e-8")
         self._solvers: dict[tuple[Any, Any], Solver] = {}
-        self._arcs: dict[bytes, Arcs] = {}
+        self._arcs: dict[tuple[bytes, float | None], Arcs] = {}
         self._estimator: Estimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most = MOST_STAGES
@@ -207,10 +207,14 @@ class Refinement:
         return found
 
     def _in_arcs(
-        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
+        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray, bound: float | None = None
     ) -> tuple[Solution, ControlStructure]:
-        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place."""
-        horizon, key = self._horizon(guess), structure.sides.tobytes()
+        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place.
+
+        A free horizon that leaves its bounds is held at the one that it passed, ``bound``.
+        """
+        horizon = self._horizon(guess) if bound is None else bound
+        key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
             self._arcs[key] = Arcs(self.problem, structure.sides, horizon, abs(guess.cost) / guess.horizon or 1.0)
         posed = self._arcs[key]
@@ -228,6 +232,9 @@ class Refinement:
         if not found.success:
             return found, structure
         solution = posed.solution(found)
+        if is_free(horizon) and not horizon.lower <= solution.horizon <= horizon.upper:
+            held = float(np.clip(solution.horizon, horizon.lower, horizon.upper))
+            return self._in_arcs(guess, structure, lengths, arcs, held)
         durations = posed.durations(found.parameters[DURATIONS])
         times = np.concatenate([[0.0], np.cumsum(durations)])
         lasting = structure._replace(times=times).without_vanished()

@@ -34,9 +34,8 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     for name, values in solution.multipliers.items():
         if values.ndim == 1:
             yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
-    held = {name: rows for name, rows in solution.multipliers.items() if rows.ndim > 1}
-    if held and isinstance(checks, RegularChecks):
-        yield from _inequalities(held, checks)
+    if solution.stage_multipliers and isinstance(checks, RegularChecks):
+        yield from _inequalities(solution.stage_multipliers, checks)
 
 
 def _inequalities(multipliers: dict[str, np.ndarray], checks: RegularChecks) -> Iterator[tuple[str, str]]:

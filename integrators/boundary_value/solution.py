@@ -235,6 +235,11 @@ class Solution:
             raise ConvergenceError(f"{self.result}\n{self}", self)
         return self
 
+    @property
+    def stage_multipliers(self) -> dict[str, np.ndarray]:
+        """The multipliers of the inequalities, of shape ``(N s, k)``: all but those of the boundary constraints."""
+        return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
+
     def to_xarray(self) -> Any:
         """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""
         from ...interop import to_xarray
@@ -262,7 +267,7 @@ class Solution:
         values["geometry"] = None if self.interpolant is None else self.interpolant.text
         values["quantities"] = None if self.quantities is None else self.quantities.text
         values["parameters"] = _in_tuples(self.parameters)
-        values["multipliers"] = {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
+        values["multipliers"] = self.stage_multipliers
         values["boundary"] = {name: row for name, row in self.multipliers.items() if row.ndim == 1}
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
 

@@ -8,10 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from .integrators import OptimalControlProblem, Quantities, Quantity, Solution, Trajectory
+from .integrators.quantities import with_unit
 from .manifolds import Euclidean, InvalidInputError, Manifold
 
 ROTATIONS, POSES, SPHERE = ("SO(2)", "SO(3)"), ("SE(2)", "SE(3)"), "Sphere(2)"
 BODY = ("SO(3)", "SE(3)")
+About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
 
 
 class Channel(NamedTuple):
@@ -26,6 +28,17 @@ class Channel(NamedTuple):
     def unit(self) -> str:
         """The unit of all entries; empty where they have several, or none."""
         return self.units[0] if len(set(self.units)) == 1 else ""
+
+    @property
+    def title(self) -> str:
+        """The name with the unit of all entries."""
+        return with_unit(self.name, self.unit)
+
+    @property
+    def labels(self) -> list[str]:
+        """The names of the entries, with their units where these differ."""
+        units = self.units if len(self.units) > 1 and not self.unit else [""] * len(self.entries)
+        return [with_unit(*pair) for pair in zip(self.entries, units, strict=True)]
 
 
 class View(NamedTuple):
@@ -42,7 +55,7 @@ class View(NamedTuple):
     quantities: Quantities
 
 
-def view(record: Any, problem: OptimalControlProblem | Manifold | None = None) -> View:
+def view(record: Any, problem: About = None) -> View:
     """The arrays of a ``Solution`` or a ``Trajectory``, of which ``problem`` has the names and units, or a manifold the spaces.
 
     Raises ``InvalidInputError`` for anything else, for a batch of trajectories, and if the problem is one of other arrays.
@@ -57,7 +70,10 @@ def view(record: Any, problem: OptimalControlProblem | Manifold | None = None) -
         quantities = _quantities(problem, states, controls)
         found = View(np.asarray(record.times), states, costates, stages.ravel(), controls, quantities)
     else:
-        raise InvalidInputError(f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, record[0]")
+        raise InvalidInputError(
+            f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, "
+            "record[0], or one of the phases, record.phases[0]"
+        )
     found.quantities.require_fits("", tuple(found.states), tuple(found.controls or _nothing(found.quantities)))
     return found
 

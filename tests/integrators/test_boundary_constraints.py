@@ -181,6 +181,20 @@ def test_what_are_no_boundary_constraints_is_named(between, words):
         solved()
 
 
+@pytest.mark.parametrize("name", ["periodic", "control_bounds lower", "horizon upper", "cone"])
+def test_names_of_other_multipliers_are_refused(name):
+    words = rf"boundary_constraints\['{name}'\] has a name under which .* try '{name} of the ends'"
+    with pytest.raises(InvalidInputError, match=words):
+        OptimalControlProblem(
+            GLOBE,
+            lambda q, u: jnp.cross(u, q),
+            effort,
+            3,
+            constraints={"cone": lambda q, u: q[0] - 2},
+            boundary_constraints={name: leaning},
+        )
+
+
 def test_equations_that_depend_on_each_other_where_they_hold():
     """``q(T) - q(0)`` on a sphere: three equations, of which two are independent where the ends are one point."""
     force = jnp.array([0.0, 0.0, 1.0])

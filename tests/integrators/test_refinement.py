@@ -95,6 +95,38 @@ def test_a_switch_is_found_wherever_it_is(speeds):
 DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1, 1))
 
 
+@pytest.mark.parametrize("slopes", [(0.5,), pytest.param((-0.3, 0.01, 0.2, 0.8, 1.1), marks=pytest.mark.slow)])
+def test_ends_on_a_set_hold_in_arcs_too(slopes):
+    """To the line ``x = 1 + c v`` in least time: forward, and for the last ``c`` of the time backward."""
+    labels = {"controls": "force"}
+    for c in slopes:
+        ends = {"line": lambda first, last, c=c: last[0] - 1 - c * last[1]}
+        problem = OptimalControlProblem(
+            PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1), boundary_constraints=ends, labels=labels
+        )
+        guess = Free(np.array([1.0, 0.5]))
+        found = solve(problem, Gauss(2, Addition(PLANE)), np.array([0.0, 0.9]), guess, Free(2.0), 10, accuracy=1e-9)
+        least = np.sqrt(2.81 - c**2) - 0.9 + c if c > 0 else c - 0.9 + np.sqrt((0.9 - c) ** 2 + 2 + 1.8 * c)
+        assert found.horizon == pytest.approx(least, rel=1e-9)
+        assert abs(found.states[-1, 0] - 1 - c * found.states[-1, 1]) < 1e-12
+        assert control_structure(problem, found).arcs == 1 + (c > 0)
+        along = found.states[-1, 1] - c * (1 if c < 0 else -1)  # what the rate of the equation is at the end
+        np.testing.assert_allclose(found.multipliers["line"], [-1 / along], rtol=1e-8)
+        assert found.quantities.controls[0].name == "force"
+
+
+@pytest.mark.parametrize("shares", [(1.0001,), pytest.param((0.99, 0.999999, 1.000001, 1.0003, 1.01), marks=pytest.mark.slow)])
+def test_a_bound_of_the_horizon_holds_in_arcs_too(shares):
+    """It passes the horizon in arcs, then that of the first mesh, which is too long."""
+    least, _, _ = quickest(0.9)
+    ends = np.array([0.0, 0.9]), np.array([1.0, 0.0])
+    for share in shares:
+        horizon = Free(3.0, lower=share * least)
+        found = solve(QUICKEST, Gauss(2, Addition(PLANE)), *ends, horizon, 10, accuracy=1e-6)
+        assert found.horizon == pytest.approx(max(share, 1.0) * least, rel=1e-9)
+        np.testing.assert_allclose(found.states[-1], ends[1], atol=1e-9)
+
+
 @pytest.mark.slow
 def test_a_singular_arc_comes_and_goes():
     """To a singular arc and away from it, ``x = u = 0``, for which there is time only beyond 3/2."""

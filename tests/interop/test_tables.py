@@ -4,12 +4,17 @@ import csv
 import sys
 
 import jax.numpy as jnp
+import matplotlib as mpl
 import numpy as np
 import pytest
+from retrax import plotting
 from retrax.integrators import OptimalControlProblem, Result, Solver, Trajectory
 from retrax.interop import MissingPackageError, to_csv, to_pandas, to_xarray
 from retrax.manifolds import SO, Euclidean, InvalidInputError, U, hat
-from retrax.retractions import Cayley, Gauss
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint
+
+mpl.use("Agg")
+from matplotlib import pyplot as plt
 
 Q = SO(3) * Euclidean(2)
 PROBLEM = OptimalControlProblem(
@@ -94,6 +99,29 @@ def test_a_csv_file_is_read_back_as_it_was(batch, at, tmp_path):
     assert "right, m [kg]" in head
     to_csv(batch[0], tmp_path / "one.csv", at)
     assert (tmp_path / "one.csv").read_text().startswith('time [s],"attitude[0,0]"')
+
+
+def test_multipliers_of_boundary_constraints_are_no_rows_of_stages(tmp_path):
+    """They have one entry for each equation, here as many as there are stages, and have no place in a table of these."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u: u,
+        lambda q, u: u @ u / 2,
+        2,
+        control_bounds=(-3, 3),
+        boundary_constraints={"place": lambda a, b: b - jnp.array([1.0, 2.0])},
+    )
+    solution = Solver(problem, Midpoint(Addition(plane)), 2).solve(np.zeros(2), None, 1.0)
+    data = solution.to_xarray()
+    np.testing.assert_array_equal(data["multiplier of place"], solution.multipliers["place"])
+    assert data["multiplier of place"].dims == ("place_0",)
+    assert data["multiplier of control_bounds upper"].dims == ("stage_time", "control_bounds upper_0")
+    assert not any("place" in name for name in solution.to_pandas("stages").columns)
+    to_csv(solution, tmp_path / "stages.csv", "stages")
+    assert "place" not in (tmp_path / "stages.csv").read_text()
+    assert len(plotting.optimality(solution, problem)[-1].lines) == 4  # two bounds from below and two from above
+    plt.close("all")
 
 
 def test_trajectories_have_the_names_of_the_problem_that_is_given():

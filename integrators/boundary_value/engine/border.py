@@ -17,7 +17,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from .bordered import bordered, of_lagrangian
+from .augmented import augmented, of_lagrangian
 from .conditions import Conditions
 from .coupling import Coupled
 from .elimination import WEIGHT, BlockSystem, eliminate
@@ -58,7 +58,7 @@ def responses(conditions: Conditions, iterate: Iterate, assembled: Assembled, sh
         limits = conditions.transcription.limits(blocks, conditions.data)
         none = np.zeros((*system.slope.shape[:2], limits.shape[2], system.slope.shape[3]))
         system = system._replace(slope=np.concatenate([system.slope, none], axis=2))
-        system, units = bordered(system, units, limits, blocks.inequalities, iterate.slacks)
+        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
         others = limits.shape[1] * limits.shape[2]  # each has a negative eigenvalue of its own
     found = eliminate(system, units, shift)
     steps, multipliers = found.steps[:, :, :z], found.multipliers

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple, cast, final
 import jax
 import numpy as np
 
-from .bordered import is_isolated_minimum
+from .augmented import is_isolated_minimum
 from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step

@@ -15,7 +15,7 @@ from jaxtyping import Array
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
-from .bordered import of_lagrangian, solved
+from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense
 from .conditions import Conditions

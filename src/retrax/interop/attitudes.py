@@ -14,12 +14,10 @@ from typing import Any, Literal, final
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..channels import rotations, view
-from ..integrators import OptimalControlProblem
-from ..manifolds import InvalidInputError, Manifold
+from ..channels import About, rotations, view
+from ..manifolds import InvalidInputError
 
 Scalar = Literal["first", "last"]
-About = OptimalControlProblem | Manifold | None
 ROUNDED = 1e-6  # by what the norm of a quaternion written with few digits is off
 VERSION = "2.0"
 REQUIRED = "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"
@@ -29,7 +27,7 @@ def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
     """Unit quaternions of rotations of shape ``(..., 3, 3)``, shape ``(..., 4)``, with the scalar part ``"first"`` or ``"last"``.
 
     The second rotation of a sequence, and each after it, has the sign that is nearer to the one before. The first one has a
-    scalar part that is not negative. Raises ``InvalidInputError`` for other words, and for arrays that are no rotations.
+    scalar part that is not negative. Raises ``InvalidInputError`` for other words, and for arrays that are not rotations.
     """
     _require_scalar(scalar)
     given = np.asarray(matrices, float)
@@ -156,7 +154,7 @@ def from_aem(path: str | Path) -> AttitudeEphemeris:
         epochs = [_read_stamp(row[0]) for row in rows]
         quaternions = np.array([row[1:] for row in rows], float).reshape(len(rows), 4)
     except ValueError as error:
-        raise InvalidInputError(f"{path} has lines of data that are no time and four numbers ({error})") from error
+        raise InvalidInputError(f"{path} has lines of data that are not a time and four numbers ({error})") from error
     if not rows:
         raise InvalidInputError(f"{path} has no attitudes, expected one or more lines of a time and a quaternion")
     scalar: Any = words.get("QUATERNION_TYPE", "LAST").lower()

@@ -7,13 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..channels import View, raw, view
-from ..integrators import OptimalControlProblem, Quantity, Solution, Solutions
+from ..channels import About, View, raw, view
+from ..integrators import Quantity, Solution, Solutions
 from ..integrators.quantities import with_unit
-from ..manifolds import InvalidInputError, Manifold
+from ..manifolds import InvalidInputError
 from .optional import needed
-
-About = OptimalControlProblem | Manifold | None
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:
@@ -21,8 +19,9 @@ def to_xarray(record: Any, problem: About = None) -> Any:
 
     States and costates (``costate of NAME``) are along ``time``, the nodes; controls, multipliers and the Hamiltonian along
     ``stage_time``; a batch has the dimension ``member`` first, then ``node`` or ``stage``, of which each has its times. Axes of
-    an array are ``NAME_0``, ``NAME_1``; entries with names of their own are coordinates. ``units`` is an attribute of each
-    variable that has one for all entries. ``problem`` has the names and units of a trajectory, or is its manifold.
+    an array are ``NAME_0``, ``NAME_1``, and multipliers of boundary constraints have no other; entries with names of their own
+    are coordinates. ``units`` is an attribute of each variable that has one for all entries. ``problem`` has the names and units
+    of a trajectory, or is its manifold.
 
     Raises ``InvalidInputError`` for other records, ``MissingPackageError`` without xarray.
     """
@@ -59,7 +58,8 @@ def _with_record(made: Any, solution: Solution, found: View) -> Any:
     """The data set with what a solution has besides its states and controls."""
     made["hamiltonian"] = ("stage_time", solution.hamiltonians)
     for name, rows in solution.multipliers.items():
-        made[f"multiplier of {name}"] = (("stage_time", f"{name}_0"), rows)
+        along = ("stage_time",) if rows.ndim > 1 else ()
+        made[f"multiplier of {name}"] = ((*along, f"{name}_0"), rows)
     made.attrs = {"cost": solution.cost, "success": int(solution.success), "result": solution.result}
     if found.quantities.cost:
         made.attrs["cost_units"] = found.quantities.cost
@@ -165,7 +165,7 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
 
 def _at_stages(solution: Solution) -> list[tuple[str, Quantity, np.ndarray]]:
     """The Hamiltonian and the multipliers."""
-    rows = {"hamiltonian": solution.hamiltonians, **{f"multiplier of {name}": v for name, v in solution.multipliers.items()}}
+    rows = {"hamiltonian": solution.hamiltonians, **{f"multiplier of {n}": v for n, v in solution.stage_multipliers.items()}}
     places = {name: tuple(map(str, range(v.shape[1]))) if v.ndim > 1 else ("",) for name, v in rows.items()}
     return [("", Quantity(name, ("",), places[name], ""), values) for name, values in rows.items()]
 

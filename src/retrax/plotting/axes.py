@@ -5,11 +5,9 @@ from typing import Any
 import numpy as np
 
 from ..channels import Channel, View
-from ..integrators import OptimalControlProblem
 from ..integrators.quantities import with_unit
-from ..manifolds import InvalidInputError, Manifold
+from ..manifolds import InvalidInputError
 
-About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
 PANEL = 4.6, 3.2  # inches
 MANY = 12  # entries that a legend still names
 
@@ -48,12 +46,11 @@ def several(ax: Any, count: int) -> np.ndarray:
 
 def draw(ax: Any, times: np.ndarray, channel: Channel, found: View, **style: Any) -> Any:
     """A history with its name, units and the names of its entries."""
-    units = channel.units if len(channel.units) > 1 and not channel.unit else [""] * len(channel.entries)
-    names = [with_unit(*pair) for pair in zip(channel.entries, units, strict=True)]
+    names = channel.labels
     shown = len(names) <= MANY and any(names)
     for column, name in zip(channel.values.T, names, strict=True):
         ax.plot(times, column, label=name if shown else None, **style)
-    ax.set_ylabel(with_unit(channel.name, channel.unit))
+    ax.set_ylabel(channel.title)
     time_axis(ax, found)
     if shown:
         ax.legend(fontsize="small")

@@ -8,7 +8,6 @@ import numpy as np
 from ..channels import Channel, control_channels, raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
 from ..integrators.functions import require_concrete
-from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
 from ..reading import reads_once
 from .axes import draw, one, several, time_axis
@@ -56,13 +55,15 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
     Those that are nowhere more than a thousandth of the largest have no name in the legend. Returns the axes; raises
     ``InvalidInputError`` for a solution of a problem without inequalities.
     """
-    if not _checked(solution).multipliers:
+    rows_by_name = _checked(solution).stage_multipliers
+    if not rows_by_name:
         raise InvalidInputError(
-            "the solution has no multipliers, its problem has no inequalities; try control_bounds= or constraints= of the problem"
+            "the solution has no multipliers at its stages, its problem has no inequalities; try control_bounds= or constraints= "
+            "of the problem"
         )
     found, axis = view(solution), one(ax)
-    least = ACTIVE * max(np.max(rows, initial=0.0) for rows in solution.multipliers.values())
-    for name, rows in solution.multipliers.items():
+    least = ACTIVE * max(np.max(rows, initial=0.0) for rows in rows_by_name.values())
+    for name, rows in rows_by_name.items():
         for k, column in enumerate(rows.T):
             words = f"{name}[{k}]" if rows.shape[1] > 1 else name
             axis.plot(found.stage_times, column, label=words if np.max(column) > least else None)
@@ -105,14 +106,14 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape ``(panels,)``.
     """
     found = view(_checked(solution), problem)
-    rows = 1 + (problem is not None) + bool(solution.multipliers)
+    rows = 1 + (problem is not None) + bool(solution.stage_multipliers)
     axes = _stacked(rows) if ax is None else several(ax, rows)
     for channel in control_channels(found):
         draw(axes[0], found.stage_times, channel, found)
         _bounds(axes[0], problem, channel)
     if problem is not None:
         switching(problem, solution, axes[1])
-    if solution.multipliers:
+    if solution.stage_multipliers:
         multipliers(solution, axes[-1])
     return axes
 
@@ -130,7 +131,6 @@ def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) 
         return
     for bound in {float(b) for side in problem.control_bounds for b in side.ravel() if np.isfinite(b)}:
         axis.axhline(bound, color="0.4", linestyle="--", linewidth=0.8)
-    axis.set_ylabel(with_unit(channel.name, channel.unit))
 
 
 def _checked(solution: Any) -> Solution:

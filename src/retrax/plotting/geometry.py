@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import POSES, SPHERE, rotations, view
+from ..channels import POSES, SPHERE, About, rotations, view
 from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
-from .axes import About, one
+from .axes import one
 
 FRAMES = 8
 ARM = 0.08  # length of the axes of a frame, of the extent of the path

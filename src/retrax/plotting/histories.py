@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import Channel, control_channels, rotation_vectors, rotations, state_channels, view
+from ..channels import About, Channel, control_channels, rotation_vectors, rotations, state_channels, view
 from ..manifolds import InvalidInputError
-from .axes import About, draw, one, several
+from .axes import draw, one, several
 
 
 def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:

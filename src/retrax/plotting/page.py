@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..channels import BODY, SPHERE, Channel, View, control_channels, state_channels, view
+from ..channels import BODY, SPHERE, About, Channel, View, control_channels, state_channels, view
 from ..integrators import Solution
 from ..integrators.quantities import with_unit
 from ..interop.optional import needed
 from ..manifolds import InvalidInputError
-from .axes import About
 
 FRAMES = 241
 BODY_SIZE, ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
@@ -81,7 +80,7 @@ class _Body(NamedTuple):
 
 
 def _checked(mesh: Any) -> _Body:
-    """The body that is drawn; raises for what is no mesh."""
+    """The body that is drawn; raises for what is not a mesh."""
     if mesh is None:
         return _Body(BOX, np.array(SIDES), given=False)
     if not isinstance(mesh, Sequence) or len(mesh) != 2:
@@ -141,9 +140,7 @@ def _histories(found: View) -> list[dict[str, Any]]:
 
 
 def _panel(times: np.ndarray, channel: Channel) -> dict[str, Any]:
-    units = [""] * len(channel.entries) if channel.unit or len(channel.units) == 1 else channel.units
-    names = [with_unit(*pair) for pair in zip(channel.entries, units, strict=True)]
-    return {"title": with_unit(channel.name, channel.unit), "times": times, "names": names, "columns": channel.values.T}
+    return {"title": channel.title, "times": times, "names": channel.labels, "columns": channel.values.T}
 
 
 def _plain(value: Any) -> Any:

@@ -16,8 +16,7 @@ from .formulation import Formulation, is_formulated
 from .interpolation import Interpolant
 from .members import Asked, MemberReader
 from .outcome import explained
-from .posed import Posed as Equations
-from .posed import Posing
+from .posed import Posed, Posing
 from .recording import Recording
 from .resampling import Mesh
 from .solution import Solution
@@ -46,7 +45,7 @@ class _Inner:
 
 
 @final
-class Posed(NamedTuple):
+class PosedPhase(NamedTuple):
     """A phase as equations: the problem as given, its formulation if it has one, and the equations of that."""
 
     problem: OptimalControlProblem
@@ -55,7 +54,7 @@ class Posed(NamedTuple):
     outer: _Inner
     inner: _Inner
     asked: Asked
-    posed: Equations
+    posed: Posed
 
     def state(self, y: Any) -> Any:
         """The state of the problem as given."""
@@ -86,7 +85,7 @@ class Posed(NamedTuple):
 
 
 @final
-class Phases:
+class TracedPhases:
     """Makes the equations of phases; those with the same problem, method and steps are traced once."""
 
     def __init__(self) -> None:
@@ -102,7 +101,7 @@ class Phases:
         return self._made[key][1]
 
 
-def posed(number: int, phase: Any, begins: float, phases: Phases) -> Posed:
+def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) -> PosedPhase:
     """The equations of a phase that is guessed to begin at a time."""
     problem, outer = phase.problem, phases.inner(phase)
     inner = outer
@@ -119,4 +118,4 @@ def posed(number: int, phase: Any, begins: float, phases: Phases) -> Posed:
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:
         raise InvalidInputError(f"phase {number}: {SINGULAR}")
-    return Posed(problem, phase.parameters, formulation, outer, inner, asked, equations)
+    return PosedPhase(problem, phase.parameters, formulation, outer, inner, asked, equations)

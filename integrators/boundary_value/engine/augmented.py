@@ -1,4 +1,4 @@
-"""The KKT system with the multipliers of the inequalities among the unknowns of the steps.
+"""The augmented KKT system, with the multipliers of the inequalities among the unknowns of the steps.
 
 Where an inequality is active its stiffness D grows without bound as the barrier vanishes: ``H + w J' D J`` then has a
 curvature beside it that is small relative to its entries, and lost in their rounding. Newton's steps bear that [Wright 1998];
@@ -40,7 +40,7 @@ def solved(conditions: Conditions, iterate: Iterate, blocks: Blocks, slope: np.n
     system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed)
     if iterate.slacks is not None:
         limits = conditions.transcription.limits(blocks, conditions.data)
-        system, units = bordered(system, units, limits, blocks.inequalities, iterate.slacks)
+        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
     return eliminate(system, units)
 
 
@@ -57,7 +57,7 @@ def is_isolated_minimum(conditions: Conditions, iterate: Iterate, assembled: Ass
     return is_strict_minimum(found._replace(negative=found.negative - others), assembled.gap[0].size)
 
 
-def bordered(system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks) -> tuple[BlockSystem, Units]:
+def augmented(system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks) -> tuple[BlockSystem, Units]:
     """The system of the Lagrangian alone with its inequalities, and their units.
 
     ``limits``: derivatives in the unknowns of the steps, shape (B, N, c, z) with the inequalities of all points of a step. The
