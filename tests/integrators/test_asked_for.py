@@ -32,7 +32,7 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
         ("toleranse", r"did you mean tolerance\?"),
-        ("quiet", "callback, verbose$"),
+        ("quiet", "callback, verbose, accuracy$"),
     ],
 )
 def test_an_option_that_does_not_exist_is_answered(name, words):

@@ -108,7 +108,8 @@ def test_orders_between_the_nodes(fine, name, method):
 def test_states_and_costates_meet_at_the_nodes_and_all_is_that_of_the_stages(name, method):
     """To rounding from both sides, also in steps of very unequal lengths; states are on the manifold everywhere."""
     subject = SUBJECTS[name]
-    solution = found(subject, METHODS[method][0](subject.retraction), [1, 3, 0.01, 2, 5])
+    made = METHODS[method][0](subject.retraction)
+    solution = found(subject, made, [1, 3, 0.01, 2, 5], guess=found(subject, made, 5))
     at_nodes, before = solution(solution.times), solution(np.nextafter(solution.times[1:], 0.0))
     for part in ("states", "costates"):
         own, limit = entries(getattr(solution, part)), 1e-13 * (1 + np.max(np.abs(entries(getattr(solution, part)))))

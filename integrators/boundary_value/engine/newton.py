@@ -26,6 +26,7 @@ RECORD = 0.9
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
+EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 RAISE, LOWER = 10.0, 4.0
 STIFF, SLOW = 1e2, 1e-6  # a shift, or a share of a step, at which hard inequalities are made elastic
@@ -142,7 +143,7 @@ class _Search:
     def begun(self, guess: Iterate) -> _State:
         """The state at the guess, with a first step."""
         conditions = self.conditions
-        guess, assembled = conditions.begin(guess)
+        guess, assembled = self.first = conditions.begin(guess)
         residuals = conditions.residuals(guess, assembled)
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
@@ -188,7 +189,8 @@ class _Search:
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= SLOW)
         stuck &= conditions.is_hard(iterate, state.assembled)
         if stuck.any():
-            iterate = conditions.softened(iterate, state.assembled, stuck)
+            # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
+            iterate = merged(stuck, conditions.softened(*taken(self.first, state.member), stuck), iterate)
             state = state._replace(shift=np.where(stuck, 0.0, state.shift))
         if (stuck | cheap).any():
             state = state._replace(assembled=conditions.assemble(iterate))
@@ -274,9 +276,9 @@ class _Search:
         stuck = arrived & (wanted > SHRINKS * state.correction)
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
-        # The step that is known is made where it is longer than the tolerance: it costs an evaluation and doubles the digits.
-        near = state.isolated | (wanted <= self.tolerance)
-        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & near) | stuck)
+        # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
+        exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
+        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
     def elsewhere(self, state: _State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
