@@ -10,6 +10,7 @@ from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Slacks, moved, potential_slope, turned
 from .scaling import SHARE, Units, natural_units
+from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
@@ -245,7 +246,7 @@ class Conditions:
             lacking = limits.weights * step.turn.multipliers * limits.missing(slacks)
             dual = step.turn.dual * lacking.sum(axis=(1, 2, 3))
             return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
-        return ahead / self.measured.cost, turned / self.measured.cost
+        return step.reach * ahead / self.measured.cost, step.reach * turned / self.measured.cost
 
     def eliminate(self, iterate: Iterate, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
@@ -255,7 +256,7 @@ class Conditions:
         return self.completed(iterate, assembled, step), found.curvature, found.size
 
     def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
-        """The step with what it is of what was condensed, and of the slacks."""
+        """The step with what it is of what was condensed, and of the slacks; and how much of it may be made."""
         blocks, steps = assembled.blocks, step.unknowns
         if blocks.inner is not None or blocks.held is not None:
             moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
@@ -265,7 +266,8 @@ class Conditions:
             if iterate.slacks is not None:
                 turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
-        return step
+        share = followed(self.transcription, self.at_nodes, self.data, iterate, assembled, step, self._of_nodes(assembled, step))
+        return step.within(share)
 
     def _scales(self, assembled: Assembled) -> np.ndarray:
         """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all coordinates."""

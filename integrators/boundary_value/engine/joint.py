@@ -152,7 +152,7 @@ class JointConditions:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
         parts = []
         for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
-            parts.append(phase.move(part, system, turn, fraction if turn.turn is not None else fraction * step.reach))
+            parts.append(phase.move(part, system, turn, fraction))
         frames = [frame for part in assembled.parts for frame in (part.frames[:, 0], part.frames[:, -1])]
         coordinates = assembled.coupled.multipliers + (fraction * step.reach)[:, None] * step.multipliers
         return JointIterate(tuple(parts), self.coupling.lifted(coordinates, frames))
@@ -232,9 +232,8 @@ class JointConditions:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
         coupled, ahead, turned = assembled.coupled, np.zeros(len(step.reach)), np.zeros(len(step.reach))
         for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
-            share = 1.0 if turn.turn is not None else step.reach
             one, other = phase.promise(part, system, turn)
-            ahead, turned = ahead + share * one, turned + share * other
+            ahead, turned = ahead + one, turned + other
         # What the ends cost in a phase has the multipliers times the equations in it.
         pulled = np.einsum("br,brz,bz->b", coupled.multipliers, coupled.jacobian, step.moves)
         changed = np.sum(step.multipliers * coupled.values, axis=1)
@@ -298,9 +297,9 @@ class JointConditions:
         return np.einsum("bkz,bkzy,bky->b", d, whole, d) + shift * size * units.cost, size
 
     def _joined(self, steps: list[Step], moves: np.ndarray, solved: Solved, parts: list[Response], equations: int) -> JointStep:
-        """The steps of all phases, with one share that the inequalities let them go; ``equations`` of the border."""
+        """The steps of all phases, with one share that all may go; ``equations`` of the border."""
         reach = np.min([np.broadcast_to(step.reach, len(moves)) for step in steps], axis=0)
-        same = (step if step.turn is None else step._replace(turn=step.turn._replace(reach=reach)) for step in steps)
+        same = (step.within(reach) for step in steps)
         counts = [step.multipliers[0].size for step in steps]
         convex, clear = _convex(solved, parts, sum(counts), equations)
         finite = np.all([step.finite for step in steps], axis=0) & np.all(np.isfinite(solved.multipliers), axis=1)

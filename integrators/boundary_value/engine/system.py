@@ -47,11 +47,18 @@ class Step(NamedTuple):
     finite: np.ndarray
     inner: Any = None  # of what was condensed
     turn: Turn | None = None  # of the slacks
+    share: np.ndarray | float = 1.0  # of the step that may be made
 
     @property
     def reach(self) -> np.ndarray | float:
-        """The share of the step that the inequalities let it go."""
-        return 1.0 if self.turn is None else self.turn.reach
+        """The share of the step that may be made, and that the inequalities let it go."""
+        return self.share if self.turn is None else self.turn.reach
+
+    def within(self, share: np.ndarray) -> "Step":
+        """The step of which at most this share is made."""
+        if self.turn is None:
+            return self._replace(share=share)
+        return self._replace(share=share, turn=self.turn._replace(reach=np.minimum(share, self.turn.reach)))
 
 
 class Residuals(NamedTuple):

@@ -255,6 +255,12 @@ class Nodes:
             largest = np.max(directions * largest[:, :, None], axis=-1, initial=0.0)
         return largest.reshape(len(largest), -1)
 
+    def control_support(self, controls: np.ndarray) -> np.ndarray | None:
+        """Largest entries of the frames at the controls, shape (B, m, U), unless their space is flat."""
+        if self._directions is None:
+            return None
+        return np.max(np.abs(self._directions.at(3, controls)[0]), axis=(1, 2))
+
     def amid(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by entry.
 
