@@ -209,3 +209,21 @@ def test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost():
     many = Solver(problem, Gauss(2, default_retraction(line)), 4).solve_many(np.ones(1), None, 1.0, parameters=units)
     assert many.success.all()
     np.testing.assert_allclose(many.cost / units, many.cost[0], rtol=1e-10)
+
+
+def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
+    """A turn about an axis by ``a`` in the time T needs a torque of ``4 J a / T^2``; the cheapest turn has ``6 J a / T^2``."""
+    body, inertia, angle = SO(3) * Euclidean(3), jnp.array([3.0, 2.0, 1.5]), 2.0
+    end = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+
+    def turning(q, u, most):
+        rate = q[1]
+        return q[0] @ hat(rate), (most * u - jnp.cross(rate, inertia * rate)) / inertia
+
+    problem = OptimalControlProblem(body, turning, lambda q, u, most: u @ u / 2, 3, control_bounds=(-1.0, 1.0))
+    solver = Solver(problem, Midpoint(Cayley(body)), 20)
+    for share in (0.3, 0.6, 0.65, 0.68, 0.8, 1.1):
+        most = share * 6 * 3.0 * angle / 4.0**2
+        found = solver.solve((np.eye(3), np.zeros(3)), (end, np.zeros(3)), 4.0, parameters=np.array(most), throw=False)
+        assert found.success == (share > 2 / 3), (share, found.result)
+        assert found.success or "contradict" in found.result, (share, found.result)
