@@ -190,7 +190,8 @@ class _Search:
         stuck &= conditions.is_hard(iterate, state.assembled)
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
-            iterate = merged(stuck, conditions.softened(*taken(self.first, state.member), stuck), iterate)
+            first, assembled = taken(self.first, state.member)
+            iterate = merged(stuck, conditions.softened(first, assembled, stuck), iterate)
             state = state._replace(shift=np.where(stuck, 0.0, state.shift))
         if (stuck | cheap).any():
             state = state._replace(assembled=conditions.assemble(iterate))
