@@ -61,48 +61,25 @@ def _or_one(size: np.ndarray) -> np.ndarray:
 
 def _reach(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> Float[np.ndarray, "B n"]:
     """How far controls of this variance move each coordinate of a node between two fixed ends, zero where it is rounding."""
-    n = system.left.shape[2]
-    found, parts = [], []
-    for near, far in _both_ways(system):
-        found.append(_gramians(near, far, variance))
-        # Of what does not cancel: A = F N^-1 and B = F_u - A N_u with the sizes of their terms.
-        moved = np.abs(far[..., :n]) @ np.abs(_inverse(near[..., :n]))
-        pushed = np.abs(far[..., n:]) + moved @ np.abs(near[..., n:])
-        still = np.concatenate([np.broadcast_to(np.eye(n), moved.shape), np.zeros_like(pushed)], axis=3)
-        parts.append(_gramians(still, np.concatenate([moved, pushed], axis=3), variance))
-    reach, terms = (np.sqrt(_between(sizes)) for sizes in (found, parts))
+    reached = _variances(system, variance)
+    # One step has no node between its ends.
+    between = np.minimum(reached[:, 0, :, :-1], reached[:, 1, :, 1:]) if reached.shape[3] > 1 else reached[:, 0]
+    largest = between.max(axis=2)
+    reach, terms = np.sqrt(np.where(np.isfinite(largest), np.maximum(largest, 0.0), 0.0)).transpose(1, 0, 2)
     return np.where(reach > np.finfo(float).eps ** NOISE * terms, reach, 0.0)
 
 
-def _between(sizes: list[np.ndarray]) -> np.ndarray:
-    """The largest over the nodes of the smaller of the variances from both ends, zero where that is not finite."""
-    first, last = sizes
-    # One step has no node between its ends.
-    between = np.minimum(first[:, :-1], last[:, -2::-1]).max(axis=1) if first.shape[1] > 1 else first[:, 0]
-    return np.where(np.isfinite(between), np.maximum(between, 0.0), 0.0)
+def _variances(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> np.ndarray:
+    """Variances at the far ends of the steps from either end, and those of their terms, shape ``(B, 2, 2, N, n)``.
 
-
-def _inverse(matrices: np.ndarray) -> np.ndarray:
-    """Inverses, NaN where there is none."""
-    regular = np.abs(np.linalg.det(matrices)) > 0
-    out = np.full_like(matrices, np.nan)
-    out[regular] = np.linalg.inv(matrices[regular])
-    return out
-
-
-def _both_ways(system: "BlockSystem") -> list[tuple[np.ndarray, np.ndarray]]:
-    """Near and far ends of the steps, from the start forward and from the end backward."""
-    return [(system.left, system.right), (system.right[:, ::-1], system.left[:, ::-1])]
-
-
-def _gramians(near: np.ndarray, far: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Diagonals of the Gramians after each step, shape ``(B, N, n)``."""
+    A step whose near end is singular leaves what is not finite.
+    """
     from . import scaling_kernels
 
-    batch, count, n, z = near.shape
-    near, far = plain(near), plain(far)
-    work = np.empty((n, 2 * whole(n))), np.empty((n, n)), np.empty((1, n)), np.empty((n, n)), np.empty((n, z - n))
-    out = np.zeros((batch, count + 1, n, n))
+    batch, count, n, z = system.left.shape
+    left, right, variance = plain(system.left), plain(system.right), plain(variance)
+    work = np.empty((n, 2 * whole(n))), np.empty((n, n)), np.empty(n), np.empty((2, n, n)), np.empty((2, n, z - n)), np.empty((n, n))
+    swaps, g, out = np.empty(n, np.int64), np.empty((2, n, n)), np.empty((batch, 2, 2, count, n))
     for m in range(batch):
-        scaling_kernels.gramians(near[m], far[m], np.diag(variance[m]), work, np.empty(n, np.int64), out[m])
-    return np.diagonal(out[:, 1:], axis1=2, axis2=3)
+        scaling_kernels.gramians(left[m], right[m], variance[m], work, swaps, g, out[m])
+    return out
