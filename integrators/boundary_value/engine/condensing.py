@@ -11,6 +11,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from ....aligned import aligned
 from ....threads import in_threads
 from .arrays import plain, whole
 from .elimination import BlockSystem
@@ -104,11 +105,11 @@ def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: T
     shape, width = (batch, count), whole(z + columns)
     blocks = [np.empty((*shape, *tail)) for tail in ((z, z), (n, z), (n, z), (z, columns), (n, columns), (n, columns))]
     steps = batch * count
-    kept = np.empty((steps, p, p)), np.empty((steps, p), np.int64), np.empty((steps, p, width))
+    kept = np.empty((steps, p, p)), np.empty((steps, p), np.int64), aligned(steps, p, width)
     arrays = _steps(points), _steps(ends), table
 
     def run(part: range) -> None:
-        work = np.empty((p, whole(p) + width)), np.empty((q, width)), np.empty((q, width)), np.empty(p), np.empty((z, width))
+        work = aligned(p, whole(p) + width), aligned(q, width), aligned(q, width), np.empty(p), aligned(z, width)
         condensing_kernels.condense(part.start, part.stop, *arrays, work, kept, _steps(blocks))
 
     in_threads(run, steps, p * p * (p + z) + s * q * z * (2 * n + z))

@@ -5,6 +5,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ....aligned import aligned
 from ....threads import in_threads
 from .arrays import LANES, plain, whole
 from .scaling import Units
@@ -97,8 +98,10 @@ def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
     bases = np.concatenate([[0], np.cumsum(width - starts)])
     shapes = (2 * n, own), (rows, width), (columns, rows), (2, width)
-    work = tuple(map(np.zeros, shapes))
-    return work, (np.empty((count, bases[-1])), bases[:-1] - starts, np.empty((count, width)), np.empty((count, rows), np.int64))
+    work = tuple(aligned(*shape) for shape in shapes)
+    for array in work:
+        array[:] = 0.0
+    return work, (aligned(count, bases[-1]), bases[:-1] - starts, aligned(count, width), np.empty((count, rows), np.int64))
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:

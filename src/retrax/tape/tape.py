@@ -13,6 +13,7 @@ import casadi as ca
 import jax
 import numpy as np
 
+from ..aligned import aligned
 from ..threads import in_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
@@ -229,7 +230,7 @@ class Tape:
         def run(part: range) -> None:
             blocks = -(-len(part) // max(machine.LANES, min(MOST_LANES, MEMORY // max(1, p.size))))
             lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
-            machine.run(p.codes, p.registers, p.values, ends, np.empty((p.size, lanes)), part.start, part.stop)
+            machine.run(p.codes, p.registers, p.values, ends, aligned(p.size, lanes), part.start, part.stop)
 
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
