@@ -4,7 +4,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from .inequalities import Held, Slacks, central, potential, products
+from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
@@ -13,7 +13,6 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
-VALUE = 1e-2  # of its value, which is rounded, an inequality is measured by where its unit is less than that
 
 
 @final
@@ -67,13 +66,12 @@ class Barrier(NamedTuple):
 
     def missed(self, held: Held, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""
-        asked = held.asked
-        values = np.where(asked, np.abs(held.values), 0.0).max(axis=(1, 2), keepdims=True)
-        unit = np.maximum(self.unit, VALUE * values)
-        parts = np.abs(held.missing(slacks)), slacks.excess
-        violation, excess = (np.where(asked, a / unit, 0.0).max(axis=(1, 2, 3), initial=0.0) for a in parts)
-        largest, off = products(slacks, asked)
-        return Missed(violation, excess, largest / self.rate, off / self.rate)
+        found = self.surveyed(held, slacks)
+        return Missed(found.violation, found.excess, found.product / self.rate, found.off / self.rate)
+
+    def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
+        """What the inequalities and their multipliers lack, and what they cost."""
+        return surveyed(held, slacks, self.limits)
 
     def lowered(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> tuple[Slacks, np.ndarray]:
         """The slacks with a lower barrier where its problem is solved, and where excesses are too cheap instead.
@@ -103,18 +101,9 @@ class Barrier(NamedTuple):
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))
 
-    def infeasibility(self, held: Held, slacks: Slacks, step: np.ndarray) -> np.ndarray:
-        """The sum of what the inequalities lack; ``step``: the mean length of the steps, shape (B,)."""
-        share = held.weights / step[:, None, None, None]
-        return (share * np.abs(held.missing(slacks)) / self.unit).sum(axis=(1, 2, 3))
-
-    def potential(self, held: Held, slacks: Slacks) -> np.ndarray:
-        """What the barrier and the excesses cost."""
-        return potential(slacks, held.weights, self.unit)
-
     def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray) -> np.ndarray:
         """Whether the problem with its barrier is solved to a few times that."""
-        off = products(slacks, held.asked)[1] / self.rate
+        off = self.surveyed(held, slacks).off / self.rate
         return np.maximum(error, off) <= SOLVED * slacks.barrier / self.rate
 
     def _is_cheap(self, slacks: Slacks) -> np.ndarray:

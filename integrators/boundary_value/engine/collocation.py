@@ -109,7 +109,7 @@ class Collocation:
         if slacks is not None:
             weights = weights * data.held(self.inequalities, s)
             held = Held(limits, pushes, weights)
-            hessian, columns = raised(hessian, slope, held, slacks)
+            columns = raised(hessian, slope, held, slacks)
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         both = self._both.at(2, unknowns.centres, self._eta(unknowns, data), *around)
         (curvature, pull, left, right, *_), defect = both, missed[..., None]

@@ -8,7 +8,7 @@ import numpy as np
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
-from .inequalities import Slacks, moved, potential_slope, turned
+from .inequalities import Slacks, moved, turned
 from .scaling import SHARE, Units, natural_units
 from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
@@ -210,7 +210,8 @@ class Conditions:
         if blocks.inner is not None:
             missing = missing + (np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None]).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
-            missing = missing + self.barrier.infeasibility(blocks.inequalities, iterate.slacks, np.mean(self.data.steps, axis=1))
+            lacking = self.barrier.surveyed(blocks.inequalities, iterate.slacks).missing
+            missing = missing + lacking / np.mean(self.data.steps, axis=1)
         return missing
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
@@ -220,9 +221,8 @@ class Conditions:
         if blocks.inner is not None:
             held += (blocks.inner.multipliers * blocks.inner.defect).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
-            slacks, limits = iterate.slacks, blocks.inequalities
-            cost += self.barrier.potential(limits, slacks)
-            held += (limits.weights * slacks.multipliers * limits.missing(slacks)).sum(axis=(1, 2, 3))
+            found = self.barrier.surveyed(blocks.inequalities, iterate.slacks)
+            cost, held = cost + found.potential, held + found.held
         return cost / self.measured.cost, held / self.measured.cost
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
@@ -241,10 +241,8 @@ class Conditions:
             ahead += (inner.gradient * (velocities - within)).sum(axis=(1, 2, 3))
             turned += (multipliers * inner.defect).sum(axis=(1, 2, 3))
         if step.turn is not None and iterate.slacks is not None:
-            slacks, limits = iterate.slacks, blocks.inequalities
-            ahead += potential_slope(slacks, step.turn, limits.weights)
-            lacking = limits.weights * step.turn.multipliers * limits.missing(slacks)
-            dual = step.turn.dual * lacking.sum(axis=(1, 2, 3))
+            ahead += step.turn.ahead
+            dual = step.turn.dual * step.turn.lacking
             return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
         return step.reach * ahead / self.measured.cost, step.reach * turned / self.measured.cost
 

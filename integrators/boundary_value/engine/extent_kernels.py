@@ -4,7 +4,7 @@ from .factors import compiled, inner
 
 
 @inner
-def _larger(a: float, b: float) -> float:
+def larger(a: float, b: float) -> float:
     """The larger of both; what is not a number stays."""
     return b if b > a or b != b else a
 
@@ -22,13 +22,13 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
     for m in range(first, last):
         for k in range(count):
             for e in range(size):
-                highest[m, e], lowest[m, e] = _larger(highest[m, e], nodes[m, k, e]), _larger(lowest[m, e], -nodes[m, k, e])
+                highest[m, e], lowest[m, e] = larger(highest[m, e], nodes[m, k, e]), larger(lowest[m, e], -nodes[m, k, e])
             for a in range(n):
                 missing[m, a] += abs(gap[m, k, a])
                 held[m] += coordinates[m, k, a] * gap[m, k, a]
-                lacking[m, a] = _larger(lacking[m, a], abs(gap[m, k, a]))
+                lacking[m, a] = larger(lacking[m, a], abs(gap[m, k, a]))
                 for e in range(size):
-                    support[m, a, e] = _larger(support[m, a, e], abs(frames[m, k, a, e]))
+                    support[m, a, e] = larger(support[m, a, e], abs(frames[m, k, a, e]))
         for k in range(count - 1):
             for i in range(z):
                 sums[0, i], sums[1, i] = 0.0, 0.0
@@ -37,6 +37,6 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
                     sums[0, i] += left[m, k, a, i] * coordinates[m, k, a]
                     sums[1, i] += right[m, k, a, i] * coordinates[m, k + 1, a]
             for i in range(z):
-                parts[m, i] = _larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
-                slopes[m, i] = _larger(slopes[m, i], abs(slope[m, k, i]))
-                curvature[m, i] = _larger(curvature[m, i], abs(hessian[m, k, i, i]))
+                parts[m, i] = larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
+                slopes[m, i] = larger(slopes[m, i], abs(slope[m, k, i]))
+                curvature[m, i] = larger(curvature[m, i], abs(hessian[m, k, i, i]))

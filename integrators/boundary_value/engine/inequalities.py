@@ -14,8 +14,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ....threads import in_threads
+from .arrays import plain
+
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
+VALUE = 1e-2  # of its value, which is rounded, an inequality is measured by where its unit is less than that
 
 
 @final
@@ -48,11 +52,6 @@ class Slacks(NamedTuple):
         return Slacks(self.slacks, times * self.multipliers, self.excess, times * self.price, factor * self.barrier)
 
     @property
-    def mu(self) -> np.ndarray:
-        """The barrier, with the axes of the points."""
-        return self.barrier[:, None, None, None]
-
-    @property
     def elastic(self) -> np.ndarray:
         """Where there is an excess."""
         return np.isfinite(self.price)
@@ -72,20 +71,34 @@ class Held(NamedTuple):
         """Where an inequality is to hold."""
         return self.weights > 0
 
-    def missing(self, slacks: Slacks) -> np.ndarray:
-        """``g + s - t`` where it is asked for, shape (B, N, s, c)."""
-        return np.where(self.asked, self.values + slacks.slacks - slacks.excess, 0.0)
-
 
 @final
 class Turn(NamedTuple):
-    """A step of slacks, multipliers and excesses, and how much of it stays inside, shape (B,)."""
+    """A step of slacks, multipliers and excesses; how much of it stays inside, and what the whole does, shape (B,)."""
 
     slacks: np.ndarray
     multipliers: np.ndarray
     excess: np.ndarray
     reach: np.ndarray  # of the step of the unknowns, slacks and excesses
     dual: np.ndarray  # of that of the multipliers
+    ahead: np.ndarray  # the derivative of the potential along the whole step
+    lacking: np.ndarray  # the sum of the steps of the multipliers on what the inequalities lack
+
+
+@final
+class Surveyed(NamedTuple):
+    """What is largest in the inequalities and their slacks, and sums over them, shape (B,).
+
+    ``potential``: ``sum w (rho t - mu (log s + log t))`` with s and t in units of the inequalities.
+    """
+
+    violation: np.ndarray  # the largest |g + s - t|, in units
+    excess: np.ndarray
+    product: np.ndarray  # the largest of nu s and zeta t
+    off: np.ndarray  # their largest difference from the barrier
+    missing: np.ndarray  # the weighted sum of |g + s - t|, in units
+    potential: np.ndarray
+    held: np.ndarray  # the weighted sum of nu (g + s - t)
 
 
 def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
@@ -106,14 +119,18 @@ def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
     return Slacks(slacks, nu, excess, np.where(asked & elastic, price, np.inf), barrier)
 
 
-def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -> tuple[np.ndarray, np.ndarray]:
-    """The Hessian (B, N, s, q, q) of the points and their slope in two columns, the second times the barrier."""
-    stiff = held.weights * stiffness(slacks)
-    hessian = hessian + held.jacobian.mT @ (stiff[..., None] * held.jacobian)
-    columns = np.stack([stiff * np.where(held.asked, held.values, 0.0), stiff * _aside(slacks)], axis=-1)
-    slopes = held.jacobian.mT @ columns
-    slopes[..., 0] += slope
-    return hessian, slopes
+def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -> np.ndarray:
+    """The slope of the points (B, N, s, q) in two columns, the second times the barrier; raises their Hessians in place."""
+    from . import inequality_kernels
+
+    slopes, given = np.empty((*slope.shape, 2)), (_points(held), _points(slacks))
+    own = _by_points(hessian), _by_points(plain(slope)), _by_points(slopes)
+
+    def run(part: range) -> None:
+        inequality_kernels.raise_points(part.start, part.stop, *given, *own)
+
+    in_threads(run, len(slope), held.jacobian[0].size * slope.shape[3])
+    return slopes
 
 
 def stiffness(slacks: Slacks) -> np.ndarray:
@@ -122,63 +139,55 @@ def stiffness(slacks: Slacks) -> np.ndarray:
     return nu / (slacks.slacks + np.where(slacks.elastic, nu * slacks.excess / slacks.rest, 0.0))
 
 
-def _aside(slacks: Slacks) -> np.ndarray:
-    """``1 / nu - 1 / zeta``."""
-    nu = slacks.multipliers
-    return np.where(nu > 0, 1 / np.where(nu > 0, nu, 1.0) - 1 / slacks.rest, 0.0)
-
-
 def turned(held: Held, slacks: Slacks, steps: np.ndarray) -> Turn:
     """The step of slacks and multipliers that belongs to steps of the unknowns of the points, shape (B, N, s, q)."""
-    asked, elastic, mu, nu = held.asked, slacks.elastic, slacks.mu, slacks.multipliers
-    ahead = held.values + np.einsum("bkicq,bkiq->bkic", held.jacobian, steps)
-    turn = np.where(asked, stiffness(slacks) * (ahead + mu * _aside(slacks)), 0.0)
-    s = np.where(asked, (mu - slacks.slacks * turn) / np.where(asked, nu, 1.0) - slacks.slacks, 0.0)
-    t = np.where(asked & elastic, (mu + slacks.excess * turn) / slacks.rest - slacks.excess, 0.0)
-    reach = np.minimum(_reach(slacks.slacks, s), _reach(slacks.excess, t))
-    rest = np.where(elastic, slacks.rest, 1.0)
-    dual = np.minimum(_reach(nu, turn), _reach(rest, np.where(elastic, -turn, 0.0)))
-    return Turn(s, turn, t, reach, dual)
+    from . import inequality_kernels
 
+    moves, found = np.empty((3, *held.values.shape)), np.empty((len(steps), 4))
+    given = _points(held), _points(slacks), _by_points(plain(steps)), BOUNDARY, tuple(map(_by_points, moves)), found
 
-def _reach(value: np.ndarray, step: np.ndarray) -> np.ndarray:
-    """The largest fraction of a step, up to 1, that leaves ``1 - BOUNDARY`` of every value."""
-    with np.errstate(all="ignore"):
-        share = np.where(step < 0, -BOUNDARY * value / step, 1.0)
-    return np.minimum(share.min(axis=(1, 2, 3), initial=1.0), 1.0)
+    def run(part: range) -> None:
+        inequality_kernels.turn(part.start, part.stop, *given)
+
+    in_threads(run, len(steps), held.jacobian[0].size)
+    return Turn(*moves, *found.T)
 
 
 def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
     """Slacks, excesses and multipliers after fractions of what stays inside."""
-    primal, dual = ((f)[:, None, None, None] for f in (fraction * turn.reach, turn.dual))
-    s, t = slacks.slacks + primal * turn.slacks, slacks.excess + primal * turn.excess
-    nu = slacks.multipliers + dual * turn.multipliers
-    hard = np.where(nu > 0, np.clip(nu, slacks.mu / (KEPT * s), KEPT * slacks.mu / s), 0.0)
-    return slacks._replace(slacks=s, excess=t, multipliers=np.where(slacks.elastic, nu, hard))
+    from . import inequality_kernels
+
+    out, moves = np.empty((3, *turn.slacks.shape)), tuple(map(_by_points, turn[:3]))
+    parts = plain(fraction * turn.reach), plain(turn.dual)
+    given = _points(slacks), moves, parts, KEPT, tuple(map(_by_points, out))
+
+    def run(part: range) -> None:
+        inequality_kernels.move(part.start, part.stop, *given)
+
+    in_threads(run, len(fraction), turn.slacks[0].size)
+    return Slacks(*out, *slacks[3:])
 
 
-def products(slacks: Slacks, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The largest of ``nu s`` and ``zeta t``, and their largest difference from the barrier, shape (B,)."""
-    both = slacks.slacks * slacks.multipliers, slacks.excess * np.where(slacks.elastic, slacks.rest, 0.0)
-    places = asked, asked & slacks.elastic
-    largest = [np.where(a, p, 0.0).max(axis=(1, 2, 3), initial=0.0) for a, p in zip(places, both, strict=True)]
-    apart = (np.where(a, np.abs(p - slacks.mu), 0.0) for a, p in zip(places, both, strict=True))
-    off = [a.max(axis=(1, 2, 3), initial=0.0) for a in apart]
-    return np.maximum(*largest), np.maximum(*off)
+def surveyed(held: Held, slacks: Slacks, limits: np.ndarray) -> Surveyed:
+    """What is largest in the inequalities and their slacks, and their sums; ``limits``: units, shape (B, c)."""
+    from . import inequality_kernels
+
+    found, room = np.zeros((len(limits), len(Surveyed._fields))), np.empty(limits.shape[1])
+    (values, _, weights), own = _points(held), _points(slacks)
+
+    def run(part: range) -> None:
+        units = plain(limits), np.empty_like(room)
+        inequality_kernels.survey(part.start, part.stop, values, weights, own, units, VALUE, found)
+
+    in_threads(run, len(limits), 8 * held.values[0].size)
+    return Surveyed(*found.T)
 
 
-def potential(slacks: Slacks, weights: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """``sum w (rho t - mu (log s + log t))``, shape (B,); s and t in units of the inequalities."""
-    elastic = slacks.elastic & (weights > 0)
-    t = np.where(elastic, slacks.excess, 1.0)
-    logs = np.log(slacks.slacks / limits) + np.where(elastic, np.log(t / limits), 0.0)
-    paid = np.where(elastic, np.where(elastic, slacks.price, 0.0) * t, 0.0)
-    return (weights * (paid - slacks.mu * logs)).sum(axis=(1, 2, 3))
+def _by_points(array: np.ndarray) -> np.ndarray:
+    """The same array with one axis for all points of a trajectory."""
+    return array.reshape(len(array), array.shape[1] * array.shape[2], *array.shape[3:])
 
 
-def potential_slope(slacks: Slacks, turn: Turn, weights: np.ndarray) -> np.ndarray:
-    """The derivative of the potential along a step, shape (B,)."""
-    elastic = slacks.elastic & (weights > 0)
-    t = np.where(elastic, slacks.excess, 1.0)
-    paid = np.where(elastic, (np.where(elastic, slacks.price, 0.0) - slacks.mu / t) * turn.excess, 0.0)
-    return (weights * (paid - slacks.mu * turn.slacks / slacks.slacks)).sum(axis=(1, 2, 3))
+def _points(arrays: Held | Slacks) -> tuple[np.ndarray, ...]:
+    """What the kernels take."""
+    return tuple(plain(a) if a.ndim == 1 else _by_points(plain(a)) for a in arrays)

@@ -78,7 +78,8 @@ def _variances(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> np.
 
     batch, count, n, z = system.left.shape
     left, right, variance = plain(system.left), plain(system.right), plain(variance)
-    work = np.empty((n, 2 * whole(n))), np.empty((n, n)), np.empty(n), np.empty((2, n, n)), np.empty((2, n, z - n)), np.empty((n, n))
+    shapes = (n, 2 * whole(n)), (n, n), (n,), (2, n, n), (2, n, z - n), (n, n)
+    work = tuple(map(np.empty, shapes))
     swaps, g, out = np.empty(n, np.int64), np.empty((2, n, n)), np.empty((batch, 2, 2, count, n))
     for m in range(batch):
         scaling_kernels.gramians(left[m], right[m], variance[m], work, swaps, g, out[m])

@@ -135,8 +135,8 @@ class OneStage:
             return blocks
         weights = data.steps[:, :, None, None] * data.held(self.inequalities, 1)
         held = Held(limits[:, :, None], pushes[:, :, None], weights)
-        stiff, pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
-        return blocks._replace(hessian=stiff[:, :, 0], held=held, pushed=pushed[:, :, 0])
+        pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
+        return blocks._replace(held=held, pushed=pushed[:, :, 0])
 
     def scaled(self, unknowns: Unknowns, factor: np.ndarray) -> Unknowns:
         """The unknowns with all costates among them times factors: there are none."""
