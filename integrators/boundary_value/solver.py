@@ -20,8 +20,9 @@ from ..singular import Classification, SingularIntegrator
 from .arguments import ALONG, Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
 from .coupled import extremals
 from .differentiable import Extremal, Given, extremal_of
+from .engine.batches import taken
 from .engine.evaluator import chosen
-from .engine.newton import Found, Iteration, taken
+from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated

@@ -10,12 +10,13 @@ taken.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, Self, cast, final
 
 import jax
 import numpy as np
 
 from .augmented import is_isolated_minimum
+from .batches import merged, put, taken
 from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
@@ -50,6 +51,19 @@ class Iteration(NamedTuple):
     barrier: np.ndarray  # relative to the unit of the cost rate; zero without inequalities
 
 
+class Merit(NamedTuple):
+    """The infeasibility, the cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
+
+    infeasibility: np.ndarray
+    cost: np.ndarray
+    held: np.ndarray
+
+    @classmethod
+    def of(cls, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Self:
+        """Those at an iterate."""
+        return cls(conditions.infeasibility(iterate, assembled), *conditions.merit(iterate, assembled))
+
+
 class _State(NamedTuple):
     """One entry for each member that is on its way."""
 
@@ -61,6 +75,7 @@ class _State(NamedTuple):
     descends: np.ndarray  # the step has positive curvature
     promised: np.ndarray  # change of the cost to first order by the whole step
     turned: np.ndarray  # change of the multipliers on the gap by the whole step
+    merit: Merit
     funnel: np.ndarray  # the infeasibility that no iterate exceeds any more
     fraction: np.ndarray
     shift: np.ndarray
@@ -147,12 +162,12 @@ class _Search:
         residuals = conditions.residuals(guess, assembled)
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
-        infeasibility = conditions.infeasibility(guess, assembled)
+        merit = Merit.of(conditions, guess, assembled)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        numbers = np.maximum(infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
-        promise = descends, *conditions.promise(guess, assembled, step)
+        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
+        promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
         state = _State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
         arrived = residuals.final <= self.tolerance
@@ -199,11 +214,12 @@ class _Search:
         if not changed.any():
             return state, changed
         residuals = conditions.residuals(iterate, state.assembled)
-        funnel = np.maximum(conditions.infeasibility(iterate, state.assembled), 1.0)
+        merit = Merit.of(conditions, iterate, state.assembled)
         state = state._replace(
             iterate=iterate,
             residuals=residuals,
-            funnel=np.where(changed, funnel, state.funnel),
+            merit=merit,
+            funnel=np.where(changed, np.maximum(merit.infeasibility, 1.0), state.funnel),
             best=np.where(changed, residuals.largest, state.best),
             fraction=np.where(changed, 1.0, state.fraction),
         )
@@ -215,19 +231,20 @@ class _Search:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed again."""
         probe = (self.trials == 1) & ~state.descends & (trial.slacks is None)
         residual = found.largest
-        infeasibility = conditions.infeasibility(trial, assembled)
-        improves, narrowed = _funnelled(conditions, state, (trial, assembled), infeasibility)
+        merit = Merit.of(conditions, trial, assembled)
+        improves, narrowed = _funnelled(state, merit)
         record = residual <= np.maximum(RECORD * state.best, self.tolerance)
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
-        funnel = np.where(good & ~improves, np.maximum(state.funnel, infeasibility), np.where(good, narrowed, state.funnel))
+        funnel = np.where(good & ~improves, np.maximum(state.funnel, merit.infeasibility), np.where(good, narrowed, state.funnel))
         short = ~good & (state.fraction / 2 < SHORTEST)
-        new, old = (trial, assembled, found), (state.iterate, state.assembled, state.residuals)
-        iterate, kept, reached = merged(good, new, old)
+        new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
+        iterate, kept, reached, merit = merged(good, new, old)
         state = state._replace(
             iterate=iterate,
             assembled=kept,
             residuals=reached,
+            merit=merit,
             funnel=funnel,
             shift=_next_shift(state, good, short),
             fraction=np.where(good | short | probe, 1.0, state.fraction / 2),
@@ -343,44 +360,18 @@ class _Search:
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 
 
-def merged(mask: np.ndarray, new: Any, old: Any) -> Any:
-    """The members of ``new`` where ``mask``, of ``old`` elsewhere."""
-    if mask.all() or not mask.any():
-        return new if mask[0] else old
-    return jax.tree.map(lambda a, b: np.where(mask.reshape(-1, *(1,) * (a.ndim - 1)), a, b), new, old)
-
-
-def taken(tree: Any, places: np.ndarray) -> Any:
-    """Some members of a batch."""
-    return jax.tree.map(lambda leaf: leaf[places], tree)
-
-
-def put(tree: Any, places: np.ndarray, part: Any) -> Any:
-    """The batch with some of its members replaced."""
-
-    def replaced(leaf: np.ndarray, new: np.ndarray) -> np.ndarray:
-        if len(places) == len(leaf):
-            return new
-        leaf[places] = new
-        return leaf
-
-    return jax.tree.map(replaced, tree, part)
-
-
 def _solvable(state: _State) -> np.ndarray:
     return state.step.finite & (state.shift < LARGEST_SHIFT)
 
 
-def _funnelled(
-    conditions: Conditions, state: _State, trial: tuple[Iterate, Assembled], infeasibility: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _funnelled(state: _State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
     """Whether the trial is accepted inside the funnel, and the funnel after it."""
-    before = conditions.infeasibility(state.iterate, state.assembled)
-    (cost, held), (reached, kept) = conditions.merit(state.iterate, state.assembled), conditions.merit(*trial)
-    held = held + state.fraction * state.turned
+    before = state.merit
+    held = before.held + state.fraction * state.turned
     promised = -state.fraction * (state.promised - state.step.reach * held)
-    cheaper = promised >= SWITCH * before**2
-    decreases = reached + kept <= cost + held - ARMIJO * promised
+    cheaper = promised >= SWITCH * before.infeasibility**2
+    decreases = trial.cost + trial.held <= before.cost + held - ARMIJO * promised
+    infeasibility = trial.infeasibility
     inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= NARROWER * state.funnel)
     return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
 
