@@ -143,21 +143,21 @@ def turned(held: Held, slacks: Slacks, steps: np.ndarray) -> Turn:
     """The step of slacks and multipliers that belongs to steps of the unknowns of the points, shape (B, N, s, q)."""
     from . import inequality_kernels
 
-    moves, found = np.empty((3, *held.values.shape)), np.empty((len(steps), 4))
+    moves, found = _three(held.values), np.empty((len(steps), 4))
     given = _points(held), _points(slacks), _by_points(plain(steps)), BOUNDARY, tuple(map(_by_points, moves)), found
 
     def run(part: range) -> None:
         inequality_kernels.turn(part.start, part.stop, *given)
 
     in_threads(run, len(steps), held.jacobian[0].size)
-    return Turn(*moves, *found.T)
+    return Turn(*moves, found[:, 0], found[:, 1], found[:, 2], found[:, 3])
 
 
 def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
     """Slacks, excesses and multipliers after fractions of what stays inside."""
     from . import inequality_kernels
 
-    out, moves = np.empty((3, *turn.slacks.shape)), tuple(map(_by_points, turn[:3]))
+    out, moves = _three(turn.slacks), tuple(map(_by_points, turn[:3]))
     parts = plain(fraction * turn.reach), plain(turn.dual)
     given = _points(slacks), moves, parts, KEPT, tuple(map(_by_points, out))
 
@@ -165,7 +165,7 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
         inequality_kernels.move(part.start, part.stop, *given)
 
     in_threads(run, len(fraction), turn.slacks[0].size)
-    return Slacks(*out, *slacks[3:])
+    return Slacks(*out, slacks.price, slacks.barrier)
 
 
 def surveyed(held: Held, slacks: Slacks, limits: np.ndarray) -> Surveyed:
@@ -181,6 +181,10 @@ def surveyed(held: Held, slacks: Slacks, limits: np.ndarray) -> Surveyed:
 
     in_threads(run, len(limits), 8 * held.values[0].size)
     return Surveyed(*found.T)
+
+
+def _three(like: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    return np.empty(like.shape), np.empty(like.shape), np.empty(like.shape)
 
 
 def _by_points(array: np.ndarray) -> np.ndarray:
