@@ -15,6 +15,7 @@ SLOW = (
     "integration.md",
     "optimal_control.md",
     "own_manifold.md",
+    "paper.md",
     "pictures.md",
     "singular.md",
 )
@@ -28,6 +29,18 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def marked(page: Path):
     return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in SLOW else [])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tests_and_files_that_a_page_names_exist(page):
+    """``tests/a/test_b.py::test_c`` in a page, a file of the repository, and what the README links to."""
+    text = page.read_text()
+    for path, name in re.findall(r"`((?:tests|examples|retrax/testing)/[\w/]+\.py)(?:::(\w+))?`", text):
+        file = ROOT / path if not path.startswith("retrax/") else ROOT / "src" / path
+        assert file.exists(), path
+        assert not name or f"def {name}(" in file.read_text(), f"{path} has no {name}"
+    for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", text):
+        assert (page.parent / target).exists(), target
 
 
 @pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])
