@@ -1,5 +1,6 @@
 """The code of the documentation runs as it stands, page by page, and prints what the pages say."""
 
+import ast
 import re
 import subprocess
 import sys
@@ -12,7 +13,10 @@ SLOW = (
     "README.md",
     "conventions.md",
     "dirac.md",
+    "from_casadi.md",
+    "from_geometry.md",
     "integration.md",
+    "new_manifold.md",
     "optimal_control.md",
     "own_manifold.md",
     "paper.md",
@@ -41,6 +45,28 @@ def test_tests_and_files_that_a_page_names_exist(page):
         assert not name or f"def {name}(" in file.read_text(), f"{path} has no {name}"
     for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
+
+
+def texts() -> str:
+    """All texts of the library, with ``...`` in the place of what is filled in."""
+    found = []
+    for room in ("manifolds", "retractions", "integrators", "src/retrax"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.JoinedStr):
+                    found.append("".join(part.value if isinstance(part, ast.Constant) else "..." for part in node.values))
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    found.append(node.value)
+    return "\n".join(found)
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_library():
+    rows = re.findall(r"^\| `((?:[^`])+)` \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
+    messages = [row.replace("\\|", "|") for row in rows if " " in row]
+    library = texts()
+    assert len(messages) > 30
+    missing = [message for message in messages if not re.search(re.escape(message).replace(r"\.\.\.", ".*"), library)]
+    assert not missing, missing
 
 
 @pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])
