@@ -1,12 +1,15 @@
 """The code of the documentation runs as it stands, page by page, and prints what the pages say."""
 
 import ast
+import importlib
+import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from retrax import retractions
 
 ROOT = Path(__file__).parents[1]
 SLOW = (
@@ -67,6 +70,20 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_library():
     assert len(messages) > 30
     missing = [message for message in messages if not re.search(re.escape(message).replace(r"\.\.\.", ".*"), library)]
     assert not missing, missing
+
+
+def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    tables = importlib.import_module("tables")
+    shown = {type(made) for manifold in tables.EXAMPLES for made in tables.retractions(manifold)}
+    of_any_manifold = {
+        *("BundleRetraction", "LevelSetProjection", "Orthographic", "PowerRetraction", "ProductRetraction"),
+        *("Restored", "SecondOrder", "Stabilized", "Translated"),
+    }
+    public = {name: getattr(retractions, name) for name in retractions.__all__}
+    kinds = {name for name, kind in public.items() if inspect.isclass(kind) and issubclass(kind, retractions.Retraction)}
+    concrete = {name for name in kinds if not inspect.isabstract(public[name])}
+    assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
 
 
 @pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])
