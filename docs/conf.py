@@ -12,6 +12,7 @@ sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
 import gallery  # noqa: E402
+import links  # noqa: E402
 import reference  # noqa: E402
 from retrax import __version__  # noqa: E402
 
@@ -54,5 +55,6 @@ reference.write(HERE / "api")
 
 
 def setup(app):
-    """What is done to docstrings on their way into a page."""
+    """What is done to docstrings on their way into a page, and to the links of the finished site."""
     app.connect("autodoc-process-docstring", docstrings.process)
+    app.connect("build-finished", links.check)

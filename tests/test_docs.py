@@ -72,6 +72,20 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_library():
     assert not missing, missing
 
 
+def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    links = importlib.import_module("links")
+    first, second = tmp_path / "first.html", tmp_path / "second.html"
+    first.write_text('<a id="here"></a><a href="#here"></a><a href="second.html#there"></a><a href="https://elsewhere#"></a>')
+    second.write_text('<p id="there"></p><a href="first.html#gone"></a><a href="third.html"></a><a href="first.html"></a>')
+    found, count = links.broken(tmp_path, [first, second])
+    assert count == 5
+    assert [words.partition(",")[0] for words in found] == [
+        "second.html links to first.html#gone",
+        "second.html links to third.html",
+    ]
+
+
 def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     tables = importlib.import_module("tables")
