@@ -12,6 +12,7 @@ sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
 import gallery  # noqa: E402
+import links  # noqa: E402
 import reference  # noqa: E402
 from retrax import __version__  # noqa: E402
 
@@ -32,8 +33,9 @@ autodoc_default_options = {"members": True, "show-inheritance": True}
 autodoc_preserve_defaults = True
 templates_path: list[str] = []
 
-# Which examples run when the site is built, a pattern: by default those that take seconds, ".*" runs all.
-RUN = os.environ.get("RETRAX_SITE_EXAMPLES", "attitude_slew|spherical_pendulum")
+# Which examples run when the site is built, a pattern: by default those that take up to 20 s each, ".*" runs all.
+SHORT = "academic_singular|attitude_slew|monte_carlo_slew|path_planning|rolling_ball|spherical_pendulum"
+RUN = os.environ.get("RETRAX_SITE_EXAMPLES", SHORT)
 sphinx_gallery_conf = {
     "examples_dirs": [str(HERE / "_gallery")],
     "gallery_dirs": ["examples"],
@@ -54,5 +56,6 @@ reference.write(HERE / "api")
 
 
 def setup(app):
-    """What is done to docstrings on their way into a page."""
+    """What is done to docstrings on their way into a page, and to the links of the finished site."""
     app.connect("autodoc-process-docstring", docstrings.process)
+    app.connect("build-finished", links.check)

@@ -77,12 +77,20 @@ class VectorBundle(Manifold):
 
 @final
 class TangentBundle(VectorBundle):
-    """Tangent bundle ``TM``; points are pairs ``(x, v)``."""
+    """Tangent bundle ``TM``; points are pairs ``(x, v)``.
+
+    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``; the dimension
+    is twice that of ``M``.
+    """
 
 
 @final
 class CotangentBundle(VectorBundle):
-    """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``."""
+    """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``.
+
+    The canonical forms are ``theta = p dq`` and ``omega = -d theta = dq ^ dp``; of a base of dimension n its dimension is
+    ``2 n``.
+    """
 
     one_point: ClassVar = {
         **VectorBundle.one_point,

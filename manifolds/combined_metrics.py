@@ -16,7 +16,13 @@ from .product import Product
 
 @final
 class ProductMetric(Metric):
-    """The sum of metrics of the factors of a product."""
+    """The sum of metrics of the factors of a product.
+
+    ``g(v, w) = sum_i g_i(v_i, w_i)``.
+
+    >>> print(ProductMetric(EmbeddedMetric(SO(3)), EmbeddedMetric(Euclidean(3))).manifold)
+    SO(3) x R^3
+    """
 
     factors: tuple[Metric, ...]
 
@@ -36,7 +42,13 @@ class ProductMetric(Metric):
 
 @final
 class PowerMetric(Metric):
-    """The sum of one metric over the copies of a power."""
+    """The sum of one metric over the copies of a power.
+
+    ``g(v, w) = sum_i g(v_i, w_i)``.
+
+    >>> print(PowerMetric(EmbeddedMetric(Sphere(2)), 3).manifold)
+    Power(Sphere(2), 3)
+    """
 
     factor: Metric
     k: int = eqx.field(static=True)
@@ -57,7 +69,14 @@ class PowerMetric(Metric):
 
 @final
 class ScaledMetric(Metric):
-    """A positive multiple of a metric: the same geodesics, other lengths."""
+    """A positive multiple of a metric: the same geodesics, other lengths.
+
+    ``g(v, w) = scale * base(v, w)``.
+
+    >>> q, v = jnp.zeros(2), jnp.array([3.0, 4.0])
+    >>> float(ScaledMetric(EmbeddedMetric(Euclidean(2)), 2.0).inner_product(q, v, v))
+    50.0
+    """
 
     base: Metric
     scale: float = eqx.field(static=True)

@@ -21,7 +21,14 @@ NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
 @dataclass(frozen=True)
 class Verdict:
-    """Answer to a membership question: true or false, with the reason in words."""
+    """Answer to a membership question: true or false, with the reason in words.
+
+    It holds where the largest violation is ``<= tolerance``.
+
+    >>> verdict = Sphere(2).contains(jnp.array([1.0, 0.0, 0.0]))
+    >>> bool(verdict), verdict.reason
+    (True, 'a point of the manifold to 1e-08')
+    """
 
     holds: bool
     reason: str
@@ -36,6 +43,8 @@ class Manifold(eqx.Module):
     Points, tangent vectors and covectors are ambient arrays (pytrees for products) of one shape. Covectors pair with
     vectors by the sum of products of entries; a covector is stored as its tangent representative.
     Methods act on one point; batches are ``jax.vmap``: those named in ``one_point`` refuse arrays of other shapes.
+
+    In symbols: ``P_x: E -> T_xM``, orthogonal, and ``sum_i <E_i, a> E_i = P_x a`` for the basis ``E_i`` of ``T_xM``.
     """
 
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -183,6 +192,9 @@ class HomogeneousSpace(Manifold):
 
     The action's generators give the momentum map ``J_i(q, p) = <p, xi_i(q)>``, conserved by every Hamiltonian that the
     action leaves invariant.
+
+    >>> isinstance(Sphere(2), HomogeneousSpace)
+    True
     """
 
     one_point: ClassVar = {**Manifold.one_point, "generators": ("a point",), "momentum": ("a point", "a covector")}

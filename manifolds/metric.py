@@ -17,6 +17,12 @@ class Metric(eqx.Module):
     """A Riemannian metric ``g`` on a manifold.
 
     It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.
+
+    ``g_x(v, w)``, symmetric and positive definite on ``T_xM``; the covector of ``v`` is the ``p`` with ``<p, w> = g_x(v,
+    w)``.
+
+    >>> isinstance(EmbeddedMetric(Sphere(2)), Metric)
+    True
     """
 
     @attribute
@@ -53,7 +59,12 @@ class Metric(eqx.Module):
 
 @final
 class EmbeddedMetric(Metric):
-    """The metric that a manifold has from its ambient space: ``g_x(v, w) = <v, w>``."""
+    """The metric that a manifold has from its ambient space: ``g_x(v, w) = <v, w>``.
+
+    >>> q, v = jnp.zeros(2), jnp.array([3.0, 4.0])
+    >>> float(EmbeddedMetric(Euclidean(2)).inner_product(q, v, v))
+    25.0
+    """
 
     manifold: Manifold
 

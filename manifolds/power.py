@@ -21,6 +21,8 @@ class Power(Manifold):
     A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done to all
     copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``. Raises
     ``InvalidInputError`` for what is not a manifold and for a number below 1.
+
+    Its points are ``(x_1, ..., x_k)``, ``M^k`` with ``dim M^k = k dim M``.
     """
 
     factor: Manifold

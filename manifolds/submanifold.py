@@ -22,6 +22,9 @@ class Submanifold(Manifold):
     """``{x in M : c(x) = 0}`` for a smooth function of points of ``M`` with values in ``R^m``, in the ambient space of ``M``.
 
     The equations must be independent: the differentials of the ``m`` components along ``M`` have rank ``m`` on the set.
+
+    >>> print(Submanifold(Euclidean(2), lambda x: x[1:]).dimension)
+    1
     """
 
     parent: Manifold

@@ -29,6 +29,12 @@ def cotangent_lift(
 
     The result takes a point ``x`` of ``source`` and a covector ``p`` there (any ambient array) to ``F(x)`` and the covector
     ``p'`` with ``<p', DF(x) e> = <p, e>`` for every tangent vector ``e`` at ``x``.
+
+    Each is an array of the shape of a point of its manifold.
+
+    >>> lift = cotangent_lift(lambda x: 2.0 * x, Euclidean(1), Euclidean(1))
+    >>> [part.tolist() for part in lift(jnp.ones(1), jnp.ones(1))]
+    [[2.0], [0.5]]
     """
 
     def lifted(x: Ambient, p: Ambient) -> Pair:
@@ -89,7 +95,13 @@ class CotangentLift(DiscretizationMap):
 
 @final
 class BundleRetraction(Retraction):
-    """Retraction of ``T*Q`` over a retraction of ``Q``: move the base, project the moved covector."""
+    """Retraction of ``T*Q`` over a retraction of ``Q``: move the base, project the moved covector.
+
+    ``R((q, p), (qdot, pdot)) = (R_Q(q, qdot), P(p + pdot))`` with the tangent projection ``P`` at the moved point.
+
+    >>> CotangentLift(Midpoint(Projection(Sphere(2)))).retraction
+    BundleRetraction(base=SphereProjection(manifold=Sphere(n=2)))
+    """
 
     base: Retraction
 

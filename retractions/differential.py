@@ -14,6 +14,11 @@ class DifferentiatedRetraction(Retraction):
     """A retraction with closed forms of its derivative along the fibres and of the adjoint of that.
 
     Use ``differentiated`` and ``adjoint``, which take any retraction.
+
+    The derivative is ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``.
+
+    >>> isinstance(Cayley(SO(3)), DifferentiatedRetraction)
+    True
     """
 
     @abstractmethod
@@ -30,6 +35,12 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
 
     ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that belongs
     to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
+
+    All of them, and the value, have the shape of a point.
+
+    >>> x, v, w = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
+    >>> differentiated(Addition(Euclidean(2)), x, v, w).tolist()
+    [1.0, 2.0]
     """
     require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a direction": w})
     if isinstance(retraction, DifferentiatedRetraction):
@@ -41,6 +52,12 @@ def adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambi
     """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at ``x``.
 
     ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.
+
+    ``v`` and the value are tangent vectors at ``x``, all of the shape of a point.
+
+    >>> x, v, xi = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
+    >>> adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
+    [1.0, 2.0]
     """
     require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a covector": xi})
     if isinstance(retraction, DifferentiatedRetraction):

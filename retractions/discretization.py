@@ -25,6 +25,10 @@ class DiscretizationMap(eqx.Module):
 
     It turns a tangent vector, base point and velocity times step, into the two ends of a step
     [Barbero-Linan, Martin de Diego, "Retraction maps: a seed of geometric integrators", 2022].
+
+    >>> R_d = Theta(Addition(Euclidean(1)), 0.25)
+    >>> [end.tolist() for end in R_d(jnp.array([1.0]), jnp.array([0.4]))]
+    [[0.9], [1.3]]
     """
 
     @attribute
@@ -164,7 +168,11 @@ def Midpoint(retraction: Retraction) -> Theta:
 
 @final
 class Adjoint(DiscretizationMap):
-    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own adjoint."""
+    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own adjoint.
+
+    >>> Adjoint(Euler(Addition(Euclidean(1)))).theta
+    1.0
+    """
 
     inner: DiscretizationMap
 

@@ -68,6 +68,11 @@ class RetractionFamily:
 
     A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A class of one's own joins with
     ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
+
+    The member is a retraction: ``R(x, 0) = x`` and ``D_v R(x, 0) = Id``.
+
+    >>> Cayley.knows(SO(3)), Cayley.knows(Sphere(2))
+    (True, False)
     """
 
     def __init__(self, name: str, members: dict[type[Manifold], Callable[..., Retraction]]) -> None:
@@ -162,6 +167,8 @@ def default_retraction(manifold: Manifold) -> Retraction:
     """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, or ``Restored`` where none is.
 
     Factor by factor on products.
+
+    It is a retraction: ``R(x, 0) = x``, ``D_v R(x, 0) = Id``.
     """
     if isinstance(manifold, Product):
         return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))

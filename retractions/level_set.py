@@ -17,6 +17,12 @@ class LevelSetProjection(Retraction):
 
     It solves ``y = x + v + c'(y)' l``, ``c(y) = 0`` for ``y`` and ``l``; entries are NaN where Newton's method fails.
     Inverse: ``v = y - x + c'(y)' l`` with ``l`` such that ``v`` is tangent at ``x``, a linear equation.
+
+    >>> class Circle(LevelSet):
+    ...     def constraint(self, x):
+    ...         return x @ x - 1.0
+    >>> isinstance(Projection(Circle((2,))), LevelSetProjection)
+    True
     """
 
     manifold: LevelSet

@@ -23,6 +23,9 @@ class Restored(Retraction):
     ``restore`` moves a point at distance ``e`` by ``O(e)`` and leaves the manifold as it is, so that ``x + t v``, at distance
     ``O(t^2)``, moves by ``O(t^2)``: a retraction of the projection-like kind [Absil, Malick 2012], for a manifold without closed
     forms. Inverse: Newton's method.
+
+    >>> Restored(Sphere(2)).manifold
+    Sphere(n=2)
     """
 
     manifold: Manifold

@@ -145,7 +145,11 @@ def nan_unless(valid: Bool[Array, ""], v: Ambient) -> Ambient:
 
 
 class MidpointRetraction(Retraction):
-    """A retraction whose midpoints are known: the ``m`` with ``R(m, -w) = x0`` and ``R(m, w) = x1`` for one ``w``."""
+    """A retraction whose midpoints are known: the ``m`` with ``R(m, -w) = x0`` and ``R(m, w) = x1`` for one ``w``.
+
+    >>> isinstance(Cayley(SO(3)), MidpointRetraction)
+    True
+    """
 
     @abstractmethod
     def midpoint(self, x0: Ambient, x1: Ambient) -> Ambient:

@@ -22,6 +22,10 @@ class Orthographic(Retraction):
     corrected along the normals where it starts [Absil, Malick, "Projection-like retractions on matrix manifolds", 2012].
     Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``, NaN where ``R`` does not
     lead back.
+
+    >>> line = Submanifold(Euclidean(2), lambda x: x[1:])
+    >>> isinstance(Projection(line), Orthographic)
+    True
     """
 
     manifold: Submanifold

@@ -1,20 +1,28 @@
 """The code of the documentation runs as it stands, page by page, and prints what the pages say."""
 
+import ast
+import importlib
+import inspect
 import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from retrax import retractions
 
 ROOT = Path(__file__).parents[1]
 SLOW = (
     "README.md",
     "conventions.md",
     "dirac.md",
+    "from_casadi.md",
+    "from_geometry.md",
     "integration.md",
+    "new_manifold.md",
     "optimal_control.md",
     "own_manifold.md",
+    "paper.md",
     "pictures.md",
     "singular.md",
 )
@@ -28,6 +36,68 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def marked(page: Path):
     return pytest.param(page, id=page.name, marks=[pytest.mark.slow] if page.name in SLOW else [])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tests_and_files_that_a_page_names_exist(page):
+    """``tests/a/test_b.py::test_c`` in a page, a file of the repository, and what the README links to."""
+    text = page.read_text()
+    for path, name in re.findall(r"`((?:tests|examples|retrax/testing)/[\w/]+\.py)(?:::(\w+))?`", text):
+        file = ROOT / path if not path.startswith("retrax/") else ROOT / "src" / path
+        assert file.exists(), path
+        assert not name or f"def {name}(" in file.read_text(), f"{path} has no {name}"
+    for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", text):
+        assert (page.parent / target).exists(), target
+
+
+def texts() -> str:
+    """All texts of the library, with ``...`` in the place of what is filled in."""
+    found = []
+    for room in ("manifolds", "retractions", "integrators", "src/retrax"):
+        for path in (ROOT / room).rglob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text())):
+                if isinstance(node, ast.JoinedStr):
+                    found.append("".join(part.value if isinstance(part, ast.Constant) else "..." for part in node.values))
+                elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                    found.append(node.value)
+    return "\n".join(found)
+
+
+def test_messages_of_the_troubleshooting_page_are_those_of_the_library():
+    rows = re.findall(r"^\| `((?:[^`])+)` \|", (ROOT / "docs" / "troubleshooting.md").read_text(), re.MULTILINE)
+    messages = [row.replace("\\|", "|") for row in rows if " " in row]
+    library = texts()
+    assert len(messages) > 30
+    missing = [message for message in messages if not re.search(re.escape(message).replace(r"\.\.\.", ".*"), library)]
+    assert not missing, missing
+
+
+def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    links = importlib.import_module("links")
+    first, second = tmp_path / "first.html", tmp_path / "second.html"
+    first.write_text('<a id="here"></a><a href="#here"></a><a href="second.html#there"></a><a href="https://elsewhere#"></a>')
+    second.write_text('<p id="there"></p><a href="first.html#gone"></a><a href="third.html"></a><a href="first.html"></a>')
+    found, count = links.broken(tmp_path, [first, second])
+    assert count == 5
+    assert [words.partition(",")[0] for words in found] == [
+        "second.html links to first.html#gone",
+        "second.html links to third.html",
+    ]
+
+
+def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    tables = importlib.import_module("tables")
+    shown = {type(made) for manifold in tables.EXAMPLES for made in tables.retractions(manifold)}
+    of_any_manifold = {
+        *("BundleRetraction", "LevelSetProjection", "Orthographic", "PowerRetraction", "ProductRetraction"),
+        *("Restored", "SecondOrder", "Stabilized", "Translated"),
+    }
+    public = {name: getattr(retractions, name) for name in retractions.__all__}
+    kinds = {name for name, kind in public.items() if inspect.isclass(kind) and issubclass(kind, retractions.Retraction)}
+    concrete = {name for name in kinds if not inspect.isabstract(public[name])}
+    assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
 
 
 @pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])

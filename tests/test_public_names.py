@@ -1,14 +1,19 @@
 """What the docstring of each public name says, and what it lacks: words, shapes, errors, a source or equation, an example."""
 
 import ast
+import doctest
 import importlib
 import inspect
+import io
 import re
 import textwrap
 import tomllib
 from functools import cache
 from pathlib import Path
 
+import jax
+import jax.numpy as jnp
+import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -86,6 +91,26 @@ def test_no_public_name_lacks_more_than_is_recorded(room):
     assert not any(new.values()), f"{new}: write it in the docstring; for an example, use the name in a page or an example"
 
 
+@cache
+def names_of_examples() -> dict[str, object]:
+    """What the examples of docstrings have imported: ``jax``, ``jnp``, ``np``, and the names of three rooms."""
+    modules = [importlib.import_module(f"retrax.{room}") for room in ("manifolds", "retractions", "integrators")]
+    found = {name: getattr(module, name) for module in modules for name in module.__all__}
+    return {**found, "jax": jax, "jnp": jnp, "np": np}
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_examples_of_docstrings_print_what_they_say(room):
+    module = importlib.import_module(f"retrax.{room}")
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL)
+    printed = io.StringIO()
+    for name in module.__all__:
+        words = inspect.getdoc(getattr(module, name)) or ""
+        test = doctest.DocTestParser().get_doctest(words, dict(names_of_examples()), name, None, 0)
+        runner.run(test, out=printed.write)
+    assert not runner.failures, printed.getvalue()
+
+
 def without_a_word(x):
     return x
 
@@ -100,7 +125,7 @@ def with_all(x):
     return 2 * x
 
 
-def raising(x: "np.ndarray"):  # noqa: F821
+def raising(x: "np.ndarray"):
     """Twice."""
     raise ValueError(x)
 

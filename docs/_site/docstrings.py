@@ -10,20 +10,22 @@ MARKUP = re.compile(r"([|*\\]|(?<=\w)_(?!\w))")
 def process(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Change the lines of a docstring in place."""
     found: list[str] = []
-    inside = False  # a literal block
+    inside = shown = False  # a literal block; an example
     for place, line in enumerate(lines):
         before = next((earlier for earlier in reversed(found) if earlier.strip()), "")
         if not line.strip():
             found.append(line)
+            shown = False
             continue
-        if line.startswith("    "):
+        if line.startswith("    ") and not shown:
             if not inside and not before.rstrip().endswith("::") and place and not found[-1].strip():
                 found += ["::", ""]
             inside = inside or not found[-1].strip()
             found.append(line if inside else escaped(line))
             continue
         inside = False
-        found.append(line if line.startswith(">>>") else escaped(line))
+        shown = shown or line.startswith(">>>")  # with what it prints, up to an empty line
+        found.append(line if shown else escaped(line))
     lines[:] = found
 
 

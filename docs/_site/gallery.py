@@ -12,7 +12,7 @@ HEAD = """Examples
 ========
 
 Each script states its equation, solves it, checks the result against a known value, and draws it. They run as they are:
-``python examples/attitude_slew.py``.
+``python examples/attitude_slew.py``. Pages with pictures were made by running their scripts; each has its script as a notebook too.
 """
 shown: set[Path] = set()
 
@@ -29,8 +29,15 @@ def prepare(source: Path, target: Path) -> None:
         body = set_off(rest)
         underlined = f"{title}\n{'=' * len(title)}\n{body}"
         text = text.replace(f'"""{written}"""', f'r"""{underlined}"""', 1)
-        # The gallery runs a script where it lies, and without a name of its file.
-        (target / script.name).write_text(text.replace("Path(__file__).parent", "Path()"))
+        (target / script.name).write_text(as_page(text))
+
+
+def as_page(text: str) -> str:
+    """A script that runs where it lies, without a name of its file and without arguments, as notebooks have some of their own."""
+    changed = text.replace("Path(__file__).parent", "Path()")
+    if not changed.rstrip().endswith("    main()"):
+        raise ValueError(f"a script of the gallery ends with a call of main(), got {changed[-60:]!r}")
+    return changed.rstrip().removesuffix("main()") + "main([])\n"
 
 
 def set_off(text: str) -> str:

@@ -4,12 +4,11 @@ import importlib
 import inspect
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import tables
 from docstrings import escaped
-from retrax import retractions
 from retrax.retractions import RetractionFamily
 
 ROOMS = {
@@ -25,7 +24,7 @@ ROOMS = {
 
 
 def write(folder: Path) -> None:
-    """Write a page for each room, the table of retractions, and the page that lists them."""
+    """Write a page for each room, the table of manifolds and retractions, and the page that lists them."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for room, title in ROOMS.items():
@@ -34,7 +33,7 @@ def write(folder: Path) -> None:
         for name in sorted(module.__all__, key=str.lower):
             lines += entry(module, name)
         (folder / f"{room}.rst").write_text("\n".join(lines) + "\n")
-    (folder / "table.rst").write_text("\n".join(table()) + "\n")
+    (folder / "table.rst").write_text("\n".join(tables.table()) + "\n")
     rows = "\n".join(f"   {page}" for page in (*ROOMS, "table"))
     (folder / "index.rst").write_text(f"Reference\n=========\n\n.. toctree::\n   :maxdepth: 1\n\n{rows}\n")
 
@@ -57,23 +56,3 @@ def comment(module: ModuleType, name: str) -> str:
         if found:
             return found[1][0].upper() + found[1][1:] + "."
     raise LookupError(f"{module.__name__}.{name} has no comment behind the line that defines it, expected what it is")
-
-
-def table() -> list[str]:
-    """Which retraction each family has on each manifold."""
-    families = {name: thing for name, thing in vars(retractions).items() if isinstance(thing, RetractionFamily)}
-    kinds = sorted({kind for family in families.values() for kind in family._members}, key=lambda kind: kind.__name__)
-    lines = ["Retractions by manifold", "=======================", ""]
-    lines += ["``Cayley(manifold)`` is the retraction in the column of that name; products are taken factor by factor.", ""]
-    lines += [".. list-table::", "   :header-rows: 1", "", "   * - manifold", *(f"     - {name}" for name in families)]
-    for kind in kinds:
-        found = [family._members.get(kind) for family in families.values()]
-        lines += [f"   * - ``{kind.__name__}``", *(f"     - {cell(member)}" for member in found)]
-    return lines
-
-
-def cell(member: Callable | None) -> str:
-    """The name of a retraction, or that there is one which a function without a name makes."""
-    if member is None:
-        return ""
-    return f"``{member.__name__}``" if inspect.isclass(member) else "yes"

@@ -27,6 +27,9 @@ class GeodesicRetraction(Retraction):
 
     By default 8 steps of order 4: on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1`` the error is 7e-5 for ``|v| = 1``, 1e-9 for
     ``|v| = 0.1``.
+
+    >>> GeodesicRetraction(EmbeddedMetric(Sphere(2))).manifold
+    Sphere(n=2)
     """
 
     metric: Metric

@@ -30,7 +30,11 @@ RESTING = 1e-3  # of the largest coordinate of a control: one that is smaller is
 
 
 class Integrator(eqx.Module):
-    """A one-step method on ``T*Q``."""
+    """A one-step method on ``T*Q``.
+
+    >>> isinstance(SymplecticIntegrator(Gauss(2, Cayley(SO(3)))), Integrator)
+    True
+    """
 
     @attribute
     @abstractmethod
@@ -72,7 +76,11 @@ class Integrator(eqx.Module):
 
 
 class LiftedIntegrator(Integrator):
-    """A method built on the cotangent lift of a discretization map."""
+    """A method built on the cotangent lift of a discretization map.
+
+    >>> issubclass(SingularIntegrator, LiftedIntegrator)
+    True
+    """
 
     @attribute
     @abstractmethod

@@ -21,6 +21,13 @@ class ControlStage(Stage):
 
     Its generating function is ``S(x, u; p0, p1) = <p1, R2(x, hX)> - <p0, R1(x, hX)> - h p_0 F``: the control ``u`` belongs to the
     base point, at time ``t_k + theta h``.
+
+    ``x`` has the shape of a point, ``u`` that of a control; the value is a scalar.
+
+    >>> problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, 1)
+    >>> method = PresymplecticIntegrator(CotangentLift(Midpoint(Addition(Euclidean(1)))))
+    >>> type(method.stage(problem, 0.1)).__name__
+    'ControlStage'
     """
 
     problem: OptimalControlProblem

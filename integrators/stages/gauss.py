@@ -41,6 +41,12 @@ class GaussStage(Stage):
     Stationary in ``pi_i`` is the collocation ``v_i = h dH/dp``, in ``u_i`` Pontryagin's ``dH/du = 0``; in ``x`` and ``w_i`` they
     are the equations of the costates, whose values at the points are the multipliers ``pi_i``. A Hamiltonian system has no
     controls: U is the point ``Euclidean(0)``.
+
+    Points have their own shape, ``w_i`` the shape of a point, ``u_i`` that of a control.
+
+    >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
+    >>> type(method.stage(lambda q, p: p @ p / 2, 0.1)).__name__
+    'GaussStage'
     """
 
     hamiltonian: Callable[[Any, Any, Any], Array]

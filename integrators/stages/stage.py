@@ -24,6 +24,10 @@ class Stage(eqx.Module):
     Its generating function is ``S(y; p0, p1) = <p1, R2> - <p0, R1> - cost(y)`` with ``(R1, R2) = ends(y)``. One step from
     ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1 = q0``; a whole trajectory is the KKT system of
     ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
+
+    >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
+    >>> isinstance(method.stage(lambda q, p: p @ p / 2, 0.1), Stage)
+    True
     """
 
     @attribute

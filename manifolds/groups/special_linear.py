@@ -16,6 +16,9 @@ class SL(MatrixLieGroup):
     """Matrices of determinant one, ``SL(n)``, of dimension ``n^2 - 1``; points have shape ``(n, n)``.
 
     The basis of the algebra is ``E_ij`` with ``i != j``, row by row, then ``E_ii - E_(i+1)(i+1)``.
+
+    >>> SL(2).dimension
+    3
     """
 
     n: int = eqx.field(static=True, converter=plain)

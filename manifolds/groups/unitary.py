@@ -56,6 +56,9 @@ class U(MatrixLieGroup):
     """Unitary matrices ``U(n) = {x : x^H x = I}``, of dimension ``n^2``; points are complex, shape ``(n, n)``.
 
     The basis of the algebra is ``-i sqrt(2/n) I / 2`` followed by that of SU(n).
+
+    >>> U(2).dimension
+    4
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -90,6 +93,9 @@ class SU(MatrixLieGroup):
 
     The basis of the algebra is ``-i lambda_k / 2`` with the generalised Gell-Mann matrices ``lambda_k``. For n = 2, the unit
     quaternions, coordinates ``w`` are those of SO(3): ``exp(hat(w))`` turns space by the rotation vector ``w``.
+
+    >>> SU(2).dimension
+    3
     """
 
     n: int = eqx.field(static=True, converter=plain)

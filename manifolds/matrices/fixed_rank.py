@@ -21,6 +21,9 @@ class FixedRank(Manifold):
     With ``c`` and ``d`` the orthogonal projectors on the spans of a point's columns and of its rows, the normal vectors are
     the ``(I - c) a (I - d)``. Off the manifold the spans are those of the ``r`` leading singular vectors, so all of this is
     smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
+
+    >>> FixedRank(5, 4, 2).dimension
+    14
     """
 
     m: int = eqx.field(static=True, converter=plain)

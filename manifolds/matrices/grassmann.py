@@ -24,6 +24,9 @@ class Grassmann(HomogeneousSpace):
     vectors are the symmetric ``v`` with ``x v + v x = v``; in the ambient metric a rotation of one direction by a small
     angle ``t`` has length ``sqrt(2) t``. Rotations act by ``x -> g x g'``, with momentum ``J_i = <p, [e_i, x]>``
     [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
+
+    >>> Grassmann(5, 2).dimension
+    6
     """
 
     n: int = eqx.field(static=True, converter=plain)

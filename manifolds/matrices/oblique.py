@@ -19,6 +19,9 @@ class Oblique(HomogeneousSpace):
     """Oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors, each a point of the sphere in ``R^n``.
 
     Rotations of each column act on it, as they do on the sphere; momenta are listed column by column.
+
+    >>> Oblique(3, 4).dimension, Oblique(3, 4).ambient.shape
+    (8, (3, 4))
     """
 
     n: int = eqx.field(static=True, converter=plain)

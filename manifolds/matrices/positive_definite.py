@@ -30,6 +30,9 @@ class SPD(HomogeneousSpace):
     """Symmetric positive definite matrices, an open cone in the symmetric ``n x n`` matrices; points have shape ``(n, n)``.
 
     Invertible matrices ``g`` act on it by ``x -> g x g'``; the n^2 generators are ``e_ij x + x e_ij'``.
+
+    >>> SPD(3).dimension
+    6
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -70,7 +73,12 @@ class SPD(HomogeneousSpace):
 
 @final
 class AffineInvariantMetric(Metric):
-    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves invariant."""
+    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves invariant.
+
+    >>> I = jnp.eye(2)
+    >>> float(AffineInvariantMetric(SPD(2)).inner_product(2 * I, I, I))
+    0.5
+    """
 
     manifold: SPD
 

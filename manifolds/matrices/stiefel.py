@@ -78,6 +78,11 @@ class CanonicalMetric(Metric):
     """The metric ``g_x(v, w) = tr v'(I - xx'/2) w`` of the frames as a quotient of the rotations.
 
     A rotation of the frame in its own span counts half as much as in the ambient metric [Edelman, Arias, Smith 1998, 2.4.1].
+
+    >>> x = jnp.eye(3)[:, :2]
+    >>> v = jnp.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
+    >>> float(CanonicalMetric(Stiefel(3, 2)).inner_product(x, v, v))
+    1.0
     """
 
     manifold: Stiefel

@@ -9,11 +9,21 @@ TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp
 
 
 class RetraxError(Exception):
-    """Base of every error that this library raises."""
+    """Base of every error that this library raises.
+
+    >>> issubclass(InvalidInputError, RetraxError), issubclass(ConvergenceError, RetraxError)
+    (True, True)
+    """
 
 
 class InvalidInputError(RetraxError, ValueError):
-    """An argument has the wrong value, shape or structure."""
+    """An argument has the wrong value, shape or structure.
+
+    >>> Stiefel(2, 3)
+    Traceback (most recent call last):
+        ...
+    retrax.manifolds.numerics.errors.InvalidInputError: ...
+    """
 
 
 class NotOnManifoldError(InvalidInputError):
@@ -21,17 +31,33 @@ class NotOnManifoldError(InvalidInputError):
 
 
 class UnknownRetractionError(RetraxError, TypeError):
-    """No retraction of the requested name is known on a manifold."""
+    """No retraction of the requested name is known on a manifold.
+
+    >>> QR(Sphere(2))
+    Traceback (most recent call last):
+        ...
+    retrax.manifolds.numerics.errors.UnknownRetractionError: ...
+    """
 
 
 class DomainError(InvalidInputError):
-    """A point lies outside the image of a retraction or of a discretization map."""
+    """A point lies outside the image of a retraction or of a discretization map.
+
+    >>> north = jnp.array([0.0, 0.0, 1.0])
+    >>> Projection(Sphere(2)).inverse(north, -north)
+    Traceback (most recent call last):
+        ...
+    retrax.manifolds.numerics.errors.DomainError: ...
+    """
 
 
 class ConvergenceError(RetraxError, RuntimeError):
     """An iteration ended without meeting the conditions that its result claims.
 
     ``solution`` holds what was reached, where ``solve`` raised it: a record whose ``success`` is false, or None.
+
+    >>> issubclass(ConvergenceError, RuntimeError)
+    True
     """
 
     def __init__(self, message: str, solution: Any = None) -> None:

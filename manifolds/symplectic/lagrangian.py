@@ -61,6 +61,11 @@ class LagrangianVerdict:
     ``isotropy``: largest value of the form on two unit tangent vectors of L, relative to its norm (0 if the form is zero).
     ``dimension`` of L; ``required`` by the dimension formula, ``rank / 2 + shared``, with ``rank`` of the form and ``shared`` the
     dimension of ``T_xL`` intersected with its kernel.
+
+    ``dim L = rank / 2 + shared`` is the formula of Definition 2 of Barbero-Linan and Martin de Diego.
+
+    >>> LagrangianVerdict(isotropy=0.0, dimension=1, rank=2, shared=1).reason
+    'isotropic of dimension 1, expected rank / 2 + dim(TL and ker) = 2 / 2 + 1 = 2'
     """
 
     isotropy: float
@@ -96,6 +101,8 @@ def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
 
     Raises ``InvalidInputError`` for what is no ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``, or ``i`` does
     not map it and its neighbours into ``M``.
+
+    ``y``: a point of the source, of its shape.
     """
     if not isinstance(submanifold, Immersion):
         raise InvalidInputError(f"is_lagrangian takes an Immersion, got {submanifold!r}; try L_H(problem) or graph(f, M, N)")
@@ -126,6 +133,9 @@ def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: 
     """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic diffeomorphism.
 
     Raises ``InvalidInputError`` for parts of another kind.
+
+    The form is zero on it where ``f* omega_N = omega_M``. ``f`` takes a point of ``M`` to one of ``N``, each of its own
+    shape.
     """
     _require_function(function)
     for space in (first, second):

@@ -19,6 +19,8 @@ class PresymplecticManifold(eqx.Module):
     """A manifold ``M`` with a closed two-form ``omega``, a function ``form(x, a, b)`` of a point and two tangent vectors.
 
     Symplectic where the kernel ``{v : i_v omega = 0}`` is zero. That the form is closed is the caller's promise.
+
+    ``form`` takes a point and two vectors of its shape, and returns a scalar.
     """
 
     manifold: Manifold

@@ -28,6 +28,9 @@ def alpha_inverse(q: Ambient, p: Ambient, qdot: Ambient, pdot: Ambient) -> Quadr
     """``alpha^-1: TT*Q -> T*TQ``, ``(q, p, qdot, pdot) -> (q, v, p_q, p_v) = (q, qdot, pdot, p)``.
 
     The covector on ``TQ`` at ``(q, v)`` is ``(dq, dv) -> <p_q, dq> + <p_v, dv>``.
+
+    >>> alpha_inverse(*alpha(1.0, 2.0, 3.0, 4.0))
+    (1.0, 2.0, 3.0, 4.0)
     """
     return q, qdot, pdot, p
 
@@ -36,23 +39,42 @@ def beta(q: Ambient, p: Ambient, qdot: Ambient, pdot: Ambient) -> Quadruple:
     """``beta: TT*Q -> T*T*Q``, ``v -> i_v omega``, ``(q, p, qdot, pdot) -> (q, p, P_q, P_p) = (q, p, -pdot, qdot)``.
 
     It is anti-symplectic: with ``omega = dq ^ dp`` it pulls the canonical form of ``T*T*Q`` back to ``-d_T omega``.
+
+    >>> [float(part) for part in beta(1.0, 2.0, 3.0, 4.0)]
+    [1.0, 2.0, -4.0, 3.0]
     """
     return q, p, vec.scale(-1.0, pdot), qdot
 
 
 def beta_inverse(q: Ambient, p: Ambient, P_q: Ambient, P_p: Ambient) -> Quadruple:
-    """``beta^-1: T*T*Q -> TT*Q``, ``(q, p, P_q, P_p) -> (q, p, qdot, pdot) = (q, p, P_p, -P_q)``."""
+    """``beta^-1: T*T*Q -> TT*Q``, ``(q, p, P_q, P_p) -> (q, p, qdot, pdot) = (q, p, P_p, -P_q)``.
+
+    >>> [float(part) for part in beta_inverse(*beta(1.0, 2.0, 3.0, 4.0))]
+    [1.0, 2.0, 3.0, 4.0]
+    """
     return q, p, P_p, vec.scale(-1.0, P_q)
 
 
 def Phi(z0: Pair, z1: Pair) -> tuple[Pair, Pair]:
-    """``Phi: T*Q x T*Q -> T*(Q x Q)``, ``(q0, p0; q1, p1) -> ((q0, q1), (-p0, p1))``: a point and a covector there."""
+    """``Phi: T*Q x T*Q -> T*(Q x Q)``, ``(q0, p0; q1, p1) -> ((q0, q1), (-p0, p1))``: a point and a covector there.
+
+    >>> z0, z1 = (jnp.ones(1), jnp.full(1, 2.0)), (jnp.full(1, 3.0), jnp.full(1, 4.0))
+    >>> np.ravel(Phi(z0, z1)).tolist()
+    [1.0, 3.0, -2.0, 4.0]
+    """
     (q0, p0), (q1, p1) = z0, z1
     return (q0, q1), (vec.scale(-1.0, p0), p1)
 
 
 def Phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
-    """``Phi^-1: T*(Q x Q) -> T*Q x T*Q``, ``((q0, q1), (a, b)) -> (q0, -a; q1, b)``."""
+    """``Phi^-1: T*(Q x Q) -> T*Q x T*Q``, ``((q0, q1), (a, b)) -> (q0, -a; q1, b)``.
+
+    ``q`` and ``p``: pairs of points and of covectors, arrays of the shape of a point.
+
+    >>> q, p = (jnp.ones(1), jnp.full(1, 3.0)), (jnp.full(1, -2.0), jnp.full(1, 4.0))
+    >>> np.ravel(Phi_inverse(q, p)).tolist()
+    [1.0, 2.0, 3.0, 4.0]
+    """
     return (q[0], vec.scale(-1.0, p[0])), (q[1], p[1])
 
 
@@ -62,6 +84,9 @@ class TulczyjewTriple(eqx.Module):
 
     Points of the three bundles are nested pairs: ``((q, v), (p_q, p_v))``, ``((q, p), (qdot, pdot))``, ``((q, p), (P_q, P_p))``.
     ``alpha`` is symplectic from the canonical form to ``d_T omega``, ``beta`` anti-symplectic to the canonical form.
+
+    >>> print(TulczyjewTriple(Sphere(2)).middle)
+    TangentBundle(CotangentBundle(Sphere(2)))
     """
 
     base: Manifold

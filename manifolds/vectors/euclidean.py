@@ -14,7 +14,10 @@ from ..numerics.sizes import as_shape
 
 @final
 class Euclidean(HomogeneousSpace):
-    """Vector space of real arrays: ``Euclidean(3)``, ``Euclidean((2, 3))``. Translations act on it; momentum is ``p``."""
+    """Vector space of real arrays: ``Euclidean(3)``, ``Euclidean((2, 3))``. Translations act on it; momentum is ``p``.
+
+    Its dimension is the number of entries, its projection ``P_x a = a``.
+    """
 
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 

@@ -26,6 +26,9 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
     Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of products,
     by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``. The Lorentz
     group acts on it.
+
+    >>> Hyperbolic(2).dimension, Hyperbolic(2).ambient.shape
+    (2, (3,))
     """
 
     def projection(self, x: Array, a: Array) -> Array:
@@ -86,7 +89,11 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
 
 @final
 class LorentzMetric(Metric):
-    """The metric ``g_x(v, w) = <v, w>_L`` of hyperbolic space, of constant curvature -1."""
+    """The metric ``g_x(v, w) = <v, w>_L`` of hyperbolic space, of constant curvature -1.
+
+    >>> LorentzMetric(Hyperbolic(2)).manifold
+    Hyperbolic(n=2)
+    """
 
     manifold: Hyperbolic
 

@@ -11,7 +11,11 @@ from .hypersurface import Hypersurface
 
 @final
 class Simplex(Hypersurface):
-    """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``."""
+    """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``.
+
+    >>> Simplex(3).dimension, bool(Simplex(3).contains(jnp.full(4, 0.25)))
+    (3, True)
+    """
 
     def projection(self, x: Array, a: Array) -> Array:
         return a - jnp.mean(a)

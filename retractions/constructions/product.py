@@ -16,6 +16,9 @@ class ProductRetraction(DifferentiatedRetraction):
     """Retraction of a product from one retraction for each factor: ``R(x, v)_i = R_i(x_i, v_i)``.
 
     Raises ``InvalidInputError`` for no factors, and for those that are not retractions.
+
+    >>> isinstance(Cayley(SO(3) * Euclidean(3)), ProductRetraction)
+    True
     """
 
     factors: tuple[Retraction, ...]

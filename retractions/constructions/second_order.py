@@ -28,6 +28,8 @@ def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient)
 
     ``g(a, e) = <d/dt dL/dv - dL/dx, e>`` with the Lagrangian ``L = g_x(v, v)/2`` along the curve; for the embedded metric it is
     the tangential part of the second derivative. A retraction is of second order for a metric if it vanishes.
+
+    ``v`` and the value have the shape of the point ``x``.
     """
 
     def lagrangian(at: Ambient, velocity: Ambient) -> Array:
@@ -52,6 +54,11 @@ class SecondOrder(Retraction):
 
     Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it is good for short vectors,
     and the inverse, by Newton's method from the inverse of ``R``, is that near zero.
+
+    A retraction of second order has ``a = 0``.
+
+    >>> SecondOrder(QR(SO(3))).manifold
+    SO(n=3)
     """
 
     inner: Retraction

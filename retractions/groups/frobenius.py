@@ -26,6 +26,9 @@ class FrobeniusExponential(GroupRetraction):
     ``GroupExponential``, which has a logarithm in closed form. NaN where rounding leads off the group. The inverse is
     Levenberg-Marquardt's and Newton's method from the logarithms of the polar factors: on SL(2) and SL(3) it comes back for
     ``|A| < 4``.
+
+    >>> FrobeniusExponential(SL(2)).manifold
+    SL(n=2)
     """
 
     manifold: MatrixLieGroup

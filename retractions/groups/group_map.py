@@ -31,6 +31,9 @@ class GroupRetraction(Retraction):
     It commutes with left translations, so integrators made from it conserve the momenta of left-invariant Hamiltonians.
     ``A`` is made exactly an element of the algebra before use: a part outside it, lost to rounding, makes long products drift
     off the group.
+
+    >>> isinstance(Exponential(SE(3)), GroupRetraction)
+    True
     """
 
     @attribute
@@ -73,7 +76,11 @@ def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
 
 
 class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
-    """One with ``g(-A) = g(A)^-1``: two points are symmetric about the square root of the group element between them."""
+    """One with ``g(-A) = g(A)^-1``: two points are symmetric about the square root of the group element between them.
+
+    >>> isinstance(Cayley(SO(3)), SymmetricGroupRetraction)
+    True
+    """
 
     @abstractmethod
     def square_root(self, b: Matrix) -> Matrix:
@@ -89,6 +96,10 @@ class Translated(Retraction):
 
     ``group_map`` takes a matrix of the algebra to one of the group, with ``g(0) = I`` and ``Dg(0) = Id``; ``inverse_map``, if
     given, takes it back, otherwise Newton's method does. Raises ``InvalidInputError`` if ``g`` breaks these rules.
+
+    >>> cayley = lambda a: jnp.linalg.solve(jnp.eye(3) - a / 2, jnp.eye(3) + a / 2)
+    >>> Translated(SO(3), cayley).manifold
+    SO(n=3)
     """
 
     manifold: MatrixLieGroup

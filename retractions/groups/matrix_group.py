@@ -58,6 +58,9 @@ class GroupExponential(SymmetricGroupRetraction):
     Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU all
     angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart; elsewhere where
     the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off the group.
+
+    >>> Exponential(SO(3))
+    GroupExponential(manifold=SO(n=3))
     """
 
     manifold: MatrixLieGroup
@@ -85,6 +88,9 @@ class GroupCayley(SymmetricGroupRetraction):
     image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE, U, SU(2)
     and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half of the digits of ``A`` come back.
     NaN where rounding leads off the group.
+
+    >>> Cayley(SE(3))
+    GroupCayley(manifold=SE(n=3))
     """
 
     manifold: MatrixLieGroup

@@ -36,6 +36,9 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
     Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega`` shorter
     than ``1 / (4 sqrt(eps))``, than the root of that where n = 2, 3.
     Differentiated, ``x h A h`` for ``w = x A``, with ``h = (I - Omega/2)^-1``.
+
+    >>> Cayley(SO(3))
+    SOCayley(manifold=SO(n=3))
     """
 
     def group_map(self, a: Array) -> Array:
@@ -70,6 +73,9 @@ class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
     Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega`` shorter than
     ``1 / (4 sqrt(eps))``.
     Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A g``, where ``I + Omega = g s``.
+
+    >>> Polar(SO(3))
+    SOPolar(manifold=SO(n=3))
     """
 
     def group_map(self, a: Array) -> Array:
@@ -99,6 +105,9 @@ class SOQR(GroupRetraction):
 
     Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every ``Omega``
     short enough for half of its digits to come back.
+
+    >>> QR(SO(3))
+    SOQR(manifold=SO(n=3))
     """
 
     manifold: SO

@@ -21,6 +21,9 @@ class UPolar(SymmetricGroupRetraction):
 
     Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: every tangent vector
     shorter than ``1 / (4 sqrt(eps))``.
+
+    >>> Polar(U(2))
+    UPolar(manifold=U(n=2))
     """
 
     manifold: U
@@ -44,6 +47,9 @@ class UQR(GroupRetraction):
 
     Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every tangent vector
     short enough for half of its digits to come back.
+
+    >>> QR(U(2))
+    UQR(manifold=U(n=2))
     """
 
     manifold: U

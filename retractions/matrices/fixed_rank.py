@@ -23,6 +23,9 @@ class FixedRankProjection(Retraction):
     Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, so that there is one
     nearest matrix, and columns and rows of that span no direction orthogonal to those of ``x``. By the perturbation bounds of
     Weyl and Wedin it holds every ``v`` whose largest singular value is below half the smallest one of ``x``.
+
+    >>> Projection(FixedRank(5, 4, 2))
+    FixedRankProjection(manifold=FixedRank(m=5, n=4, r=2))
     """
 
     manifold: FixedRank
@@ -81,6 +84,9 @@ class FixedRankOrthographic(Retraction):
     ``a w (u'a w)^-1 u'a``. Inverse: the tangent projection ``P_x(y - x)``; its image, and its domain, are where ``u'y w``,
     respectively ``u'a w``, is invertible, up to rounding of the value: every ``v`` whose largest singular value is below the
     smallest one of ``x`` is in the domain, and every multiple of a ``v`` but ``r`` of them or fewer.
+
+    >>> FixedRankOrthographic(FixedRank(5, 4, 2)).manifold
+    FixedRank(m=5, n=4, r=2)
     """
 
     manifold: FixedRank

@@ -93,6 +93,9 @@ class GrassmannExponential(_AlignedProjector):
 
     Inverse: the logarithm of the direct rotation; its image is where all principal angles are below pi/2, its domain where
     the largest singular value of ``v``, which is the largest angle, is below pi/2.
+
+    >>> Exponential(Grassmann(4, 2))
+    GrassmannExponential(manifold=Grassmann(n=4, p=2))
     """
 
     manifold: Grassmann
@@ -112,6 +115,9 @@ class GrassmannCayley(_AlignedProjector):
     """``R(x, v) = q x q'`` with the Cayley transform ``q`` of ``[v, x]``; an angle ``t`` from a singular value ``2 tan(t/2)``.
 
     Its image is where all principal angles are below pi/2, its domain where the largest singular value of ``v`` is below 2.
+
+    >>> Cayley(Grassmann(4, 2))
+    GrassmannCayley(manifold=Grassmann(n=4, p=2))
     """
 
     manifold: Grassmann
@@ -132,6 +138,9 @@ class GrassmannPolar(_RotatedProjector):
 
     It turns by an angle ``t`` from a singular value ``tan t``. Inverse ``(y - x)(x + y - I)^-1 (2x - I)``; its image is
     where all principal angles are below pi/2, its domain every tangent vector shorter than ``1 / (4 sqrt(eps))``.
+
+    >>> Polar(Grassmann(4, 2))
+    GrassmannPolar(manifold=Grassmann(n=4, p=2))
     """
 
     manifold: Grassmann

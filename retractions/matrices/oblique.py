@@ -13,7 +13,13 @@ from ..retraction import MidpointRetraction
 
 @final
 class Columnwise(MidpointRetraction, DifferentiatedRetraction):
-    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain, derivative and midpoints."""
+    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain, derivative and midpoints.
+
+    ``R(x, v)_j = R_S(x_j, v_j)`` for the columns, arrays of shape ``(n,)``.
+
+    >>> isinstance(Exponential(Oblique(3, 2)), Columnwise)
+    True
+    """
 
     manifold: Oblique
     column: MidpointRetraction

@@ -45,6 +45,9 @@ class SPDExponential(MidpointRetraction):
     Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold [Bhatia 2007, chapter 6], its domain every tangent vector short
     enough for half of its digits to come back: eigenvalues of ``l^-1 v l^-T`` at most about 16 apart, 6 in single precision.
     Entries are NaN where an eigenvalue of the value is rounding of the largest, from about 34 apart, 14 in single precision.
+
+    >>> Exponential(SPD(3))
+    SPDExponential(manifold=SPD(n=3))
     """
 
     manifold: SPD
@@ -72,6 +75,10 @@ class SPDSecondOrder(DifferentiatedRetraction):
     It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``; NaN where an eigenvalue is rounding of the
     largest. Inverse ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``, by ``4 sqrt(eps)``. At the edge of
     the domain the image folds: there a relative change ``e`` of ``y`` changes the inverse by ``sqrt(e)``.
+
+    >>> I = jnp.eye(2)
+    >>> SPDSecondOrder(SPD(2))(I, I).tolist()
+    [[2.5, 0.0], [0.0, 2.5]]
     """
 
     manifold: SPD
@@ -104,6 +111,9 @@ class SPDLogEuclidean(MidpointRetraction):
 
     Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector short
     enough for half of its digits to come back. Entries are NaN where an eigenvalue of the value is rounding of the largest.
+
+    >>> SPDLogEuclidean(SPD(3)).manifold
+    SPD(n=3)
     """
 
     manifold: SPD

@@ -38,6 +38,9 @@ class StiefelPolar(DifferentiatedRetraction):
     Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is positive
     definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector shorter than
     ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
+
+    >>> Polar(Stiefel(3, 2))
+    StiefelPolar(manifold=Stiefel(n=3, p=2))
     """
 
     manifold: Stiefel
@@ -76,6 +79,9 @@ class StiefelQR(DifferentiatedRetraction):
     Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the diagonal
     of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain every tangent vector short enough
     for half of its digits to come back [Kaneko, Fiori, Tanaka 2013].
+
+    >>> QR(Stiefel(3, 2))
+    StiefelQR(manifold=Stiefel(n=3, p=2))
     """
 
     manifold: Stiefel
@@ -123,6 +129,9 @@ class StiefelCayley(DifferentiatedRetraction):
     Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
     eigenvalue -1, its domain every tangent vector short enough for half of its digits to come back [Wen, Yin 2013; inverse
     after Zhu, Sato 2020].
+
+    >>> Cayley(Stiefel(3, 2))
+    StiefelCayley(manifold=Stiefel(n=3, p=2))
     """
 
     manifold: Stiefel

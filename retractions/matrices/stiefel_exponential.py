@@ -29,6 +29,9 @@ class StiefelExponential(Retraction):
     derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
     of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4 pi sqrt(eps)``;
     its image the points nearer than pi.
+
+    >>> Exponential(Stiefel(3, 2))
+    StiefelExponential(manifold=Stiefel(n=3, p=2))
     """
 
     manifold: Stiefel
@@ -67,6 +70,9 @@ class StiefelCanonicalExponential(Retraction):
     Inverse (logarithm): algorithm 3.1 of [Zimmermann 2017], then Newton's method to rounding. Its domain is the ball of radius
     ``sqrt(4/5) pi`` in this metric, which the injectivity radius is not below [Rentmeesters 2013]. On frames (6, 3) it comes
     back to 4e-15, up to 1e-8 from the edge of the domain.
+
+    >>> StiefelCanonicalExponential(Stiefel(3, 2)).manifold
+    Stiefel(n=3, p=2)
     """
 
     manifold: Stiefel

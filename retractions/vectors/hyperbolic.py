@@ -26,6 +26,9 @@ class HyperbolicExponential(MidpointRetraction):
 
     Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every tangent
     vector short enough for its value, and the square of that, to be a number; outside it entries are NaN.
+
+    >>> Exponential(Hyperbolic(2))
+    HyperbolicExponential(manifold=Hyperbolic(n=2))
     """
 
     manifold: Hyperbolic
@@ -56,6 +59,9 @@ class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
     It reads ``v`` as a point of Klein's model with ``x`` at its centre.
     Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the domain.
     Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
+
+    >>> Projection(Hyperbolic(2))
+    HyperbolicProjection(manifold=Hyperbolic(n=2))
     """
 
     manifold: Hyperbolic

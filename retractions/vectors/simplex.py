@@ -17,6 +17,9 @@ class SimplexExponential(Retraction):
     They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one to
     second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent vector
     whose value has no entry that underflows or has lost digits there (2e-308 in double precision); NaN outside it.
+
+    >>> Exponential(Simplex(3))
+    SimplexExponential(manifold=Simplex(n=3))
     """
 
     manifold: Simplex

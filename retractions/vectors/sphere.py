@@ -24,6 +24,9 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
 
     Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi`` but
     for the last ``4 pi sqrt(eps)``.
+
+    >>> Exponential(Sphere(2))
+    SphereExponential(manifold=Sphere(n=2))
     """
 
     manifold: Sphere
@@ -67,6 +70,9 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
 
     Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain every tangent vector
     shorter than ``1 / (4 sqrt(eps))``.
+
+    >>> Projection(Sphere(2))
+    SphereProjection(manifold=Sphere(n=2))
     """
 
     manifold: Sphere

@@ -1,4 +1,4 @@
-"""One step of an optimal control problem: Definition 3 of the paper, and what follows from it.
+"""One step of an optimal control problem: Definition 1 of the paper, and what follows from it.
 
 ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in ``S_H``, over its base point ``(x, pi)`` and the control ``u`` of the stage.
 """

@@ -358,5 +358,5 @@ MUTANTS: dict[str, Mutant] = {
     "a lift with the sign of `pdot` flipped": Mutant(check_cotangent_lift, MutantLift((1.0, -1.0, 1.0, 1.0))),
     "a lift with the sign of `p0` flipped": Mutant(check_cotangent_lift, MutantLift((1.0, 1.0, -1.0, 1.0))),
     "a lift with the sign of `p1` flipped": Mutant(check_cotangent_lift, MutantLift((1.0, 1.0, 1.0, -1.0))),
-    "a map of the bundle that is no lift": Mutant(check_cotangent_lift, Midpoint(BundleRetraction(PROJECTION))),
+    "a map of the bundle that is not a lift": Mutant(check_cotangent_lift, Midpoint(BundleRetraction(PROJECTION))),
 }

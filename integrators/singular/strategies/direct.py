@@ -37,7 +37,7 @@ NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the 
 class DirectIntegrator(DynamicsIntegrator):
     """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_f`` over its base point.
 
-    [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 3.]
+    [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 1.]
     The relation is Lagrangian in ``P_{f,d}``. It is a map of ``P_f`` into itself only where the ends of its steps stay on
     ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that, and takes nothing but rounding for it.
     A step of which the end is not on ``P_f`` to rounding, as where that is curved elsewhere, is not solved; rounding is removed.

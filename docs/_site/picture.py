@@ -1,0 +1,33 @@
+"""The picture of the README and of the first page, a slew: python docs/_site/picture.py writes docs/slew.png."""
+
+import importlib.util
+from pathlib import Path
+
+import matplotlib as mpl
+from PIL import Image
+
+ROOT = Path(__file__).parents[2]
+
+
+def main() -> None:
+    """Solve the example of the slew, and draw the paths of the body axes beside the histories."""
+    spec = importlib.util.spec_from_file_location("attitude_slew", ROOT / "examples" / "attitude_slew.py")
+    example = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(example)
+    import matplotlib.pyplot as plt
+    from retrax import plotting
+
+    with mpl.rc_context({"font.size": 8, "lines.linewidth": 1.2}):
+        figure = plt.figure(figsize=(9, 4.2), layout="constrained")
+        left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25))
+        solution = example.slew(50)
+        plotting.body_axes(solution, ax=left.add_subplot(projection="3d"))
+        plotting.histories(solution, ax=right.subplots(3, 1, sharex=True))
+        right.axes[0].set_ylabel("rotation vector [rad]")
+        figure.savefig(ROOT / "docs" / "slew.png", dpi=100)
+    with Image.open(ROOT / "docs" / "slew.png") as picture:  # few colours, a third of the size
+        picture.convert("RGB").quantize(64).save(ROOT / "docs" / "slew.png", optimize=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,125 @@
+"""The table of manifolds and retractions: what the classes say of themselves, and what they cost where the site is built."""
+
+import inspect
+import re
+import timeit
+from collections.abc import Callable
+
+import jax
+from docstrings import escaped
+from retrax import manifolds as m
+from retrax import retractions as r
+from retrax.manifolds import Manifold
+from retrax.retractions import DifferentiatedRetraction, MidpointRetraction, Retraction
+
+BATCH, REPEATS = 1000, 3
+FAMILIES = {name: getattr(r, name) for name in ("Exponential", "Cayley", "Projection", "Polar", "QR")}
+EXAMPLES: tuple[Manifold, ...] = (
+    m.Euclidean(3),
+    m.Sphere(2),
+    m.Hyperbolic(2),
+    m.Simplex(3),
+    m.SO(3),
+    m.SE(3),
+    m.U(2),
+    m.SU(2),
+    m.SL(2),
+    m.SPD(3),
+    m.Stiefel(5, 2),
+    m.Grassmann(5, 2),
+    m.Oblique(3, 4),
+    m.FixedRank(5, 4, 2),
+)
+OTHERS: dict[type[Manifold], tuple[type[Retraction], ...]] = {  # that no family has
+    m.SE: (r.SEDecoupled,),
+    m.SL: (r.FrobeniusExponential,),
+    m.SPD: (r.SPDLogEuclidean, r.SPDSecondOrder),
+    m.Stiefel: (r.StiefelCanonicalExponential,),
+    m.FixedRank: (r.FixedRankOrthographic,),
+}
+HEAD = f"""Manifolds and retractions
+=========================
+
+``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential, Projection,
+Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy.
+A level set, and any other manifold with a
+``restore``, has ``Projection`` or ``Restored`` by Newton's method.
+
+Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of derivatives
+(D); what is
+missing is derived, by Newton's method, a round trip and automatic differentiation. The last two columns are microseconds of the
+map and of its inverse for a point, on the manifold in the heading, in a compiled batch of {BATCH}, on the computer on which this
+page was
+made: compare them with each other. What is said of an image, that of ``R_x``, and of a domain comes from the classes;
+:doc:`/conformance` has the rule for all domains.
+"""
+
+
+def table() -> list[str]:
+    """The page: for each manifold its retractions."""
+    lines = HEAD.split("\n")
+    for manifold in EXAMPLES:
+        members = retractions(manifold)
+        title = f"{manifold}"
+        lines += [title, "-" * len(title), "", ".. list-table::", "   :header-rows: 1", "   :widths: 20 55 9 8 8", ""]
+        lines += row("retraction", "what it is", "closed", "map", "inverse")
+        for retraction, names in members.items():
+            kind = type(retraction)
+            name = f":class:`~{kind.__module__.split('.')[0]}.retractions.{kind.__name__}`"
+            called = f" {', '.join(names)}" if names else ""
+            costs = [f"{cost:.2g}" for cost in measured(retraction)]
+            lines += row(name + called, words(kind), closed(kind), *costs)
+        lines.append("")
+    return lines
+
+
+def retractions(manifold: Manifold) -> dict[Retraction, list[str]]:
+    """The retractions of a manifold, and the families that have them."""
+    found: dict[Retraction, list[str]] = {}
+    for name, family in FAMILIES.items():
+        if family.knows(manifold):
+            same = next((made for made in found if repr(made) == repr(family(manifold))), family(manifold))
+            found.setdefault(same, []).append(name)
+    for kind in OTHERS.get(type(manifold), ()):
+        found.setdefault(kind(manifold), [])
+    return found
+
+
+def row(*cells: str) -> list[str]:
+    """A row of a list table."""
+    return [f"   {'*' if k == 0 else ' '} - {cell}" for k, cell in enumerate(cells)]
+
+
+def words(kind: type[Retraction]) -> str:
+    """The first sentence of a class, and those on its inverse, image and domain."""
+    paragraphs = [" ".join(part.split()) for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n")]
+    sentences = re.split(r"(?<=[.;]) (?=[A-Z`])", " ".join(paragraphs[1:]))
+    about = [text for text in sentences if re.search(r"\b(inverse|image|domain)\b", text, re.IGNORECASE)]
+    return escaped(" ".join([paragraphs[0], *about]).rstrip(";.") + ".")
+
+
+def closed(kind: type[Retraction]) -> str:
+    """Letters for what a class has in closed form."""
+    own = {
+        "i": kind.preimage is not Retraction.preimage,
+        "d": kind.domain is not Retraction.domain,
+        "m": issubclass(kind, MidpointRetraction),
+        "D": issubclass(kind, DifferentiatedRetraction),
+    }
+    return " ".join(letter for letter, there in own.items() if there)
+
+
+def measured(retraction: Retraction) -> tuple[float, float]:
+    """Microseconds a point of the map and of its inverse."""
+    manifold, keys = retraction.manifold, jax.random.split(jax.random.key(0), BATCH)
+    x = jax.jit(jax.vmap(manifold.random_point))(keys)
+    v = jax.jit(jax.vmap(lambda key, x: 0.2 * manifold.random_tangent(key, x)))(keys, x)
+    map_, inverse = jax.jit(jax.vmap(retraction)), jax.jit(jax.vmap(retraction.preimage))
+    y = map_(x, v)
+    return cost(map_, x, v), cost(inverse, x, y)
+
+
+def cost(function: Callable, *batch: jax.Array) -> float:
+    """The least time of some calls, in microseconds a member; compiled before."""
+    jax.block_until_ready(function(*batch))
+    return min(timeit.repeat(lambda: jax.block_until_ready(function(*batch)), number=1, repeat=REPEATS)) / BATCH * 1e6
