@@ -13,6 +13,7 @@ from ..free import Free, is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
 from .arguments import Method, fractions_of
+from .examination import Examination
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
@@ -58,6 +59,7 @@ class Refinement:
     asked: Asked
     accuracy: float
     options: dict[str, Any]
+    choice: tuple[Any, Any] = (None, None)  # the classification and the integrator of a singular problem
 
     def __post_init__(self) -> None:
         if not (is_finite_number(self.accuracy) and self.accuracy > 0):
@@ -69,7 +71,10 @@ class Refinement:
         self._most = MOST_STAGES
 
     def solve(self, steps: Any) -> Solution:
-        """The solution on the last mesh."""
+        """The solution on the last mesh, with what its conditions do not tell."""
+        return Examination(self.problem)(self._solved(steps), is_free(self.asked.horizon))
+
+    def _solved(self, steps: Any) -> Solution:
         solution = self._first(fractions_of(steps))
         if not solution.success:
             return solution
@@ -119,7 +124,7 @@ class Refinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, method, steps)
-        solution = solver.solve(*asked, throw=False, **self.options)
+        solution = solver.found(asked, self.options, *self.choice)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
