@@ -1,6 +1,6 @@
 """Jumps in the controls: values that change where no derivative does, as those of rounding and of whole numbers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -33,7 +33,7 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient, c
 
     Only functions that compute steps of the controls are looked at.
     """
-    found = list(dict.fromkeys(_steps_of(problem, q, u)))
+    found = steps_in(lambda u: (problem.velocity(q, u), problem.cost_rate(q, u)), u)
     if not found:
         return
     m = problem.controls.dimension
@@ -57,24 +57,27 @@ def _words(name: str, found: list[str], control: Ambient) -> str:
     )
 
 
-def _steps_of(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Iterator[str]:
-    traced = jax.make_jaxpr(lambda u: (problem.velocity(q, u), problem.cost_rate(q, u)))(u)
-    yield from _steps(traced.jaxpr)
+def steps_in(function: Callable, *arguments: Any) -> list[str]:
+    """Names of the steps that a function computes from its arguments, each once."""
+    found = ((STEPS.get(equation.primitive.name), equation) for equation in dependent(function, *arguments))
+    return list(dict.fromkeys(name for name, equation in found if name and (name != WHOLE or _is_cut(equation))))
 
 
-def _steps(jaxpr: Any) -> Iterator[str]:
-    """Names of the steps that a program computes from its arguments."""
+def dependent(function: Callable, *arguments: Any) -> Iterator[Any]:
+    """The equations of the program of a function that compute something from its arguments, inner programs included."""
+    yield from _dependent(jax.make_jaxpr(function)(*arguments).jaxpr)
+
+
+def _dependent(jaxpr: Any) -> Iterator[Any]:
     known = set(map(id, jaxpr.invars))
     for equation in jaxpr.eqns:
         if not any(id(v) in known for v in equation.invars):
             continue
         known.update(map(id, equation.outvars))
-        name = equation.primitive.name
-        if name in STEPS and (STEPS[name] != WHOLE or _is_cut(equation)):
-            yield STEPS[name]
+        yield equation
         for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda leaf: hasattr(leaf, "eqns")):
             if hasattr(inner, "eqns"):
-                yield from _steps(getattr(inner, "jaxpr", inner))
+                yield from _dependent(getattr(inner, "jaxpr", inner))
 
 
 def _is_cut(equation: Any) -> bool:

@@ -1,5 +1,6 @@
 """Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, from however near."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -65,26 +66,36 @@ def zoomed(
             slope = value if on_values else lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1]
             return jax.jvp(slope, (s,), (jnp.ones_like(s),))
 
-        def closer(ends: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
-            low, high = ends
-            s = low + (high - low) * jnp.arange(PIECES + 1) / PIECES
-            slopes, curvatures = jax.vmap(derivatives)(s)
-            changes, curvatures = jnp.diff(slopes), jnp.where(jnp.isfinite(curvatures), curvatures, 0.0)
-            missing = changes - jnp.diff(s) * _usual(curvatures[:-1], curvatures[1:])
-            i = jnp.argmax(jnp.where(jnp.isfinite(missing), jnp.abs(missing), -1.0))
-            bends = jnp.maximum(jnp.abs(curvatures[i]), jnp.abs(curvatures[i + 1]))
-            largest = jnp.max(jnp.where(jnp.isfinite(slopes), jnp.abs(slopes), 0.0))
-            seen = s[i + 1] - s[i], changes[i], bends, s[i], largest
-            fine = (high - low) / PIECES < FINEST * jnp.finfo(s.dtype).eps * reach
-            return jax.tree.map(lambda a, b: jnp.where(fine, a, b), ends, (s[i], s[i + 1])), seen
-
-        # Ends at odd places: at a kink between two points no derivative is asked for.
-        _, (widths, changes, bends, places, sizes) = jax.lax.scan(closer, (-0.93 * reach, 1.01 * reach), None, ROUNDS)
-        return Zoom(widths, changes, bends, places, sizes[0]), problem.steer(u, places[-1] * way)
+        zoom = closing_in(derivatives, -0.93 * reach, 1.01 * reach)
+        return zoom, problem.steer(u, zoom.places[-1] * way)
 
     by_part = jax.vmap(one, (None, None, None, None, 0))
     by_way = jax.vmap(by_part, (None, None, None, 0, None))
     return jax.vmap(by_way, (0, 0, 0, 0, None))(q, p, u, ways, jnp.arange(len(PARTS)))
+
+
+def closing_in(derivatives: Callable[[Array], tuple[Array, Array]], low: Array, high: Array) -> Zoom:
+    """Intervals that close in, between ``low`` and ``high``, on where a function changes by the most that its derivative misses.
+
+    ``derivatives``: the function and its derivative. At a kink between two points no derivative is asked for.
+    """
+    reach = jnp.maximum(jnp.abs(low), jnp.abs(high))
+
+    def closer(ends: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
+        low, high = ends
+        s = low + (high - low) * jnp.arange(PIECES + 1) / PIECES
+        slopes, curvatures = jax.vmap(derivatives)(s)
+        changes, curvatures = jnp.diff(slopes), jnp.where(jnp.isfinite(curvatures), curvatures, 0.0)
+        missing = changes - jnp.diff(s) * _usual(curvatures[:-1], curvatures[1:])
+        i = jnp.argmax(jnp.where(jnp.isfinite(missing), jnp.abs(missing), -1.0))
+        bends = jnp.maximum(jnp.abs(curvatures[i]), jnp.abs(curvatures[i + 1]))
+        largest = jnp.max(jnp.where(jnp.isfinite(slopes), jnp.abs(slopes), 0.0))
+        seen = s[i + 1] - s[i], changes[i], bends, s[i], largest
+        fine = (high - low) / PIECES < FINEST * jnp.finfo(s.dtype).eps * reach
+        return jax.tree.map(lambda a, b: jnp.where(fine, a, b), ends, (s[i], s[i + 1])), seen
+
+    _, (widths, changes, bends, places, sizes) = jax.lax.scan(closer, (low, high), None, ROUNDS)
+    return Zoom(widths, changes, bends, places, sizes[0])
 
 
 def _usual(a: Array, b: Array) -> Array:
@@ -112,7 +123,9 @@ def is_jump(widths: np.ndarray, changes: np.ndarray, size: float) -> bool:
     if len(distinct) < LASTS or not np.all(np.isfinite(change)):
         return False
     rounding = ROUNDING * np.finfo(changes.dtype).eps * size
-    return bool(change[-1] >= LESS * change[0] and change[-1] > max(JUMP * size, rounding))
+    # Half of it is in the last interval where a point of that is on the jump, as zero is on that of the sign.
+    lasts = change[-2] >= LESS * change[0] and change[-1] >= LESS * change[0] / 2
+    return bool(lasts and change[-1] > max(JUMP * size, rounding))
 
 
 def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:

@@ -39,6 +39,7 @@ from .probing import (
 )
 from .quantities import Quantities
 from .statement import statement
+from .stopped import require_true_derivatives
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -277,7 +278,6 @@ class OptimalControlProblem(eqx.Module):
 
     def digest(self) -> bytes | None:
         """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
-
         return digest(self._values, self.manifold.ambient, self.controls.ambient)
 
     def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
@@ -308,6 +308,7 @@ class OptimalControlProblem(eqx.Module):
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
         require_no_jumps(self, q, u, covectors)
+        require_true_derivatives(self, q, u)
         return self._is_regular(probed, q, u, directions, covectors)
 
     def require_no_kink(self, q: Ambient) -> None:

@@ -55,12 +55,11 @@ class Formulated:
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
 
-    def solve(self, asked: Asked, throw: bool, **options: Any) -> Solution:
-        """The extremal of a single trajectory."""
-        solution = self._in_own_units(asked, self._solved(asked, options), options)
-        return solution.require_success() if throw else solution
+    def solve(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
+        """The extremal of a single trajectory; ``choice``: of the classification and the integrator of a singular one."""
+        return self._in_own_units(asked, self._solved(asked, options, *choice), options, *choice)
 
-    def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any]) -> Solution:
+    def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any], *choice: Any) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
 
         A horizon that tends to zero takes all conditions with it.
@@ -75,13 +74,13 @@ class Formulated:
             horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
             before, near = solution.statistics, self._near(parameters, solution)
             again = asked._replace(horizon=horizon, guess=solution, parameters=near)
-            solution = self._solved(again, options)
+            solution = self._solved(again, options, *choice)
             solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
 
-    def _solved(self, asked: Asked, options: dict[str, Any]) -> Solution:
+    def _solved(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
         formulation, solver, own = self.formulated(asked)
-        found = solver.solve(*own, throw=False, **options)
+        found = solver.found(own, options, *choice)
         return self._kept(formulation, solver, found, asked.parameters)
 
     def formulated(self, asked: Asked, begins: float | None = None) -> tuple[Formulation, Any, Asked]:
@@ -99,7 +98,7 @@ class Formulated:
         own = formulation.parameters(asked.horizon, asked.parameters)
         return formulation, solver, Asked(start, end, float(members.horizons[0]), guess, own)
 
-    def solve_many(self, asked: Asked, **options: Any) -> Solutions:
+    def solve_many(self, asked: Asked, options: dict[str, Any]) -> Solutions:
         """The extremals of a batch."""
         members = self.reader.many(_guesses(asked))
         each = [(_member(asked.horizon, k), _member(asked.parameters, k)) for k in range(len(members))]
@@ -114,12 +113,13 @@ class Formulated:
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *parameters) if formulation.takes else None
         guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
         ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons[:, None])
-        found = solver.solve_many(*ends, members.horizons, None if members.guess is None else guesses, stacked, **options)
+        own = Asked(*ends, members.horizons, None if members.guess is None else guesses, stacked)
+        found = solver.all_found(own, options)
         solutions = []
-        for k, (one, own) in enumerate(zip(found, each, strict=True)):
-            solution = self._kept(formulation, solver, one, own[1])
+        for k, (one, free) in enumerate(zip(found, each, strict=True)):
+            solution = self._kept(formulation, solver, one, free[1])
             start, end = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
-            solutions.append(self._in_own_units(Asked(start, end, own[0], None, own[1]), solution, options))
+            solutions.append(self._in_own_units(Asked(start, end, free[0], None, free[1]), solution, options))
         return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
@@ -143,8 +143,13 @@ class Formulated:
     def _renewed(self, solution: Solution, **changes: Any) -> Solution:
         """The solution with changes, of which the derivatives can be asked for as before."""
         changed = replace(solution, **changes)
-        self._found[changed] = self._found[solution]
+        self.keep(changed, solution)
         return changed
+
+    def keep(self, changed: Solution, solution: Solution) -> None:
+        """Keep what belongs to a solution for another record of it."""
+        if solution in self._found:
+            self._found[changed] = self._found[solution]
 
     @staticmethod
     def _near(parameters: Any, solution: Solution) -> Any:

@@ -122,7 +122,8 @@ class _Task:
             found = newton(joint, first, *options)  # pyright: ignore[reportArgumentType]
             seconds = tracing, time.perf_counter() - began - tracing
             solutions = [part.recorded(phase_of(found, k, owns), options, seconds) for k, part in enumerate(parts)]
-        solutions = [part.checked(solution) for part, solution in zip(parts, solutions, strict=True)]
+        free = any(is_free(phase.duration) for phase in phases)
+        solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
         joined: Any = found.assembled
         rows = joined.coupled.multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
         cuts = np.cumsum([0, *sizes.values()])

@@ -11,6 +11,7 @@ from ..problem import OptimalControlProblem, resting_control
 from .arguments import Method, Options, copied, fractions_of
 from .engine.evaluator import Automatic, Evaluator
 from .engine.newton import Found
+from .examination import Examination
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
 from .interpolation import Interpolant
@@ -41,6 +42,7 @@ class _Inner:
         self.interpolant = Interpolant(method.retraction, problem.controls)
         self.reader = MemberReader(problem, Mesh(fractions, self.posing.stages, self.interpolant), evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
+        self.examination = Examination(problem)
         self.formulated = Formulated(self.reader, method, lambda own: _Inner(own.problem, own.method, fractions, evaluator))
 
 
@@ -78,10 +80,11 @@ class PosedPhase(NamedTuple):
             solution = self.formulation.solution(solution, self.parameters, self.outer.interpolant)
         return solution
 
-    def checked(self, solution: Solution) -> Solution:
-        """The solution, where it has no success with what in a function may be why."""
+    def checked(self, solution: Solution, free: bool) -> Solution:
+        """The solution with what its conditions do not tell; ``free``: whether times are, of any phase."""
         bound = self.inner.problem.with_parameters(self.asked.parameters)
-        return solution if self.formulation is not None else explained(bound, solution)
+        solution = solution if self.formulation is not None else explained(bound, solution)
+        return self.outer.examination(solution, free)
 
 
 @final

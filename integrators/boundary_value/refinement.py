@@ -9,10 +9,12 @@ import numpy as np
 from ...manifolds import InvalidInputError, RetraxError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...retractions import Gauss
+from ..constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..free import Free, is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
 from .arguments import Method, fractions_of
+from .examination import Examination
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
@@ -58,6 +60,7 @@ class Refinement:
     asked: Asked
     accuracy: float
     options: dict[str, Any]
+    choice: tuple[Any, Any] = (None, None)  # the classification and the integrator of a singular problem
 
     def __post_init__(self) -> None:
         if not (is_finite_number(self.accuracy) and self.accuracy > 0):
@@ -69,7 +72,10 @@ class Refinement:
         self._most = MOST_STAGES
 
     def solve(self, steps: Any) -> Solution:
-        """The solution on the last mesh."""
+        """The solution on the last mesh, with what its conditions do not tell."""
+        return Examination(self.problem)(self._solved(steps), is_free(self.asked.horizon))
+
+    def _solved(self, steps: Any) -> Solution:
         solution = self._first(fractions_of(steps))
         if not solution.success:
             return solution
@@ -119,7 +125,7 @@ class Refinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, method, steps)
-        solution = solver.solve(*asked, throw=False, **self.options)
+        solution = solver.found(asked, self.options, *self.choice)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
@@ -207,16 +213,32 @@ class Refinement:
         return found
 
     def _in_arcs(
-        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray, bound: float | None = None
+        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
     ) -> tuple[Solution, ControlStructure]:
         """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place.
 
-        A free horizon that leaves its bounds is held at the one that it passed, ``bound``.
+        A free horizon that leaves its bounds is held at the one that it passed, and one that was held leaves a bound to which
+        nothing pulls it.
         """
-        horizon: Any = self._horizon(guess) if bound is None else bound
+        asked, horizon = self.asked.horizon, self._horizon(guess)
+        found = self._posed_in_arcs(guess, structure, lengths, arcs, horizon)
+        if not (is_free(asked) and found[0].success):
+            return found
+        if is_free(horizon):
+            held = float(np.clip(found[0].horizon, asked.lower, asked.upper))
+            return found if held == found[0].horizon else self._posed_in_arcs(guess, structure, lengths, arcs, held)
+        if self._is_pulled(found[0], horizon):
+            return found
+        freed = self._posed_in_arcs(guess, structure, lengths, arcs, asked)
+        return freed if freed[0].success and asked.lower <= freed[0].horizon <= asked.upper else found
+
+    def _posed_in_arcs(
+        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
+    ) -> tuple[Solution, ControlStructure]:
+        """The same with a horizon, free without bounds or given."""
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
-            self._arcs[key] = Arcs(self.problem, structure.sides, horizon, abs(guess.cost) / guess.horizon or 1.0)
+            self._arcs[key] = Arcs(self.problem, structure.sides, horizon, _unit(guess))
         posed = self._arcs[key]
         each = np.bincount(arcs, lengths)
         fractions = lengths / each[arcs]
@@ -232,9 +254,6 @@ class Refinement:
         if not found.success:
             return found, structure
         solution = posed.solution(found)
-        if is_free(horizon) and not horizon.lower <= solution.horizon <= horizon.upper:
-            held = float(np.clip(solution.horizon, horizon.lower, horizon.upper))
-            return self._in_arcs(guess, structure, lengths, arcs, held)
         durations = posed.durations(found.parameters[DURATIONS])
         times = np.concatenate([[0.0], np.cumsum(durations)])
         lasting = structure._replace(times=times).without_vanished()
@@ -242,13 +261,23 @@ class Refinement:
         return replace(solution, success=bool(right)), lasting
 
     def _horizon(self, solution: Solution) -> Any:
-        """The horizon: free, or given, or the bound that holds it."""
+        """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from it."""
         horizon = self.asked.horizon
         if is_free(horizon):
-            for bound in (horizon.lower, horizon.upper):
-                if abs(solution.horizon - bound) <= AT_BOUND * solution.horizon:
+            step = (solution.times[1] - solution.times[0]) * solution.steps / len(solution.stage_times)
+            for bound, name in ((horizon.lower, HORIZON_LOWER), (horizon.upper, HORIZON_UPPER)):
+                away = abs(solution.horizon - bound) / solution.horizon
+                pull = np.sum(solution.multipliers.get(name, np.zeros(1))) * step / _unit(solution)
+                if away <= AT_BOUND and pull >= away:
                     return bound
         return horizon
+
+    def _is_pulled(self, solution: Solution, bound: float) -> bool:
+        """Whether the cost falls beyond the bound that a horizon is held at: it changes by ``-H`` with the horizon."""
+        if self.problem.time_dependent:
+            return True
+        outward = 1.0 if bound == self.asked.horizon.upper else -1.0
+        return bool(outward * solution.checks.hamiltonian >= -self.accuracy * _unit(solution))
 
     def _recorded(self, found: _Found, why: str) -> Solution:
         """The record, with what was spent on all meshes and what is wrong between the points."""
@@ -266,6 +295,11 @@ class Refinement:
             f"{self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
         )
         return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
+
+
+def _unit(solution: Solution) -> float:
+    """That of the cost over time."""
+    return abs(solution.cost) / solution.horizon or 1.0
 
 
 def _arc_mesh(structure: ControlStructure, solution: Solution) -> tuple[np.ndarray, np.ndarray]:

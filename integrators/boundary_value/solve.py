@@ -54,10 +54,10 @@ def solve(
     """
     require_concrete("solve", start, end, horizon, problem, guess, parameters)
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-    choice = {"classification": classification, "integrator": integrator}
     if accuracy is not None:
-        asked = Asked(start, end, horizon, guess, parameters)
-        found = Refinement(problem, discretization, asked, accuracy, {**options, **choice}).solve(steps)
+        asked, choice = Asked(start, end, horizon, guess, parameters), (classification, integrator)
+        found = Refinement(problem, discretization, asked, accuracy, options, choice).solve(steps)
         return found.require_success() if throw else found
     solver = Solver(problem, discretization, steps)
+    choice = {"classification": classification, "integrator": integrator}
     return solver.solve(start, end, horizon, guess, parameters, throw=throw, **options, **choice)

@@ -13,6 +13,7 @@ from ...manifolds import InvalidInputError
 from ...manifolds.manifold import working_precision
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
+from ..free import is_free
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
@@ -24,6 +25,7 @@ from .engine.batches import taken
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
+from .examination import Examination
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
 from .guess import Guess
@@ -73,7 +75,7 @@ class Solver:
         self._reader = MemberReader(problem, mesh, self._evaluator)
         self._recording = Recording(problem, self._posing.stages, interpolant)
         self._formulated = Formulated(self._reader, method, self._inner)
-        self._regularity = Regularity(self._posing)
+        self._regularity, self._examination = Regularity(self._posing), Examination(problem)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         if not problem.takes_parameters and not is_reading():
@@ -148,30 +150,47 @@ class Solver:
         ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters)
-        if is_formulated(self.problem, horizon, parameters):
-            asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-            choice = {"classification": classification, "integrator": integrator}
-            with one_reading():
-                return self._formulated.solve(Asked(start, end, horizon, guess, parameters), throw, **asked, **choice)
-        options = checked_options(tolerance, max_iterations, callback, verbose)
-        began = time.perf_counter()
+        options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
+        asked, choice = Asked(start, end, horizon, guess, parameters), (classification, integrator)
+        solution = self.examined(self.found(asked, options, *choice), horizon)
+        return solution.require_success() if throw else solution
+
+    def found(
+        self,
+        asked: Asked,
+        options: dict[str, Any],
+        classification: Classification | None = None,
+        integrator: SingularIntegrator | None = None,
+    ) -> Solution:
+        """The extremal, of which the conditions alone are looked at."""
         with one_reading():
-            members = self._reader.one(Asked(start, end, horizon, guess, parameters))
+            if is_formulated(self.problem, asked.horizon, asked.parameters):
+                return self._formulated.solve(asked, options, classification, integrator)
+            checked = checked_options(**options)
+            began = time.perf_counter()
+            members = self._reader.one(asked)
             to_show = classification is None and self._regularity.has_to_be_shown(members)
             c = classification if to_show or classification is not None else self._regularity.classification(members)
             if c is not None or integrator is not None:
                 check_method(members.problem_of(0), self.method, c, integrator)
             solution = None
             if c is None or c.regular:
-                solution = self._solved(members, options, began)[0]
+                solution = self._solved(members, checked, began)[0]
                 if to_show and not self._regularity.is_shown(members, solution):
                     c = self._regularity.classification(members)
             if c is not None and not c.regular:
-                solution = self._on_final_manifold(members, options, (c, integrator))
+                solution = self._on_final_manifold(members, checked, (c, integrator))
             solution = cast(Solution, solution)
-            if not solution.success:
-                solution = explained(members.problem_of(0), solution)
-        return solution.require_success() if throw else solution
+            return solution if solution.success else explained(members.problem_of(0), solution)
+
+    def examined(self, solution: Solution, horizon: Any) -> Solution:
+        """The solution with what its conditions do not tell."""
+        examined = self._examination(solution, is_free(horizon))
+        if examined is not solution:
+            if solution in self._kept:
+                self._kept[examined] = self._kept[solution]
+            self._formulated.keep(examined, solution)
+        return examined
 
     @known_options
     def solve_many(
@@ -193,16 +212,27 @@ class Solver:
         are free for all. Nothing is raised for a member that is not solved: read ``success``. Regular problems only.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
-        if is_formulated(self.problem, horizons, parameters):
-            asked = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-            with one_reading():
-                return self._formulated.solve_many(Asked(starts, ends, horizons, guesses, parameters), **asked)
-        options = checked_options(tolerance, max_iterations, callback, verbose)
-        began = time.perf_counter()
+        options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
+        return self._all_examined(self.all_found(Asked(starts, ends, horizons, guesses, parameters), options), horizons)
+
+    def all_found(self, asked: Asked, options: dict[str, Any]) -> Solutions:
+        """The extremals of a batch, of which the conditions alone are looked at."""
         with one_reading():
-            members = self._reader.many(Asked(starts, ends, horizons, guesses, parameters))
+            if is_formulated(self.problem, asked.horizon, asked.parameters):
+                return self._formulated.solve_many(asked, options)
+            checked, began = checked_options(**options), time.perf_counter()
+            members = self._reader.many(asked)
             self._regularity.require_regular(members)
-            return self._solved(members, options, began)
+            return self._solved(members, checked, began)
+
+    def _all_examined(self, solutions: Solutions, horizons: Any) -> Solutions:
+        """The solutions of a batch with what their conditions do not tell."""
+        if not self._examination.needed(solutions[0].parameters, is_free(horizons)):
+            return solutions
+        with one_reading():
+            examined = [self.examined(solution, horizons) for solution in solutions]
+        same = all(one is other for one, other in zip(examined, solutions, strict=True))
+        return solutions if same else Solutions.of(examined)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """Derivatives of a solution that this solver found by its ends, horizon and parameters.

@@ -12,6 +12,7 @@ from ...manifolds import DomainError, Euclidean, InvalidInputError, Product
 from ...reading import one_reading, reads_once
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
+from .control_curvature import ControlCurvature
 from .engine.evaluator import Automatic, Evaluated
 from .propagation import ROUNDING, Propagator
 from .solution import Solution
@@ -72,7 +73,7 @@ class Estimator:
     def __init__(self, problem: OptimalControlProblem, retraction: Any, parameters: Any) -> None:
         self.problem = problem
         self.propagator = Propagator(problem, retraction, parameters)
-        self.parameter = self.propagator.parameter
+        self.parameter, self.curvature = self.propagator.parameter, ControlCurvature(problem, parameters)
 
     def __call__(self, solution: Solution, parameters: Any = None, switches: np.ndarray | None = None) -> StepErrors:
         """The errors; controls may jump at the nodes that are ``switches``."""
@@ -109,7 +110,9 @@ class Estimator:
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
         share = np.diff(times) / (times[-1] - times[0])
-        weights = np.where(self._is_linear(solution, parameters), share[:, None] ** 2, share[:, None])
+        # Exactly zero: no entry of the control is in the derivative.
+        linear = np.max(self.curvature(solution, parameters), axis=0) == 0
+        weights = np.where(linear, share[:, None] ** 2, share[:, None])
         found = np.full(count, np.inf)
         for own, other in ((k, k + 1), (k + 1, k)):
             ends = np.stack([times[own], times[own + 1]], axis=1)
@@ -122,17 +125,6 @@ class Estimator:
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
             found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
         return found
-
-    def _is_linear(self, solution: Solution, parameters: Any) -> np.ndarray:
-        """Whether the Hamiltonian is linear in each entry of the control, and in all together; on a curved space it is not."""
-        state, control = self.propagator.state, self.propagator.control
-        if not isinstance(self.problem.controls, Euclidean):
-            return np.zeros(control.size, bool)
-        layouts = (state, solution.stage_states), (state, solution.stage_costates), (control, solution.controls)
-        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
-        rows = (layout.rows(points, 1) for layout, points in layouts)
-        (curvatures,) = self._curvatures(*rows, solution.stage_times[:, None], given[None])
-        return np.max(curvatures, axis=0) == 0  # exactly: no entry of the control is in the derivative
 
     def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """The largest excess of each step over each inequality, relative; which are free of the controls; and in their units."""
@@ -156,21 +148,6 @@ class Estimator:
     def _limits(self) -> Evaluated:
         sizes = self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
         return Automatic().values(self._limits_of, *sizes)
-
-    @cached_property
-    def _curvatures(self) -> Evaluated:
-        sizes = self.propagator.state.size, self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
-        return Automatic().values(self._curvatures_of, *sizes)
-
-    def _curvatures_of(self, q: Array, p: Array, u: Array, time: Array, parameters: Array) -> tuple[Array]:
-        """Sums of the sizes of the second derivatives of the Hamiltonian by the controls."""
-        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
-        layout = self.propagator.state
-
-        def hamiltonian(u: Array) -> Array:
-            return bound.hamiltonian(layout.point(q), layout.point(p), self.propagator.control.point(u))
-
-        return (jnp.sum(jnp.abs(jax.hessian(hamiltonian)(u)), axis=1),)
 
     def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
         """The inequalities, and sums of the sizes of their derivatives by the controls."""

@@ -1,0 +1,105 @@
+"""What a solution that meets its conditions does not tell by itself: jumps that it passes, controls that nothing determines."""
+
+from dataclasses import replace
+from typing import Any, final
+
+import numpy as np
+
+from ...manifolds import Euclidean
+from ...reading import one_reading
+from ..constraints import LOWER, UPPER
+from ..problem import OptimalControlProblem
+from .control_curvature import ControlCurvature
+from .solution import Solution
+from .state_jumps import StateJumps
+
+VANISHES = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
+SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
+
+
+@final
+class Examination:
+    """Examines solutions of one problem; what it traces for that, it traces once."""
+
+    def __init__(self, problem: OptimalControlProblem) -> None:
+        self.problem = problem
+        self._jumps = {timed: StateJumps(problem, timed) for timed in (False, True)}
+        self._curvature: ControlCurvature | None = None
+
+    def __call__(self, solution: Solution, free_horizon: bool) -> Solution:
+        """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
+
+        With a free horizon a jump in an explicit time counts too, because the horizon shifts it.
+        """
+        if solution.singular is not None:
+            return solution
+        with one_reading(), np.errstate(all="ignore"):
+            jump = self._looked(free_horizon)(solution)
+            if jump:
+                how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
+                return replace(solution, success=False, result=f"The conditions {how} {jump}.")
+            idle = self.undetermined(solution) if solution.success else ""
+            return replace(solution, result=f"{solution.result} {idle}") if idle else solution
+
+    def needed(self, parameters: Any, free_horizon: bool) -> bool:
+        """Whether there may be something to say of a solution with parameters of this structure."""
+        return self.problem.limits.along or bool(self._looked(free_horizon).steps(parameters))
+
+    def _looked(self, free_horizon: bool) -> StateJumps:
+        return self._jumps[free_horizon and self.problem.time_dependent]
+
+    def undetermined(self, solution: Solution) -> str:
+        """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""
+        flat = self._flat(solution)
+        if not np.any(flat):
+            return ""
+        names = [name for quantity in self.problem.quantities.controls for name in quantity.columns]
+        stages, found = len(flat) // solution.steps, []
+        for entry in np.flatnonzero(np.any(flat, axis=0)):
+            begin, end = _longest(flat[:, entry])
+            if end - begin > SHORTEST * stages:
+                first, last = solution.times[[begin // stages, -(-end // stages)]]
+                found.append(f"that of {names[entry]} from t = {first:.6g} to {last:.6g}")
+        if not found:
+            return ""
+        meaning = (
+            "this is a singular arc, and the discrete problem has a strict minimum here all the same."
+            if solution.checks.strict_minimum
+            else "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and another may "
+            "cost less; try a guess in which this control moves, and compare the costs."
+        )
+        return (
+            f"A switching function vanishes, {' and '.join(found)}, where the conditions of first order do not determine the "
+            f"control: {meaning}"
+        )
+
+    def _flat(self, solution: Solution) -> np.ndarray:
+        """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s, m)``."""
+        limits, controls = self.problem.limits, self.problem.controls
+        count = len(solution.stage_times)
+        if not (limits.along and isinstance(controls, Euclidean)):
+            return np.zeros((count, 0), bool)
+        u, own = np.asarray(solution.controls).reshape(count, -1), solution.stage_multipliers
+        room, pull = np.ptp(u, axis=0), np.zeros(u.shape)
+        if limits.lower:
+            wide = np.array(limits.upper) - np.array(limits.lower)
+            room = np.where(np.isfinite(wide), wide, room)
+        for name in (LOWER, UPPER):
+            pull += own.get(name, 0.0)
+        flat = pull * room <= VANISHES * solution.checks.hamiltonian_size
+        for name in limits.names:  # one that holds the trajectory may determine controls
+            largest = np.max(own[name], initial=0.0)
+            flat &= ~np.any(own[name] > VANISHES * largest, axis=1)[:, None] if largest > 0 else True
+        if np.any(flat):
+            if self._curvature is None:
+                self._curvature = ControlCurvature(self.problem, solution.parameters)
+            flat &= self._curvature(solution, solution.parameters) == 0  # exactly: no entry of the control is in the derivative
+        return flat
+
+
+def _longest(flat: np.ndarray) -> tuple[int, int]:
+    """Where the longest run of what is true begins and ends."""
+    edges = np.diff(np.concatenate([[0], flat.astype(int), [0]]))
+    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    longest = int(np.argmax(ends - begins))
+    return int(begins[longest]), int(ends[longest])

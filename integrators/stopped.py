@@ -1,0 +1,136 @@
+"""Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a control."""
+
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..manifolds import InvalidInputError
+from ..manifolds.manifold import working_precision
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+from ..retractions import default_retraction
+from .boundary_conditions import boundary_words
+from .compilation import call_compiled
+from .constraints import constraint_words
+from .jumps import dependent
+
+if TYPE_CHECKING:
+    from .problem import OptimalControlProblem
+
+MADE_BY = {
+    "stop_gradient": "jax.lax.stop_gradient",
+    "custom_jvp_call": "jax.custom_jvp",
+    "custom_vjp_call": "jax.custom_vjp",
+}
+SPANS = 10.0 ** np.arange(-11.5, 1.0)  # of the sizes of coordinates: how far the functions are looked at
+MOVE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
+ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
+SETTLED, LASTS = 0.1, 2  # difference quotients over neighbouring spans that change by less of what the derivative misses
+BASES = 3
+
+
+class _Line(NamedTuple):
+    """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives there."""
+
+    below: Array
+    above: Array
+    slopes: Array
+
+
+def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+    """Raise if a function changes near ``q`` or ``u`` in a way that its derivative does not tell.
+
+    Only functions that have rules of their own for derivatives, or stop some, are looked at.
+    """
+    rules = (MADE_BY.get(equation.primitive.name) for equation in dependent(partial(_values, problem), q, u))
+    found = list(dict.fromkeys(filter(None, rules)))
+    if not found:
+        return
+    draw = np.random.default_rng(0).standard_normal
+    moves = [draw((BASES, 2, m.dimension)).astype(working_precision()) for m in (problem.manifold, problem.controls)]
+    lines: Any = jax.tree.map(np.asarray, call_compiled(_lines, problem, q, u, *moves, SPANS.astype(working_precision()))[0])
+    names = _names(problem, q)
+    for about, line in zip(("states", "controls"), lines, strict=True):
+        wrong = np.median([_missed(*(part[k] for part in line)) for k in range(BASES)], axis=0)
+        worst = int(np.argmax(wrong))
+        if wrong[worst] > 0:
+            raise InvalidInputError(
+                f"{names[worst]} changes with the {about} at another rate than its derivative, which is off by "
+                f"{wrong[worst]:.1e} of it, where the functions use {' and '.join(found)}; expected the derivatives of the "
+                "values, because dH/du = 0 and the costates are made of them; try it without, or a rule that agrees with the "
+                "values"
+            )
+
+
+def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Of each function the share of its change that is not in its derivative; 0 where that may be rounding."""
+    with np.errstate(all="ignore"):
+        quotients = (above - below) / (2 * SPANS[:, None])
+        size = np.abs(slopes) + np.abs(quotients)
+        rounding = ROUNDING * np.finfo(above.dtype).eps * np.maximum(np.abs(above), np.abs(below)) / SPANS[:, None]
+        apart = np.abs(quotients - slopes)
+        clear = apart > rounding / SETTLED
+        settled = clear[1:] & clear[:-1] & (np.abs(np.diff(quotients, axis=0)) < SETTLED * apart[1:])
+        shares = apart / size
+    found, clearness = np.zeros(slopes.shape[-1]), np.finfo(above.dtype).eps ** (1 / 3)
+    for i in range(len(found)):
+        # The shortest spans that are clear of rounding: over longer ones a function may be anything.
+        known = np.flatnonzero(np.isfinite(quotients[:, i]) & (rounding[:, i] < clearness * size[:, i]))
+        first = known[: LASTS + 1]
+        if len(first) > LASTS and np.all(settled[first[:-1], i]):
+            found[i] = shares[first[0], i]
+    return found
+
+
+def _lines(
+    problem: "OptimalControlProblem", q: Ambient, u: Ambient, ways: Array, turns: Array, spans: Array
+) -> tuple[_Line, _Line]:
+    """Lines through several points near a state and a control, along which the one and the other moves."""
+
+    def one(way: Array, turn: Array) -> tuple[_Line, _Line]:
+        retraction, steered = default_retraction(problem.manifold), default_retraction(problem.controls)
+        base, control = _near(retraction, q, MOVE * way[0]), _near(steered, u, MOVE * turn[0])
+
+        def by_state(s: Array) -> Array:
+            return _values(problem, _near(retraction, base, s * way[1]), control)
+
+        def by_control(s: Array) -> Array:
+            return _values(problem, base, _near(steered, control, s * turn[1]))
+
+        return _along(by_state, spans), _along(by_control, spans)
+
+    return jax.vmap(one)(ways, turns)
+
+
+def _along(value: Any, spans: Array) -> _Line:
+    slope = jax.jvp(value, (jnp.zeros_like(spans[0]),), (jnp.ones_like(spans[0]),))[1]
+    return _Line(jax.vmap(value)(-spans), jax.vmap(value)(spans), slope)
+
+
+def _near(retraction: Any, x: Ambient, way: Array) -> Ambient:
+    """The point in a direction of the chart, in units of the sizes of the coordinates."""
+    frame = retraction.manifold.basis(x)
+    return retraction(x, vec.combine(frame, way * jnp.maximum(vec.coordinate_sizes(frame, x), MOVE)))
+
+
+def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
+    """The entries of all functions in a row, those of both ends with one point for both."""
+    costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
+    velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
+    return jnp.concatenate([*velocity, jnp.stack(costs), *problem.limits.of_functions(q, u), problem.boundary.values(q, q)])
+
+
+def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:
+    """Of each of these entries the name of its function."""
+    count = sum(leaf.size for leaf in jax.tree.leaves(problem.manifold.ambient))
+    limits = [constraint_words(name) for name, size in problem.inequality_sizes.items() for _ in range(size or 1)]
+    ends = [
+        boundary_words(name)
+        for name, values in zip(problem.boundary.names, jax.eval_shape(problem.boundary.each, q, q), strict=True)
+        for _ in range(values.size)
+    ]
+    return [*count * ["dynamics"], "running_cost", "terminal_cost", "initial_cost", *limits, *ends]

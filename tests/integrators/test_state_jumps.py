@@ -1,0 +1,205 @@
+"""Functions that jump in the states, and derivatives that do not tell of their values: nothing of it ends in a success."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
+from retrax.manifolds import SO, Euclidean, InvalidInputError
+from retrax.retractions import Addition, Cayley, Gauss
+
+PLANE = Euclidean(2)
+METHOD, AT, END = Gauss(2, Addition(PLANE)), np.array([0.3, 0.2]), np.array([1.0, 0.0])
+PLACE = 0.313  # of the jump
+
+
+def cart(q: Array, u: Array, *_: Any) -> Array:
+    return jnp.stack([q[1], u[0]])
+
+
+def solver_of(price: Any, **options: Any) -> Solver:
+    return Solver(OptimalControlProblem(PLANE, cart, price, 1, **options), METHOD, 10)
+
+
+STEPS = (
+    lambda q: jnp.where(q[0] > PLACE, 1.0, 0.0),
+    lambda q: jnp.floor(3 * q[0] - 0.2),
+    lambda q: jnp.sign(q[0] - PLACE),
+    lambda q: jnp.round(q[0]),
+    lambda q: (q[0] > PLACE).astype(float),
+)
+CONTINUOUS = (
+    lambda q: jnp.where(q[0] > PLACE, (q[0] - PLACE) * 5, 0.0),
+    lambda q: jnp.interp(q[0], jnp.array([0.0, PLACE, 0.7, 1.0]), jnp.array([1.0, 0.1, 0.3, 2.0])),
+    lambda q: jnp.sign(q[0] - PLACE) * (q[0] - PLACE),
+    lambda q: jnp.where(q[0] < 9e9, jnp.tanh(300 * (q[0] - PLACE)), 0.0) / 300,
+    lambda q: jnp.abs(q[0] - jnp.round(q[0])),
+)
+JUMP, KINK = np.eye(len(STEPS)), np.eye(len(CONTINUOUS))
+
+
+def price(q: Array, u: Array, weights: tuple[Array, Array]) -> Array:
+    steps, kinks = (jnp.stack([f(q) for f in functions]) for functions in (STEPS, CONTINUOUS))
+    return u @ u / 2 + weights[0] @ steps + weights[1] @ kinks
+
+
+@pytest.fixture(scope="module")
+def solver() -> Solver:
+    """One, for all sweeps: what jumps, and how high, are its parameters."""
+    return solver_of(price)
+
+
+def test_a_jump_that_is_passed_is_seen_from_a_height_on(solver):
+    heights = np.array([0.0, *10.0 ** np.arange(-15, 3, 4), -1e-2])
+    found = solver.solve_many(0 * END, END, 1.0, parameters=(np.outer(heights, JUMP[0]), np.outer(0 * heights, KINK[0])))
+    assert list(found.success) == [abs(height) < 2e-5 for height in heights]  # of a cost of 18 a 1e-6th
+    for height, solution in zip(heights, found, strict=True):
+        if not solution.success:
+            assert f"running_cost jumps by {height:.3g} where the trajectory passes q = [0.313 " in solution.result
+            assert "a comparison" in solution.result
+            assert "solve_phases" in solution.result
+    assert not solver.solve(0 * END, END, 1.0, parameters=(JUMP[0], 0 * KINK[0]), throw=False).success
+
+
+@pytest.mark.parametrize("k", range(len(STEPS)))
+def test_every_kind_of_step_is_seen(solver, k):
+    solution = solver.solve(0 * END, END, 1.0, parameters=(JUMP[k], 0 * KINK[0]), throw=False)
+    assert not solution.success
+    assert "running_cost jumps by" in solution.result
+
+
+@pytest.mark.parametrize("k", range(len(CONTINUOUS)))
+def test_steps_that_make_no_jump_are_not_refused(solver, k):
+    solution = solver.solve(0 * END, END, 1.0, parameters=(0 * JUMP[0], KINK[k]), throw=False)
+    assert "jumps" not in solution.result
+    assert solution.success or k in (1, 2, 4)  # Newton's method may stop at a kink, and then says so
+
+
+def test_a_jump_that_is_not_passed_is_none(solver):
+    """The end moves through the place of the jump; an end on it passes nothing."""
+    for end in (0.2, PLACE - 1e-9, PLACE, PLACE + 1e-2, 0.4):
+        solution = solver.solve(0 * END, np.array([end, 0.0]), 1.0, parameters=(JUMP[0], 0 * KINK[0]), throw=False)
+        assert solution.success == (end <= PLACE), end
+
+
+@pytest.mark.slow
+def test_jumps_of_dynamics_and_constraints_are_named_on_manifolds_too():
+    group = SO(3)
+
+    def turn(q: Array, u: Array) -> Array:
+        return q @ jnp.array([[0.0, -u[0], 0.0], [u[0], 0.0, 0.0], [0.0, 0.0, 0.0]]) * jnp.where(q[1, 0] > 0.5, 0.8, 1.0)
+
+    problem = OptimalControlProblem(group, turn, lambda q, u: u @ u / 2, 1)
+    last = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    solution = solve(problem, Gauss(2, Cayley(group)), np.eye(3), last, 1.0, 10, throw=False)
+    assert not solution.success
+    assert "dynamics jumps by" in solution.result
+    zones = {"zone": lambda q, u: q[1] - jnp.where(q[0] > PLACE, 3.0, 2.5)}
+    solution = solver_of(lambda q, u: u @ u / 2, constraints=zones).solve(0 * END, END, 1.0, throw=False)
+    assert not solution.success
+    assert "constraints['zone'] jumps by" in solution.result
+
+
+def test_a_jump_in_time_counts_where_the_horizon_moves_it():
+    def price(q: Array, u: Array, t: Array) -> Array:
+        return u @ u / 2 + jnp.where(t > 0.613, 1.0, 2.0)
+
+    solver = solver_of(price, time_dependent=True)
+    assert solver.solve(0 * END, END, 1.0).success
+    solution = solver.solve(0 * END, END, Free(1.0, lower=0.1, upper=3.0), throw=False)
+    assert not solution.success
+    assert "near t = 0.613" in solution.result
+
+
+def stair(q: Array, u: Array, height: float) -> Array:
+    return u @ u / 2 + height * jnp.where(q[0] > PLACE, 1.0, 0.0)
+
+
+@pytest.mark.slow
+def test_phases_are_what_the_message_says():
+    """On each side of the jump nothing jumps, and the costate does: by the height over the rate."""
+    height, smooth = 2.0, []
+    for side in (0.0, height):
+        smooth.append(OptimalControlProblem(PLANE, cart, lambda q, u, side=side: u @ u / 2 + side, 1))
+    first = Phase(smooth[0], METHOD, 10, Free(0.4, lower=0.01), start=0 * END)
+    last = Phase(smooth[1], METHOD, 10, Free(0.6, lower=0.01), end=END)
+    at_jump = {"at the jump": lambda ends: ends[0].end[0] - PLACE}
+    found = solve_phases([first, last], horizon=1.0, boundary_constraints=at_jump)
+    passed = solver_of(lambda q, u: stair(q, u, height)).solve(0 * END, END, 1.0, throw=False)
+    assert found.success
+    assert found.cost < passed.cost - 1e-3
+    before, after = (phase.costates for phase in found.phases)
+    rate = found.phases[1].states[0, 1]
+    assert abs(abs(after[0, 0] - before[-1, 0]) * rate - height) < 0.02 * height
+    jumping = OptimalControlProblem(PLANE, cart, lambda q, u: stair(q, u, height), 1)
+    ended = solve_phases([phase._replace(problem=jumping, duration=0.5) for phase in (first, last)], throw=False)
+    assert not ended.success
+    assert "running_cost jumps by" in ended.result
+
+
+STOPPED = {
+    "state": (lambda q, u: u @ u / 2 + jax.lax.stop_gradient(q[0]) ** 2, "states"),
+    "control": (lambda q, u: u @ u / 2 + u[0] * jax.lax.stop_gradient(u[0]), "controls"),
+    "rule": (lambda q, u: u @ u / 2 + wrong_square(q[0]), "states"),
+}
+
+
+@jax.custom_jvp
+def wrong_square(x: Array) -> Array:
+    return x**2
+
+
+wrong_square.defjvp(lambda x, t: (x[0] ** 2, x[0] * t[0]))
+
+
+@pytest.mark.parametrize("name", STOPPED)
+def test_derivatives_that_do_not_tell_of_the_values_are_refused(name):
+    price, about = STOPPED[name]
+    with pytest.raises(InvalidInputError, match=f"running_cost changes with the {about} at another rate than its derivative"):
+        OptimalControlProblem(PLANE, cart, price, 1).check(AT, np.zeros(1))
+
+
+class Hidden(eqx.Module):
+    """A cost of which a share is hidden: that share is data, so that one kernel serves a sweep."""
+
+    weight: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return u @ u / 2 + q[0] ** 2 + self.weight * jax.lax.stop_gradient(q[0]) ** 2
+
+
+def is_refused(share: float, unit: float) -> bool:
+    try:
+        return not OptimalControlProblem(PLANE, cart, Hidden(jnp.asarray(share)), 1).check(unit * AT, np.zeros(1))
+    except InvalidInputError as error:
+        return "jax.lax.stop_gradient" in str(error)
+
+
+@pytest.mark.parametrize("unit", [pytest.param(1e-6, marks=pytest.mark.slow), 1e6])
+def test_what_is_hidden_is_seen_from_a_share_on(unit):
+    shares = [0.0, 1e-12, 1e-8, 1e-4, 1.0, 1e4]
+    assert [is_refused(share, unit) for share in shares] == [False, False, False, True, True, True]
+
+
+TRUE = (
+    lambda q: jax.scipy.special.logsumexp(30 * q),
+    lambda q: jax.lax.stop_gradient(jnp.sin(3.0)) * q[0],
+    lambda q: jax.nn.relu(q[0]),
+    lambda q: jax.nn.softplus(100 * (q[0] - 0.1)),
+)
+
+
+def test_derivatives_that_are_true_are_not_refused():
+    problem = OptimalControlProblem(PLANE, cart, lambda q, u: u @ u / 2 + sum(f(q) for f in TRUE), 1)
+    for at in (AT, 0 * AT, 1e5 * AT):
+        assert problem.check(at, np.zeros(1))
+
+
+def test_a_hidden_end_is_refused():
+    ends = {"boresight": lambda first, last: jax.lax.stop_gradient(last)[:1]}
+    with pytest.raises(InvalidInputError, match=r"boundary_constraints\['boresight'\] changes with the states"):
+        OptimalControlProblem(PLANE, cart, lambda q, u: u @ u / 2, 1, boundary_constraints=ends).check(AT, np.zeros(1))

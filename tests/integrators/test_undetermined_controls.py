@@ -1,0 +1,105 @@
+"""Extremals along which a switching function vanishes: a success, with a sentence on the control that nothing determines."""
+
+import re
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax import problems
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Gauss
+from scipy.spatial.transform import Rotation
+
+SPACE, LINE = Euclidean(4), Euclidean(1)
+MEANINGS = "this is a singular arc|the extremal is not"
+SAYS = re.compile(rf"A switching function vanishes, that of (\S+) from t = (\S+) to (\S+), where .*: ({MEANINGS})")
+
+
+def said(solution: Any) -> tuple[str, ...]:
+    """The control that is named, and the interval."""
+    found = SAYS.search(solution.result)
+    return found.groups() if found else ()
+
+
+def carts(q: Array, u: Array) -> Array:
+    return jnp.concatenate([q[2:], u])
+
+
+@pytest.fixture(scope="module")
+def race() -> Solver:
+    """Two carts in least time: the nearer one has time to spare, and nothing determines its control."""
+    names = {"controls": ("a", "b")}
+    problem = OptimalControlProblem(SPACE, carts, lambda q, u: 1.0, 2, control_bounds=(-1.0, 1.0), labels=names)
+    return Solver(problem, Gauss(2, Addition(SPACE)), 20)
+
+
+def test_the_cart_with_time_to_spare_is_named(race):
+    """Through the distance at which both arrive together."""
+    for ahead in (-1.0, -0.5, -1e-2, -1e-3, -1e-6, 0.0, 1e-6, 1e-3, 0.1, 1.0):
+        found = race.solve(np.zeros(4), np.array([1.0, 1.0 + ahead, 0.0, 0.0]), Free(2.5, lower=0.1))
+        assert np.isclose(found.horizon, 2 * np.sqrt(max(1.0, 1.0 + ahead)), rtol=1e-5)
+        name = () if abs(ahead) < 1e-4 else (("b",) if ahead < 0 else ("a",))
+        assert said(found)[:1] == name, ahead
+        if name:
+            assert not found.checks.strict_minimum
+            assert said(found)[3] == "the extremal is not"
+            assert [float(t) for t in said(found)[1:3]] == pytest.approx([0.0, found.horizon], rel=1e-5)
+    many = race.solve_many(np.zeros(4), np.array([[1.0, 1.2, 0.0, 0.0], [1.2, 1.0, 0.0, 0.0]]), Free(2.5, lower=0.1))
+    assert [said(found)[0] for found in many] == ["a", "b"]
+
+
+def test_a_turn_about_one_axis_is_said_to_be_only_stationary():
+    """Half a turn of a sphere in least time: about its axis it takes 2 sqrt(pi), and 3.2431 with the other torques."""
+    known = problems.get("bilimoria-wie")
+    s = ((np.arange(10)[:, None] + np.array(known.method.nodes)) / 10).ravel()
+    axis, angle = np.array([0.0, 0.0, 1.0]), np.pi * s**2 * (3 - 2 * s)
+    states = Rotation.from_rotvec(np.outer(angle, axis)).as_matrix(), np.outer(np.pi * 6 * s * (1 - s) / 3.5, axis)
+    guess = Guess(states, np.outer(0.6 * np.cos(np.pi * s), axis))
+    found = solve(known.problem, known.method, known.start, known.end, Free(3.5, lower=0.1), 10, guess=guess)
+    assert found.success
+    assert np.isclose(found.horizon, 2 * np.sqrt(np.pi), rtol=1e-4)
+    assert not found.checks.strict_minimum
+    assert re.search(r"that of u\[0\] from t = 0 to 3.5449\d* and that of u\[1\] from t = 0 to 3.5449\d*, where", found.result)
+    assert "may be one of many or only stationary, and another may cost less; try a guess in which this" in found.result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("unit", [1e-6, 1e6])
+def test_the_sentence_has_no_unit(unit):
+    """Lengths, and the times with them, in other units."""
+
+    def scaled(q: Array, u: Array) -> Array:
+        return jnp.concatenate([q[2:], u * unit])
+
+    problem = OptimalControlProblem(SPACE, scaled, lambda q, u: 1.0, 2, control_bounds=(-1.0, 1.0))
+    solver = Solver(problem, Gauss(2, Addition(SPACE)), 20)
+    for ahead, name in ((-1e-2, ("u[1]",)), (0.0, ()), (1e-2, ("u[0]",))):
+        end = unit * np.array([1.0, 1.0 + ahead, 0.0, 0.0])
+        assert said(solver.solve(np.zeros(4), end, Free(2.5, lower=0.1)))[:1] == name
+
+
+def test_a_singular_arc_between_bangs_is_named_with_its_interval():
+    """``q^2`` is driven to zero by a bounded rate, and stays there: the arc is a strict minimum."""
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1.0, 1.0))
+    solver = Solver(problem, Gauss(1, Addition(LINE)), 60)
+    for width in (0.0, 0.3, 0.9, 1.5):
+        found = solver.solve(np.ones(1), np.ones(1) * 1.0, 2.0 + width)
+        if width == 0.0:
+            assert not said(found)
+        else:
+            name, begin, end, meaning = said(found)
+            assert (name, meaning) == ("u[0]", "this is a singular arc" if found.checks.strict_minimum else "the extremal is not")
+            assert [float(begin), float(end)] == pytest.approx([1.0, 1.0 + width], abs=2.5 * found.horizon / 60)
+
+
+@pytest.mark.parametrize("weight", [0.0, 1e-12, 1e-6, 1.0])
+def test_curvature_determines_a_control_whose_bounds_do_not_hold_it(weight):
+    def price(q: Array, u: Array, weight: Array) -> Array:
+        return q @ q + weight * u @ u
+
+    problem = OptimalControlProblem(LINE, lambda q, u, weight: u, price, 1, control_bounds=(-1.0, 1.0))
+    found = solve(problem, Gauss(1, Addition(LINE)), np.ones(1), np.ones(1), 3.0, 60, parameters=weight, throw=False)
+    assert bool(said(found)) == (weight == 0.0)
