@@ -225,7 +225,7 @@ class Solution:
         return "\n  ".join(["Solution(", *parts, f"result={self.result!r})"])
 
     def __str__(self) -> str:
-        from .report import report_text
+        from .solution_report import report_text
 
         return report_text(self)
 

@@ -34,7 +34,7 @@ from .recording import Recording
 from .regularity import Regularity
 from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
-from .singular import EndConditions, Request, solve_on_final_manifold
+from .shooting import EndConditions, Request, solve_on_final_manifold
 from .solution import Solution, Solutions
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
-from retrax.interop.peers import import_peer, seeded
+from retrax.interop.isolated_import import import_peer, seeded
 from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, Product, Sphere
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 

@@ -15,7 +15,7 @@ from .direct import DirectIntegrator
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
 from .reduced import ReducedIntegrator
-from .stage import StageIntegrator
+from .stage_integrator import StageIntegrator
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 # In the order in which they are tried.

@@ -9,7 +9,7 @@ import sympy
 from ....manifolds import Euclidean, InvalidInputError
 from ...problem import OptimalControlProblem
 from .. import words
-from ..result import IntegrabilityResult
+from ..integrability_result import IntegrabilityResult
 from ..words import Line
 from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, strata
 from .field import normal_form
