@@ -11,14 +11,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Product, RetraxError
-from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
+from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance, working_precision
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
+from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number
 from .jumps import require_no_jumps
@@ -372,15 +374,6 @@ class OptimalControlProblem(eqx.Module):
         draw = np.random.default_rng(0).standard_normal
         covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), self.manifold.ambient)
         return SPREAD * draw((CURVATURES, self.controls.dimension)).astype(working_precision()), covectors
-
-
-def resting_control(controls: Manifold) -> Ambient:
-    """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
-    return (
-        np.zeros(controls.shape, working_precision())
-        if isinstance(controls, Euclidean)
-        else controls.random_point(jax.random.key(0))
-    )
 
 
 def is_same_problem(a: object, b: object) -> bool:

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError
 from ..boundary_conditions import boundary_words
 from ..problem import OptimalControlProblem
-from ..singular.words import many
+from ..text import many
 from .arguments import Options
 from .engine.coupling import Coupling, Link
 from .engine.evaluator import Evaluator

@@ -15,7 +15,7 @@ from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
-from ..singular.words import many
+from ..text import many
 from .arguments import Method, Options, check_problem, checked_options
 from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
 from .engine.coupling import Link

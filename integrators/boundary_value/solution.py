@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
-from ...manifolds.manifold import default_tolerance
+from ...manifolds.numerics.precision import default_tolerance
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes

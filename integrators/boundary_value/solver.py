@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ...manifolds.manifold import working_precision
+from ...manifolds.numerics.precision import working_precision
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
 from ..functions import require_concrete

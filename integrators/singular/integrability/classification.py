@@ -18,10 +18,10 @@ from ....manifolds import (
 )
 from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem, is_same_problem
-from ..integrability_result import IntegrabilityResult
+from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
-from .levels import Level, Signature
+from .levels import Level
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
 from retrax.integrators.boundary_value.shooting.legendre import second_order
-from retrax.integrators.initial_value.integrator import resting_control
+from retrax.integrators.controls import resting_control
 from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
