@@ -15,7 +15,6 @@ from retrax.retractions import RetractionFamily
 ROOMS = {
     "manifolds": "Manifolds",
     "manifolds.symplectic": "Forms, Lagrangian submanifolds and the Tulczyjew triple",
-    "manifolds.symplectic": "Symplectic and presymplectic geometry",
     "retractions": "Retractions and discretization maps",
     "integrators": "Integrators and solvers",
     "problems": "Problems with known optima",
