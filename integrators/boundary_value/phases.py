@@ -170,8 +170,11 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     """The phases, with the guesses of a solution."""
     if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
         raise InvalidInputError(f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]")
-    for phase in phases:
+    for k, phase in enumerate(phases):
         check_problem(phase.problem, phase.method)
+        duration = guessed(phase.duration)
+        if not (is_finite_number(duration) and duration > 0):
+            raise InvalidInputError(f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}")
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):

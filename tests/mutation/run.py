@@ -6,14 +6,19 @@ do not run the tests without an error first. The kernels of Numba are compiled a
 """
 
 import argparse
+import importlib
 import os
 import re
 import shutil
-import subprocess
+import signal
 import sys
 import tempfile
 import time
+import traceback
 from pathlib import Path
+
+import numba
+import pytest
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
@@ -21,9 +26,21 @@ sys.path.insert(0, str(ROOT))
 from tests.mutation.planted import PLANTED, Planted  # noqa: E402
 
 ROOMS = {"manifolds": "manifolds", "retractions": "retractions", "integrators": "integrators"}
+# Imported once for all forks, and before any of them; what the project itself is made of is not.
+BEFORE = (
+    "jax",
+    "jax.numpy",
+    "jax.scipy.linalg",
+    "equinox",
+    "jaxtyping",
+    "casadi",
+    "scipy.integrate",
+    "scipy.optimize",
+    "hypothesis",
+)
 LONGEST = 600  # seconds of the tests of one error: an endless loop is noticed too
 COMPILED = re.compile(r"import numba|from \.(factors|lu|arrays) import")
-PASSED, FAILED = 0, 1  # of pytest; other numbers say that no test was run
+PASSED, FAILED, BROKEN = 0, 1, 70  # of pytest; other numbers say that no test was run
 
 
 class Copy:
@@ -43,30 +60,45 @@ class Copy:
             (package / name).symlink_to(self.tree / room)
 
     def run(self, tests: tuple[str, ...], kernels: str) -> tuple[int, float]:
-        """Run tests up to the first that fails; pytest's exit status, and the seconds it took."""
-        settings = {
-            "PYTHONPATH": str(self.folder / "import"),
-            "PYTHONDONTWRITEBYTECODE": "1",
-            "NUMBA_CACHE_DIR": str(self.folder / kernels),
-        }
-        options = ["-x", "-q", "-n", "0", "-m", "", "-p", "no:randomly", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
-        command = [sys.executable, "-m", "pytest", *options, *tests]
-        begin = time.monotonic()
-        try:
-            done = subprocess.run(
-                command,
-                cwd=self.tree,
-                env={**os.environ, **settings},
-                capture_output=True,
-                text=True,
-                timeout=LONGEST,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            return FAILED, time.monotonic() - begin
-        if done.returncode not in (PASSED, FAILED):
-            print(done.stdout[-2000:], done.stderr[-2000:], sep="\n")
-        return done.returncode, time.monotonic() - begin
+        """Run tests up to the first that fails, in a fork of this process; pytest's exit status, and the seconds it took."""
+        begin, output = time.monotonic(), self.folder / "output"
+        child = os.fork()
+        if child == 0:
+            code = BROKEN
+            try:
+                code = self._test(tests, kernels, output)
+            except Exception:
+                traceback.print_exc()
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(code)
+        while time.monotonic() < begin + LONGEST:
+            ended, status = os.waitpid(child, os.WNOHANG)
+            if ended:
+                code = os.waitstatus_to_exitcode(status)
+                if code not in (PASSED, FAILED):
+                    print(output.read_text()[-3000:])
+                return code, time.monotonic() - begin
+            time.sleep(0.05)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        return FAILED, time.monotonic() - begin
+
+    def _test(self, tests: tuple[str, ...], kernels: str, output: Path) -> int:
+        """Pytest's exit status, in a process that has not imported the project before."""
+        with output.open("w") as file:
+            for stream in (1, 2):
+                os.dup2(file.fileno(), stream)
+        os.chdir(self.tree)
+        sys.path[:] = [str(self.folder / "import"), str(self.tree), *(path for path in sys.path if path != str(ROOT))]
+        for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "retrax")]:
+            del sys.modules[name]
+        sys.dont_write_bytecode = True
+        numba.config.CACHE_DIR = str(self.folder / kernels)
+        slow = [] if any("::" not in test for test in tests) else ["-m", ""]  # of a whole file those that are not
+        options = ["-x", "-q", "-n", "0", *slow, "--assert=plain", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
+        return int(pytest.main([*options, *tests]))
 
     def run_with(self, planted: Planted, number: int) -> tuple[int, float]:
         """The same with an error, which is taken out again."""
@@ -98,6 +130,8 @@ def main() -> int:
     """Plant the errors that were asked for."""
     errors, check = chosen()
     survived, begin = [], time.monotonic()
+    for module in BEFORE:
+        importlib.import_module(module)
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
         if check:

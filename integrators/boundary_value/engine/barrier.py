@@ -13,7 +13,7 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 NEAR = 0.5  # of its price, a multiplier says that it is too low
-VALUE = 1e-2  # of its value, which is rounded, an inequality is measured by where its unit is less than that
+VALUE = 1e-2  # of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less
 
 
 @final

@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from .barrier import DEARER, Barrier, Missed
+from .barrier import DEARER, VALUE, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Slacks, moved, potential_slope, turned
@@ -15,7 +15,6 @@ from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
-VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 
 
 @final
