@@ -17,14 +17,16 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..text import many
 from .arguments import Method, Options, check_problem, checked_options
-from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
+from .coupled import Own, coupling_of
 from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
 from .formulated import AGAIN, FAR, TOO_FAR
+from .independence import equation_words, require_independent
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
+from .regular_extremals import phase_of
 
 HORIZON = "horizon"
 LOST = (

@@ -18,7 +18,6 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import ALONG, Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
-from .coupled import extremals
 from .differentiable import Extremal, Given, extremal_of
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration, taken
@@ -31,6 +30,7 @@ from .members import Asked, MemberReader, Members
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
+from .regular_extremals import extremals
 from .regularity import Regularity
 from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
