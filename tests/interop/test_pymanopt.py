@@ -141,6 +141,7 @@ def test_what_is_no_retraction_or_metric_is_refused_in_words(given):
         to_pymanopt(SO(3), **given)
 
 
+@pytest.mark.slow
 def test_a_manifold_without_an_exponential_gets_that_of_its_geodesics():
     space = to_pymanopt(*from_pymanopt(theirs.SphereSubspaceIntersection(np.eye(3))))
     x, v = np.eye(3)[0], np.array([0.0, 0.3, 0.4])

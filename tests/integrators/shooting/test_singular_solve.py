@@ -122,6 +122,7 @@ def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
         solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, **options)
 
 
+@pytest.mark.slow
 def test_a_momentum_that_no_symmetry_conserves_is_not_ascribed_to_the_problem():
     """``p2`` is zero on ``P_f``; ``H`` depends on both states."""
     solution = solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), 1.0, 8, classification=classified(ALY_CHAN))
