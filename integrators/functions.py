@@ -15,8 +15,8 @@ from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Array
 
 from ..manifolds import InvalidInputError
-from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import is_traced
+from ..manifolds.numerics.precision import working_precision
 from .results import warn_of_coarse_values
 
 LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})

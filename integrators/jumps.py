@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..manifolds import InvalidInputError
-from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
 from .compilation import call_compiled
 from .kinks import is_jump, rounded, zoomed
 from .probing import PARTS

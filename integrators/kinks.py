@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean
-from ..manifolds.manifold import working_precision
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
 from .compilation import call_compiled
 from .probing import PARTS, ROUNDING, SMOOTH
 

@@ -11,14 +11,16 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Product, RetraxError
-from ..manifolds.manifold import default_tolerance, same_manifold, working_precision
+from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance, working_precision
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
+from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number
 from .jumps import require_no_jumps
@@ -172,16 +174,22 @@ class OptimalControlProblem(eqx.Module):
 
     def _changed(self, change: Callable[[Callable, int], Callable], time_dependent: bool) -> "OptimalControlProblem":
         """The problem with other functions, made of these and their kinds."""
-        made = [change(function, kind) for _, function, kind in self._functions()]
-        given: dict[str, Any] = dict(zip(self.functions, made, strict=True))
+        given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
         own, ends = self.limits, self.boundary
         functions = tuple(given[constraint_words(name)] for name in own.names)
-        limits: Any = Inequalities(own.lower, own.upper, own.names, functions, own.at_first)
+        limits = Inequalities(own.lower, own.upper, own.names, functions, own.at_first)
         between = tuple(given[boundary_words(name)] for name in ends.names)
-        boundary: Any = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor)
-        costs = given["running_cost"], self.controls, given.get("terminal_cost"), self.abnormal, given.get("initial_cost")
-        more: Any = {"constraints": limits, "boundary_constraints": boundary, "labels": self.quantities}
-        return OptimalControlProblem(self.manifold, given["dynamics"], *costs, time_dependent=time_dependent, **more)
+        boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor)
+        names = "dynamics", "running_cost", "terminal_cost", "initial_cost"
+        more: Any = {"constraints": limits, "boundary_constraints": boundary, "time_dependent": time_dependent}
+        return self.replaced(**more, **{name: given[name] for name in names if name in given})
+
+    def replaced(self, **changes: Any) -> "OptimalControlProblem":
+        """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a ``boundary``."""
+        names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "abnormal", "initial_cost", "time_dependent"
+        given: Any = {name: getattr(self, name) for name in names}
+        given |= {"constraints": self.limits, "boundary_constraints": self.boundary, "labels": self.quantities}
+        return OptimalControlProblem(**given | changes)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
         """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in order."""
@@ -373,15 +381,6 @@ class OptimalControlProblem(eqx.Module):
         draw = np.random.default_rng(0).standard_normal
         covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), self.manifold.ambient)
         return SPREAD * draw((CURVATURES, self.controls.dimension)).astype(working_precision()), covectors
-
-
-def resting_control(controls: Manifold) -> Ambient:
-    """A point of the control manifold to begin from: zero in Euclidean space, a fixed random point elsewhere."""
-    return (
-        np.zeros(controls.shape, working_precision())
-        if isinstance(controls, Euclidean)
-        else controls.random_point(jax.random.key(0))
-    )
 
 
 def is_same_problem(a: object, b: object) -> bool:

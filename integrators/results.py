@@ -6,7 +6,7 @@ from functools import cache
 
 import equinox as eqx
 
-from ..manifolds.manifold import working_precision
+from ..manifolds.numerics.precision import working_precision
 
 
 class Result(eqx.Enumeration):

@@ -9,11 +9,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .manifold import Manifold, default_tolerance, real
+from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.frames import null_frame
+from .numerics.precision import default_tolerance, real
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
 

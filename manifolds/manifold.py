@@ -9,11 +9,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool
+from jaxtyping import Array
 
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
+from .numerics.precision import default_tolerance
 from .numerics.shapes import check_shapes
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
@@ -224,16 +225,6 @@ class _Word(str):
     __repr__ = str.__str__
 
 
-def working_precision() -> np.dtype:
-    """The dtype of real numbers in the precision that JAX is set to."""
-    return jax.dtypes.canonicalize_dtype(float)
-
-
-def default_tolerance() -> float:
-    """Square root of the machine epsilon of the precision in use."""
-    return float(np.finfo(working_precision()).eps ** 0.5)
-
-
 @eqx.filter_jit
 def _violations(manifold: Manifold, x: Ambient) -> dict[str, Array]:
     return manifold.violations(x)
@@ -251,18 +242,3 @@ def same_manifold(a: Manifold, b: Manifold) -> bool:
     if isinstance(a, VectorBundle) and isinstance(b, VectorBundle):
         return same_manifold(a.base, b.base)
     return bool(eqx.tree_equal(a, b))
-
-
-def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
-    """Real array of a shape, in the precision that JAX is set to."""
-    return jax.ShapeDtypeStruct(shape, working_precision())
-
-
-def complex_entries(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:
-    """Complex array of a shape, in the precision that JAX is set to."""
-    return jax.ShapeDtypeStruct(shape, jax.dtypes.canonicalize_dtype(complex))
-
-
-def same_point(x: Ambient, y: Ambient, tolerance: float) -> Bool[Array, ""]:
-    """Whether two points agree entry by entry, relative to ``1 + max |y|``."""
-    return vec.size(vec.subtract(x, y)) <= tolerance * (1 + vec.size(y))

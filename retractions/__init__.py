@@ -8,7 +8,7 @@ if __package__ != "retrax.retractions":
 
 from .constructions import PowerRetraction, ProductRetraction, SecondOrder, Stabilized, acceleration
 from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
-from .differential import DifferentiatedRetraction, adjoint, differentiated
+from .differential import DifferentiatedRetraction, differentiated, fibre_adjoint
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
 from .gauss import Gauss
@@ -115,9 +115,9 @@ __all__ = [
     "Translated",
     "UPolar",
     "acceleration",
-    "adjoint",
     "cotangent_lift",
     "default_retraction",
     "differentiated",
+    "fibre_adjoint",
     "order",
 ]

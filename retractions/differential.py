@@ -13,7 +13,7 @@ from .retraction import Retraction
 class DifferentiatedRetraction(Retraction):
     """A retraction with closed forms of its derivative along the fibres and of the adjoint of that.
 
-    Use ``differentiated`` and ``adjoint``, which take any retraction.
+    Use ``differentiated`` and ``fibre_adjoint``, which take any retraction.
 
     The derivative is ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``.
 
@@ -48,7 +48,7 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
     return jax.jvp(lambda u: retraction(x, u), (v,), (w,))[1]
 
 
-def adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+def fibre_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
     """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at ``x``.
 
     ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.

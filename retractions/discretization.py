@@ -9,10 +9,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifolds import DomainError, InvalidInputError, Manifold
-from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
+from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root
 from .constructions import PowerRetraction, ProductRetraction
 from .retraction import MidpointRetraction, Retraction, nan_unless

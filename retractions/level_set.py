@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifolds import LevelSet
-from ..manifolds.manifold import default_tolerance, same_point
+from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, solve_small
 from .retraction import Retraction, nan_unless
 

@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array
 
 from ..manifolds import EmbeddedMetric, Manifold, Metric
-from ..manifolds.manifold import default_tolerance
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance
 from .constructions.second_order import acceleration, metric_on
 from .differential import differentiated
 from .retraction import Retraction

@@ -11,10 +11,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ..manifolds import DomainError, InvalidInputError, Manifold, Metric
-from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
+from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, known_root
 from ..manifolds.numerics.shapes import check_shapes, require_shapes
 
@@ -65,7 +65,10 @@ class Retraction(eqx.Module):
         return first, second
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:
-        """The tangent vector ``v`` at ``x`` with ``R(x, v) = y``; entries are NaN where there is none."""
+        """The inverse retraction that returns NaN: ``v`` at ``x`` with ``R(x, v) = y``, NaN where there is none.
+
+        ``inverse`` is the same for one point outside of ``jit``, where it raises instead.
+        """
         return newton_preimage(self, x, y)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:

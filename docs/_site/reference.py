@@ -13,6 +13,7 @@ from retrax.retractions import RetractionFamily
 
 ROOMS = {
     "manifolds": "Manifolds",
+    "manifolds.symplectic": "Forms, Lagrangian submanifolds and the Tulczyjew triple",
     "retractions": "Retractions and discretization maps",
     "integrators": "Integrators and solvers",
     "problems": "Problems with known optima",
@@ -30,12 +31,18 @@ def write(folder: Path) -> None:
     for room, title in ROOMS.items():
         module = importlib.import_module(f"retrax.{room}")
         lines = [title, "=" * len(title), "", f".. module:: retrax.{room}", ""]
-        for name in sorted(module.__all__, key=str.lower):
+        for name in sorted(own(module), key=str.lower):
             lines += entry(module, name)
         (folder / f"{room}.rst").write_text("\n".join(lines) + "\n")
     (folder / "table.rst").write_text("\n".join(tables.table()) + "\n")
     rows = "\n".join(f"   {page}" for page in (*ROOMS, "table"))
     (folder / "index.rst").write_text(f"Reference\n=========\n\n.. toctree::\n   :maxdepth: 1\n\n{rows}\n")
+
+
+def own(module: ModuleType) -> set[str]:
+    """The public names of a room that the room above does not have."""
+    above = importlib.import_module(module.__name__.rpartition(".")[0])
+    return set(module.__all__) - set(getattr(above, "__all__", ()))
 
 
 def entry(module: ModuleType, name: str) -> list[str]:

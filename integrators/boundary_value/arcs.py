@@ -1,7 +1,7 @@
 """Arcs along which controls stay at their bounds, with free durations: switches are then nodes, and found to all digits."""
 
 from dataclasses import replace
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -60,12 +60,10 @@ class Arcs:
         names, limits = problem.limits.names, [self._limit(place) for place in range(len(problem.limits.names))]
         own, every = problem.limits, (*limits, self._last) if last else tuple(limits)
         held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last))
-        paid: Any = {"terminal_cost": self._final} if problem.terminal_cost is not None else {}
-        paid |= {"initial_cost": self._first} if problem.initial_cost is not None else {}
-        velocity, rate = cast(Any, (self._velocity, self._rate))
-        paid |= {"constraints": held, "boundary_constraints": self._boundary(), "labels": problem.quantities}
-        paid |= {"abnormal": problem.abnormal, "time_dependent": True}
-        self.problem = OptimalControlProblem(problem.manifold, velocity, rate, problem.controls, **paid)
+        changes: Any = {"dynamics": self._velocity, "running_cost": self._rate, "constraints": held, "time_dependent": True}
+        costs = ("terminal_cost", self._final), ("initial_cost", self._first)
+        changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
+        self.problem = problem.replaced(boundary_constraints=self._boundary(), **changes)
 
     def parameters(self, durations: np.ndarray, own: Any) -> Any:
         """The parameters of the problem in arcs: guessed durations, and the parameters of the problem itself."""

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError, NotOnManifoldError
-from ...manifolds.manifold import default_tolerance, working_precision
 from ...manifolds.numerics.ambient import is_count, is_finite_number
+from ...manifolds.numerics.precision import default_tolerance, working_precision
 from ...retractions import DiscretizationMap, Gauss
 from ..problem import OptimalControlProblem
 from ..results import warn_about_precision

@@ -1,26 +1,15 @@
-"""Trajectories whose ends are coupled: the equations between them, whether these are independent, and their multipliers."""
+"""The equations between the ends of phases: the boundary conditions of each of them, and links."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array
 
-from ...manifolds import InvalidInputError
-from ..boundary_conditions import boundary_words
 from ..problem import OptimalControlProblem
-from ..singular.words import many
-from .arguments import Options
 from .engine.coupling import Coupling, Link
 from .engine.evaluator import Evaluator
-from .engine.joint import JointConditions
-from .engine.layout import Layout
-from .engine.newton import Found, newton
-
-SAMPLES = 4  # random ends at which equations are looked at
-RANK = 0.5  # power of the machine epsilon: a singular value smaller than this, relative to the largest, is rounding
 
 
 class Own(NamedTuple):
@@ -64,114 +53,3 @@ def _turn(k: int, phase: Own) -> Link:
     problem, manifold = phase.problem, phase.problem.manifold
     own: Any = manifold.factors[0] if problem.boundary.factor else manifold  # pyright: ignore[reportAttributeAccessIssue]
     return Link(own, 2 * k, 2 * k + 1, lambda y, given: problem.with_parameters(given).turned(y), phase.state)
-
-
-def extremals(posed: Any, options: Options) -> Found:
-    """The extremals of a batch of trajectories, with coupled ends if they are."""
-    traced = posed.traced
-    if traced.coupling is None:
-        return newton(posed.conditions, posed.guess, *options)
-    joint: Any = JointConditions((posed.conditions,), traced.coupling)
-    guess = joint.guess((posed.guess,))
-    names = equation_words([traced.own])
-    require_independent(joint, guess, names)
-    found: Any = newton(joint, guess, *options)
-    return phase_of(
-        found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]), 0, [traced.own]
-    )
-
-
-def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:
-    """What was found of a phase, with the multipliers of its boundary constraints by their names."""
-    joint: Any = found
-    begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}
-    for name, size in phases[k].sizes.items():
-        boundary[name] = joint.assembled.coupled.multipliers[:, begin : begin + size]
-        begin += size
-    return found._replace(iterate=joint.iterate.parts[k], assembled=joint.assembled.parts[k], boundary=boundary)
-
-
-def equation_words(phases: Sequence[Own]) -> list[str]:
-    """Names of the equations of boundary constraints."""
-    several = len(phases) > 1
-    return [
-        f"{boundary_words(name)}[{i}]" + (f" of phase {k}" if several else "")
-        for k, phase in enumerate(phases)
-        for name, size in phase.sizes.items()
-        for i in range(size)
-    ]
-
-
-def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
-    """What is said where equations between the ends depend on each other at those that a member reached; else nothing."""
-    rows = found.assembled.coupled.jacobian[k][:, joint.free]
-    power = RANK if found.claimed[k] else RANK / 2  # on the way to ends where they depend on each other they nearly do
-    if not np.all(np.isfinite(rows)) or len(independent := _independent(_scaled(rows), power)) == len(rows):
-        return ""
-    left = ", ".join(name for place, name in enumerate(_all(joint, names)) if place not in independent)
-    return (
-        f" At the ends that were reached the boundary conditions depend on each other, and their multipliers are not determined: "
-        f"{left}; try to leave out what follows from the others, or periodic=True for q(T) = q(0) on a manifold."
-    )
-
-
-def _all(joint: JointConditions, names: Sequence[str]) -> list[str]:
-    """Names of all equations, and of the links."""
-    return [*names, *("a link" for _ in range(joint.coupling.rows - len(names)))]
-
-
-def _scaled(rows: np.ndarray) -> np.ndarray:
-    """The rows scaled to one size."""
-    sizes = np.max(np.abs(rows), axis=1, initial=0.0)
-    return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
-
-
-def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]) -> None:
-    """Raise if equations between the ends depend on each other, at the guess and at random ends too.
-
-    Where ends are prescribed, in what is free of them.
-    """
-    names, best = _all(joint, names), None
-    for ends in _samples(joint, guess):
-        coupled, _ = joint.coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
-        rows = coupled.jacobian[0][:, joint.free]
-        if not np.all(np.isfinite(rows)):
-            continue
-        independent = _independent(_scaled(rows))
-        if len(independent) == len(rows):
-            return
-        best = independent if best is None or len(independent) > len(best) else best
-    if best is not None:
-        left = [name for k, name in enumerate(names) if k not in best]
-        count, verb = len(best), "depends" if len(left) == 1 else "depend"
-        raise InvalidInputError(
-            f"the boundary conditions are {many(len(names), 'equation')}, of which {count} {'is' if count == 1 else 'are'} "
-            f"independent where the ends are free: {', '.join(left)} {verb} on the others, or on what is prescribed alone; "
-            "expected independent equations; try to leave out what follows from the others, and periodic=True for q(T) = q(0) "
-            "on a manifold"
-        )
-
-
-def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
-    """The ends of the guess of the first member, and random ones where these are free."""
-    found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
-    samples = [found]
-    for key in jax.random.split(jax.random.key(0), SAMPLES):
-        ends = []
-        for k, (own, mine) in enumerate(zip(found, jax.random.split(key, len(found)), strict=True)):
-            phase, manifold = joint.phases[k // 2], joint.coupling.problems[k // 2].manifold
-            entries = phase.ends.end_entries if k % 2 else phase.ends.start_entries
-            ends.append(np.where(entries, own, Layout.of(manifold).rows(manifold.random_point(mine), 0)))
-        samples.append(ends)
-    return samples
-
-
-def _independent(rows: np.ndarray, power: float = RANK) -> list[int]:
-    """The first rows of a matrix that are independent of those before."""
-    basis, found = np.zeros((0, rows.shape[1])), list[int]()
-    for k, row in enumerate(rows):
-        rest = row - basis.T @ (basis @ row)
-        rest -= basis.T @ (basis @ rest)
-        if np.linalg.norm(rest) > np.finfo(float).eps ** power * max(np.linalg.norm(row), np.finfo(float).tiny):
-            basis, found = np.vstack([basis, rest / np.linalg.norm(rest)]), [*found, k]
-    return found

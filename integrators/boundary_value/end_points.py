@@ -11,11 +11,11 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
-from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.precision import default_tolerance
 from ..compilation import call_compiled
+from ..controls import resting_control
 from ..free import Free, guessed, is_free
-from ..problem import resting_control
 from .engine.layout import Layout
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from math import prod
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -98,12 +98,11 @@ class Formulation:
         beside = [Addition(manifold) for manifold in added]
         self.takes = len(kind.shapes) > len(kind.free) or any(kind.horizon_bounds) or bool(kind.below or kind.above)
         self.method = extended(method, beside)
-        functions = self._of_state(self._velocity, 2), self._of_state(self._rate, 2)
-        costs = (problem.terminal_cost, self._final, "terminal_cost"), (problem.initial_cost, self._first, "initial_cost")
-        paid: Any = {name: self._of_state(f, 1) for given, f, name in costs if given is not None}
-        manifold, limits = Product(problem.manifold, *added), cast(Any, self._limits())
-        paid |= {"constraints": limits, "boundary_constraints": self._boundary()}
-        self.problem = OptimalControlProblem(manifold, *functions, problem.controls, abnormal=problem.abnormal, **paid)
+        functions = {"dynamics": (self._velocity, 2), "running_cost": (self._rate, 2)}
+        functions |= {"terminal_cost": (self._final, 1), "initial_cost": (self._first, 1)}
+        changes: Any = {name: self._of_state(*f) for name, f in functions.items() if getattr(problem, name) is not None}
+        changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
+        self.problem = problem.replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
 
     def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
         """The start with the guesses of the constants, and the clock at zero, or free and guessed."""

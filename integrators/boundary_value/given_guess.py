@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError, Manifold
-from ...manifolds.manifold import default_tolerance
+from ...manifolds.numerics.precision import default_tolerance
 from ..evaluation import at_each
 from ..problem import OptimalControlProblem
 from .engine.layout import Layout

@@ -9,7 +9,8 @@ import numpy as np
 from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
-from ..problem import OptimalControlProblem, resting_control
+from ..controls import resting_control
+from ..problem import OptimalControlProblem
 from ..records import shapes
 from .arguments import BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader

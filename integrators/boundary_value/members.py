@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
-from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import is_finite_number
+from ...manifolds.numerics.precision import default_tolerance
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters, copied, structure_of

@@ -6,7 +6,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from ..singular.words import table
+from ..text import table
 from .interpolation import Sample, checked_times
 from .solution import Solution, Statistics
 

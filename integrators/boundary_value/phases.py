@@ -15,16 +15,18 @@ from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
-from ..singular.words import many
+from ..text import many
 from .arguments import Method, Options, check_problem, checked_options
-from .coupled import Own, coupling_of, equation_words, phase_of, require_independent
+from .coupled import Own, coupling_of
 from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
 from .formulated import AGAIN, FAR, TOO_FAR
+from .independence import equation_words, require_independent
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
+from .regular_extremals import phase_of
 
 HORIZON = "horizon"
 LOST = (
@@ -171,8 +173,11 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     """The phases, with the guesses of a solution."""
     if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
         raise InvalidInputError(f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]")
-    for phase in phases:
+    for k, phase in enumerate(phases):
         check_problem(phase.problem, phase.method)
+        duration = guessed(phase.duration)
+        if not (is_finite_number(duration) and duration > 0):
+            raise InvalidInputError(f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}")
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):

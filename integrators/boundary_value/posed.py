@@ -7,7 +7,8 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ...retractions import Gauss, Midpoint
-from ..problem import OptimalControlProblem, resting_control
+from ..controls import resting_control
+from ..problem import OptimalControlProblem
 from .arguments import Method, structure_of
 from .coupled import Own, coupling_of
 from .engine.collocation import Collocation

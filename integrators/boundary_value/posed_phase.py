@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
-from ..problem import OptimalControlProblem, resting_control
+from ..controls import resting_control
+from ..problem import OptimalControlProblem
 from .arguments import Method, Options, copied, fractions_of
 from .engine.evaluator import Automatic, Evaluator
 from .engine.newton import Found

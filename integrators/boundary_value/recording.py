@@ -10,6 +10,7 @@ from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
 from .engine.layout import Layout
 from .engine.newton import Found
+from .engine.transcription import AtStages
 from .interpolation import Interpolant
 from .outcome import outcomes
 from .posed import Posed, Traced
@@ -40,17 +41,8 @@ class Recording:
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         success, results = outcomes(found, options.tolerance, options.max_iterations)
-        times = np.zeros((len(nodes), nodes.shape[1]))
-        np.cumsum(data.steps, axis=1, out=times[:, 1:])
-        between = times[:, :-1, None] + data.steps[:, :, None] * self.stages
         fields = {
-            "times": times,
-            "states": self.state.points(nodes),
-            "costates": self.state.points(costates),
-            "stage_times": between.reshape(len(nodes), -1),
-            "stage_states": self.state.points(stages[0]),
-            "stage_costates": self.state.points(stages[2]),
-            "controls": self.control.points(stages[1]),
+            **self._trajectories(nodes, costates, stages, data.steps),
             "hamiltonians": diagnostics.hamiltonians,
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
@@ -79,6 +71,21 @@ class Recording:
             )
 
         return {**fields, "parameters": parameters}, member
+
+    def _trajectories(self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray) -> dict[str, Any]:
+        """Times, states, costates and controls of a batch, of which those at the stages are given together."""
+        times = np.zeros((len(nodes), nodes.shape[1]))
+        np.cumsum(steps, axis=1, out=times[:, 1:])
+        between = times[:, :-1, None] + steps[:, :, None] * self.stages
+        return {
+            "times": times,
+            "states": self.state.points(nodes),
+            "costates": self.state.points(costates),
+            "stage_times": between.reshape(len(nodes), -1),
+            "stage_states": self.state.points(stages[0]),
+            "stage_costates": self.state.points(stages[2]),
+            "controls": self.control.points(stages[1]),
+        }
 
 
 def _known(found: Found) -> dict[str, list[Any]]:

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ..controls import resting_control
 from ..probing import CURVATURES, SPREAD
-from ..problem import resting_control
 from ..singular import Classification, classify
 from .members import Members
 from .posed import Posing

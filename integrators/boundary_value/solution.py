@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
-from ...manifolds.manifold import default_tolerance
+from ...manifolds.numerics.precision import default_tolerance
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
@@ -225,7 +225,7 @@ class Solution:
         return "\n  ".join(["Solution(", *parts, f"result={self.result!r})"])
 
     def __str__(self) -> str:
-        from .report import report_text
+        from .solution_report import report_text
 
         return report_text(self)
 

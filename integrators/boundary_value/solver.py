@@ -10,7 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ...manifolds.manifold import working_precision
+from ...manifolds.numerics.precision import working_precision
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
 from ..free import is_free
@@ -19,7 +19,6 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import ALONG, Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
-from .coupled import extremals
 from .differentiable import Extremal, Given, extremal_of
 from .engine.batches import taken
 from .engine.evaluator import chosen
@@ -34,10 +33,11 @@ from .members import Asked, MemberReader, Members
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
+from .regular_extremals import extremals
 from .regularity import Regularity
 from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
-from .singular import EndConditions, Request, solve_on_final_manifold
+from .shooting import EndConditions, Request, solve_on_final_manifold
 from .solution import Solution, Solutions
 
 

@@ -8,9 +8,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
-from ...manifolds.manifold import default_tolerance, same_manifold
+from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.precision import default_tolerance
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift

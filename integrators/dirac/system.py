@@ -12,9 +12,10 @@ from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 from ...manifolds.numerics.root import find_root
+from ..controls import resting_control
+from ..extremal_controls import find_control
 from ..functions import real_number
-from ..initial_value.integrator import find_control
-from ..problem import OptimalControlProblem, resting_control
+from ..problem import OptimalControlProblem
 from ..stages.hamiltonian import Hamiltonian
 
 Multipliers = Float[Array, " m"]

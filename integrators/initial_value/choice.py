@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ...manifolds.manifold import working_precision
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.precision import working_precision
 from .integrator import Integrator
 
 if TYPE_CHECKING:

@@ -7,26 +7,24 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold, RetraxError
-from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.rank import is_regular, pivotal_values
-from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift, DiscretizationMap, Gauss
 from ..compilation import compiled
+from ..controls import resting_control
+from ..extremal_controls import extremal_control
 from ..functions import real_number
 from ..options import require_arguments
 from ..probing import FAILURES
-from ..problem import OptimalControlProblem, resting_control
+from ..problem import OptimalControlProblem
 from ..stages import ControlStage, GaussStage, GaussUnknowns, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
-
-RESTING = 1e-3  # of the largest coordinate of a control: one that is smaller is not measured by its own size
 
 
 class Integrator(eqx.Module):
@@ -207,40 +205,6 @@ class PresymplecticIntegrator(VariationalIntegrator):
                 f"singular values {singular} in units of its diagonal, expected all positive; make the running cost strictly "
                 "convex in every control"
             )
-
-
-@compiled
-def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Ambient:
-    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none near."""
-    return find_control(problem, q, p, resting_control(problem.controls))[0]
-
-
-def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> tuple[Ambient, Bool[Array, ""]]:
-    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
-    zero = jnp.zeros(problem.controls.dimension)
-    slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem.steer(near, c)))
-    root, found = find_root(slope, zero, _control_sizes(problem, q, p, near))
-    return problem.steer(near, jnp.where(found, root, zero)), found
-
-
-def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> Array:
-    """Sizes of the coordinates of a control: those of ``near``, and those of the steps that the parts of ``dH/du`` ask for."""
-    q, p, near = jax.lax.stop_gradient((q, p, near))
-
-    def asked_along(e: Array) -> Array:
-        def parts(s: Array) -> Array:
-            return jnp.stack(problem.parts(q, p, problem.steer(near, s * e)))
-
-        zero, one = jnp.zeros(()), jnp.ones(())
-        slopes, curvatures = jax.jvp(lambda s: jax.jvp(parts, (s,), (one,))[1], (zero,), (one,))
-        return jnp.max(jnp.abs(slopes)) / jnp.abs(curvatures[0] - curvatures[1])
-
-    frame = problem.controls.basis(near)
-    asked = jax.vmap(asked_along)(jnp.eye(problem.controls.dimension))
-    own = jnp.maximum(jnp.abs(vec.components(frame, near)), jnp.where(jnp.isfinite(asked), asked, 0.0))
-    # A coordinate that rests is as exact as the rounding of others lets it be.
-    largest = jnp.maximum(jnp.max(own, initial=0.0), jnp.max(vec.coordinate_sizes(frame, near), initial=0.0))
-    return jnp.where(largest > 0, jnp.maximum(own, RESTING * largest), 1.0)
 
 
 @compiled

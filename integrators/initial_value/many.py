@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
-from ...manifolds.manifold import default_tolerance
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.precision import default_tolerance
 from ...reading import reads_once
 from ..compilation import call_compiled
 from ..functions import require_concrete

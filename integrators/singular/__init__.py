@@ -1,17 +1,7 @@
 """Singular problems: their classification, and integrators on the final constraint manifold."""
 
-from .integrability import (
-    L_H,
-    S_H,
-    Classification,
-    FinalEquations,
-    Level,
-    MorseTest,
-    Signature,
-    Stratum,
-    classify,
-    critical_set,
-)
+from .integrability import L_H, S_H, Classification, FinalEquations, Level, MorseTest, Stratum, classify, critical_set
+from .integrability_result import Signature
 from .strategies import (
     STRATEGIES,
     ControlAffineSplitting,

@@ -1,35 +1,11 @@
 """Words that reports share."""
 
 from collections.abc import Iterable
-from textwrap import wrap
 
 from ...manifolds import Euclidean, Manifold
 from ..problem import OptimalControlProblem
 
-Line = tuple[str, str]
-WIDTH = 110  # characters of a line of text
 ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
-
-
-def table(lines: list[Line]) -> str:
-    """Names and texts in two columns, the second at most ``WIDTH`` wide."""
-    width = max(len(name) for name, _ in lines) + 2
-    return "\n".join(f"{name:<{width}}" + ("\n" + " " * width).join(_wrapped(text)) for name, text in lines)
-
-
-def clauses(parts: Iterable[str]) -> str:
-    """Sentences that begin a line each, of at most ``WIDTH`` characters; lines that continue one are indented."""
-    return ";\n".join("\n  ".join(_wrapped(part)) for part in parts)
-
-
-def _wrapped(text: str) -> list[str]:
-    lines = (wrap(line, WIDTH, break_long_words=False, break_on_hyphens=False) for line in text.splitlines())
-    return [piece for pieces in lines for piece in pieces] or [""]
-
-
-def many(count: int, noun: str) -> str:
-    """``1 point``, ``2 points``."""
-    return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def ordinal(level: int) -> str:

@@ -9,12 +9,13 @@ import numpy as np
 from jax.scipy.linalg import cho_solve, solve_triangular
 from jaxtyping import Array, Float
 
-from ..manifold import HomogeneousSpace, complex_entries, real
+from ..manifold import HomogeneousSpace
 from ..numerics import ambient as vec
 from ..numerics.attribute import attribute
 from ..numerics.errors import shapes_of
 from ..numerics.matrices import exponential
 from ..numerics.newton import tolerance
+from ..numerics.precision import complex_entries, real
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
 

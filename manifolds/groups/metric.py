@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from ..manifold import default_tolerance
 from ..metric import Metric
 from ..numerics.ambient import is_traced
 from ..numerics.errors import InvalidInputError
+from ..numerics.precision import default_tolerance
 from .matrix_lie_group import MatrixLieGroup
 
 

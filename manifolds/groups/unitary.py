@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..manifold import complex_entries
 from ..numerics import ambient as vec
 from ..numerics.frames import qr_factor
+from ..numerics.precision import complex_entries
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
 from .special_orthogonal import nearly_orthogonal

@@ -8,9 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..manifold import Manifold, default_tolerance, real
+from ..manifold import Manifold
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import adapted_frame, leading_projector, qr_factor
+from ..numerics.precision import default_tolerance, real
 from ..numerics.sizes import are_whole, plain
 
 

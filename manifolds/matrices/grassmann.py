@@ -9,10 +9,11 @@ import numpy as np
 from jaxtyping import Array
 
 from ..groups import skew_basis
-from ..manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace
 from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import adapted_frame, qr_factor
+from ..numerics.precision import real
 from ..numerics.sizes import are_whole, plain
 
 

@@ -7,9 +7,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace
 from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
+from ..numerics.precision import real
 from ..numerics.sizes import are_whole, plain
 from ..vectors import Sphere
 

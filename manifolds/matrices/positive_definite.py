@@ -8,10 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace
 from ..metric import Metric
 from ..numerics import ambient as vec
 from ..numerics.matrices import symmetric
+from ..numerics.precision import real
 from ..numerics.sizes import plain, require_size
 
 

@@ -13,10 +13,11 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from ..manifold import Manifold, default_tolerance, working_precision
+from ..manifold import Manifold
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame, is_traced
 from ..numerics.errors import InvalidInputError, NotOnManifoldError
+from ..numerics.precision import default_tolerance, working_precision
 from ..numerics.rank import numerical_rank
 from ..product import Product
 from .forms import coordinates, difference, pullback_form

@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..manifold import HomogeneousSpace, real
+from ..manifold import HomogeneousSpace
+from ..numerics.precision import real
 from ..numerics.sizes import as_shape
 
 

@@ -3,7 +3,8 @@
 import equinox as eqx
 import jax
 
-from ..manifold import Manifold, real
+from ..manifold import Manifold
+from ..numerics.precision import real
 from ..numerics.sizes import plain, require_size
 
 

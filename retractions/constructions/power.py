@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import InvalidInputError, Power
 from ...manifolds.numerics.ambient import Ambient
-from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
 from ..retraction import Retraction
 
 
@@ -42,7 +42,7 @@ class PowerRetraction(DifferentiatedRetraction):
         return jax.vmap(lambda *parts: differentiated(self.factor, *parts))(x, v, w)
 
     def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-        return jax.vmap(lambda *parts: adjoint(self.factor, *parts))(x, v, xi)
+        return jax.vmap(lambda *parts: fibre_adjoint(self.factor, *parts))(x, v, xi)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
         return jnp.all(jax.vmap(self.factor.domain)(x, v))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ...manifolds import InvalidInputError, Product
-from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
 from ..retraction import Retraction
 
 
@@ -53,7 +53,7 @@ class ProductRetraction(DifferentiatedRetraction):
         return tuple(differentiated(r, *parts) for r, *parts in zip(self.factors, x, v, w, strict=True))
 
     def fibre_adjoint(self, x: tuple, v: tuple, xi: tuple) -> tuple:
-        return tuple(adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
+        return tuple(fibre_adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
 
     def domain(self, x: tuple, v: tuple) -> Bool[Array, ""]:
         return jnp.all(jnp.stack([r.domain(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]))

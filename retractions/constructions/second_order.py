@@ -7,9 +7,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
-from ...manifolds.manifold import default_tolerance, same_manifold, same_point
+from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.precision import default_tolerance, same_point
 from ...manifolds.numerics.root import find_root
 from ..retraction import Retraction, nan_unless
 

@@ -6,7 +6,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
-from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
 from ..retraction import Retraction
 
 
@@ -38,7 +38,7 @@ class Stabilized(DifferentiatedRetraction):
         return differentiated(self.inner, x, v, w)
 
     def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-        return adjoint(self.inner, x, v, xi)
+        return fibre_adjoint(self.inner, x, v, xi)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
         return self.inner.domain(x, v)

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Shaped
 
 from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
-from ...manifolds.manifold import default_tolerance, same_point
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.attribute import attribute
+from ...manifolds.numerics.precision import default_tolerance, same_point
 from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_preimage
 
 Matrix = Shaped[Array, "n n"]

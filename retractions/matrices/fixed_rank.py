@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import FixedRank
-from ...manifolds.manifold import default_tolerance
+from ...manifolds.numerics.precision import default_tolerance
 from ..retraction import Retraction, comes_back, nan_unless
 from ..rounding import EDGE
 

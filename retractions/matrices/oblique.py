@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Oblique
-from ..differential import DifferentiatedRetraction, adjoint, differentiated
+from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
 from ..retraction import MidpointRetraction
 
 
@@ -34,7 +34,7 @@ class Columnwise(MidpointRetraction, DifferentiatedRetraction):
         return jax.vmap(lambda *parts: differentiated(self.column, *parts), 1, 1)(x, v, w)
 
     def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
-        return jax.vmap(lambda *parts: adjoint(self.column, *parts), 1, 1)(x, v, xi)
+        return jax.vmap(lambda *parts: fibre_adjoint(self.column, *parts), 1, 1)(x, v, xi)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jax.vmap(self.column.domain, 1)(x, v))

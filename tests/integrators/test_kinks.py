@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, solve
-from retrax.integrators.initial_value.integrator import resting_control
+from retrax.integrators.controls import resting_control
 from retrax.integrators.kinks import kinks_near
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR

@@ -215,7 +215,8 @@ def phase(**changes):
     [
         (([],), "solve_phases takes a list of at least one Phase"),
         (([phase(), 3],), "solve_phases takes a list of at least one Phase"),
-        (([phase(duration=-1.0)],), "phase 0: horizon must be a positive finite time"),
+        (([phase(duration=-1.0)],), "phase 0: duration must be a positive finite time"),
+        (([phase(), phase(duration=Free(-1.0))],), "phase 1: duration must be a positive finite time, or Free, got Free"),
         (([phase(start=None)],), r"phase 0 has a start that is free, and nothing .* try start=Free"),
         (([phase(), phase()], [None]), r"links\[0\] must be True for a continuous state"),
         (([phase(), phase()], [True, True, True]), r"links must be a list of 1, one from each phase to the next"),

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, integrate
+from retrax.integrators.extremal_controls import extremal_control
 from retrax.integrators.initial_value import lifted_step
-from retrax.integrators.initial_value.integrator import extremal_control
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Projection, Theta, default_retraction

@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from retrax.integrators import GeodesicRetraction
 from retrax.interop import from_geomstats, to_geomstats
+from retrax.interop.isolated_import import import_peer, seeded
 from retrax.interop.metrics import exponential_map, is_symmetric, natural_metric
-from retrax.interop.peers import import_peer, seeded
 from retrax.manifolds import (
     SE,
     SL,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
-from retrax.interop.peers import import_peer, seeded
+from retrax.interop.isolated_import import import_peer, seeded
 from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, Product, Sphere
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 
@@ -141,6 +141,7 @@ def test_what_is_no_retraction_or_metric_is_refused_in_words(given):
         to_pymanopt(SO(3), **given)
 
 
+@pytest.mark.slow
 def test_a_manifold_without_an_exponential_gets_that_of_its_geodesics():
     space = to_pymanopt(*from_pymanopt(theirs.SphereSubspaceIntersection(np.eye(3))))
     x, v = np.eye(3)[0], np.array([0.0, 0.3, 0.4])

@@ -10,7 +10,7 @@ from hypothesis import given
 from retrax.integrators import SymplecticIntegrator
 from retrax.integrators.initial_value import lifted_step
 from retrax.interop import from_geomstats, from_pymanopt
-from retrax.interop.peers import import_peer
+from retrax.interop.isolated_import import import_peer
 from retrax.interop.wrapped import WrappedManifold, wrap
 from retrax.interop.wrapped.differences import NODES as DIFFERENCE_NODES
 from retrax.interop.wrapped.differences import host_function

@@ -13,23 +13,18 @@ from retrax.manifolds import (
     Immersion,
     InvalidInputError,
     NotOnManifoldError,
-    Phi,
     PresymplecticManifold,
     Product,
     Sphere,
     TangentBundle,
     TulczyjewTriple,
-    beta,
-    beta_inverse,
-    difference,
     form_matrix,
-    graph,
     is_lagrangian,
-    preimage,
     pullback_form,
     tangent_lift,
 )
 from retrax.manifolds.numerics import ambient as vec
+from retrax.manifolds.symplectic import Phi, beta, beta_inverse, difference, graph, preimage
 from retrax.manifolds.symplectic.lagrangian import lagrangian_subspace
 from retrax.retractions import cotangent_lift
 

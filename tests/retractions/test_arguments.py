@@ -17,8 +17,8 @@ from retrax.retractions import (
     StiefelCanonicalExponential,
     StiefelPolar,
     Translated,
-    adjoint,
     differentiated,
+    fibre_adjoint,
     order,
 )
 from scipy.spatial.transform import Rotation
@@ -38,7 +38,7 @@ ZEROS = np.zeros((3, 3))
         (lambda: jax.jit(lambda v: SPHERE(POINTS[0], v))(ZEROS), r"a tangent vector of .* \(3, 3\) came"),
         (lambda: SPHERE([1.0, 0.0, 0.0], POINTS[1]), r"float\]; a list or a tuple is no array, try jax.numpy.array"),
         (lambda: differentiated(SPHERE, POINTS[0], ZEROS[0], ZEROS), r"a direction of Sphere\(2\) .* \(3, 3\) came"),
-        (lambda: adjoint(ROTATIONS, POINTS, ZEROS, ZEROS[0]), r"a covector of SO\(3\) .* where \(3,\) came"),
+        (lambda: fibre_adjoint(ROTATIONS, POINTS, ZEROS, ZEROS[0]), r"a covector of SO\(3\) .* where \(3,\) came"),
         (lambda: ROTATIONS(Rotation.identity(), ZEROS), r"a point of SO\(3\) .* where Rotation came; try its as_matrix\(\)"),
     ],
 )

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SO, Phi, Phi_inverse, Sphere, alpha, alpha_inverse
+from retrax.manifolds import SO, Sphere
+from retrax.manifolds.symplectic import Phi, Phi_inverse, alpha, alpha_inverse
 from retrax.retractions import cotangent_lift
 
 from tests.support.numerics import SEEDS, compiled, draw_point

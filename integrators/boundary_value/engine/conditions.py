@@ -8,14 +8,13 @@ import numpy as np
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
-from .inequalities import Slacks, moved, turned
+from .inequalities import VALUE, Slacks, moved, turned
 from .scaling import SHARE, Units, natural_units
 from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
 FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
-VALUE = 1e-2  # of its value, which is rounded, an entry is measured by where it moves less than that
 
 
 @final

@@ -13,7 +13,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ....manifolds import InvalidInputError
-from ....manifolds.manifold import working_precision
+from ....manifolds.numerics.precision import working_precision
 from ....reading import traced
 from ...compilation import compiler_options
 

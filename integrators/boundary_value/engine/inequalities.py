@@ -19,7 +19,7 @@ from .arrays import plain
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
-VALUE = 1e-2  # of its value, which is rounded, an inequality is measured by where its unit is less than that
+VALUE = 1e-2  # of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less
 
 
 @final

@@ -303,8 +303,11 @@ class _Search:
 
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """
-        missing = state.assembled.extent.lacking / self.conditions.of(state.member).measured.nodes
+        conditions = self.conditions.of(state.member)
+        missing = state.assembled.extent.lacking / conditions.measured.nodes
         met = (missing <= self.tolerance).all(axis=1) & (state.residuals.stationarity <= self.tolerance)
+        # The points of a step may lack what its nodes do not: from there Newton's method moves.
+        met &= conditions.infeasibility(state.iterate, state.assembled) <= np.sqrt(self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
     def contradictory(self, state: _State) -> np.ndarray:

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array
 
 from ....manifolds import DomainError, Manifold
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import Retraction, default_retraction
 from .evaluator import Automatic, Evaluated
 from .layout import Layout

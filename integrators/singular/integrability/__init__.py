@@ -1,10 +1,11 @@
 """The integrability algorithm: classification of optimal control problems, and the final manifold P_f."""
 
+from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
 from .classify import classify
 from .final import FinalEquations
 from .lagrangian import L_H, S_H, critical_set
-from .levels import Level, Signature
+from .levels import Level
 
 __all__ = [
     "L_H",

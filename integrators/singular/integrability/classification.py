@@ -18,10 +18,10 @@ from ....manifolds import (
 )
 from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem, is_same_problem
-from ..result import IntegrabilityResult
+from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
-from .levels import Level, Signature
+from .levels import Level
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Classification(IntegrabilityResult[Stratum]):
         return immersed_dynamics(self.problem, self.manifold, Euclidean(self.gauge_controls), control)
 
     def __str__(self) -> str:
-        from .report import report_text
+        from .classification_report import report_text
 
         return report_text(self)
 

@@ -13,10 +13,11 @@ from ....reading import reads_once
 from ...functions import require_concrete
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
+from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
 from .final import final_equations
 from .jets import Pair
-from .levels import Level, PointRanks, Signature, point_ranks, summarise
+from .levels import Level, PointRanks, point_ranks, summarise
 from .points import Points, select, with_order
 from .search import make_consistent, points_beside
 from .starts import random_starts

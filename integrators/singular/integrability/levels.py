@@ -2,20 +2,12 @@
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from ..integrability_result import Signature
 from .elimination import CERTAIN, COUNTED, ZERO, eliminate, significance
 from .points import RESOLUTION, Points
-
-
-class Signature(NamedTuple):
-    """What characterises a stratum of ``P^k`` at a level."""
-
-    codimension: int
-    free_controls: int
-    form_rank: int
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
 from ....manifolds import CotangentBundle, Euclidean
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem

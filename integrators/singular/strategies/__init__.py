@@ -10,7 +10,7 @@ from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
 from .reduced import ReducedIntegrator
 from .reduction import GohReduction
-from .stage import StageIntegrator
+from .stage_integrator import StageIntegrator
 from .strategy import NotApplicableError, SingularIntegrator
 
 __all__ = [

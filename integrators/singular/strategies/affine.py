@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....manifolds import Euclidean, InvalidInputError
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...initial_value.integrator import find_control
+from ....manifolds.numerics.precision import default_tolerance
+from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
 

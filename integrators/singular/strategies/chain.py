@@ -9,11 +9,12 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ....manifolds import InvalidInputError
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ....manifolds.numerics.root import known_root
 from ...compilation import compiled
-from ...initial_value.integrator import find_control, resting_control
+from ...controls import resting_control
+from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
 from .affine import affine_tolerance, first_finite, relative_curvature
 from .leaves import Point, ambient_field

@@ -9,13 +9,14 @@ from ....manifolds import InvalidInputError
 from ....reading import reads_once
 from ....retractions import CotangentLift, DiscretizationMap
 from ...functions import require_concrete
+from ...text import clauses
 from ..integrability import Classification
-from ..words import chart_words, clauses, component_words
+from ..words import chart_words, component_words
 from .direct import DirectIntegrator
 from .project import ProjectedIntegrator
 from .rattle import RattleIntegrator
 from .reduced import ReducedIntegrator
-from .stage import StageIntegrator
+from .stage_integrator import StageIntegrator
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 # In the order in which they are tried.

@@ -16,9 +16,9 @@ from ....retractions import CotangentLift
 from ...compilation import compiled
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem
+from ...text import many
 from ..integrability import Classification
 from ..integrability.jets import hamiltonian_field
-from ..words import many
 from .dynamics import DynamicsIntegrator, FinalDynamics, Memory, Pair
 from .strategy import Gauge, NotApplicableError
 

@@ -10,20 +10,21 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.newton import tolerance
+from ....manifolds.numerics.precision import default_tolerance
 from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...compilation import compiled
-from ...initial_value.integrator import extremal_control, resting_control
+from ...controls import resting_control
+from ...extremal_controls import extremal_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from ...stages.stage import positive
+from ...text import many
 from ..integrability import Classification
-from ..words import many
 from .affine import (
     Brackets,
     ControlAffineSplitting,

@@ -8,12 +8,13 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ....manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Product
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import CotangentLift, DiscretizationMap, ProductRetraction, Retraction, Theta, default_retraction
 from ...compilation import compiled
-from ...initial_value.integrator import PresymplecticIntegrator, find_control
+from ...extremal_controls import find_control
+from ...initial_value.integrator import PresymplecticIntegrator
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem, is_same_problem
 from ..integrability import Classification

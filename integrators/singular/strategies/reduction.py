@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ....manifolds import Euclidean, InvalidInputError, Manifold, Product
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem

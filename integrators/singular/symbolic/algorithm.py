@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import sympy
 
-from ..integrability import Signature
+from ..integrability_result import Signature
 from .field import Expression, UntreatableError, field_of, normal_form
 
 PRECISION = 40  # digits

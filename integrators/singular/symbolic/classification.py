@@ -8,9 +8,9 @@ import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
 from ...problem import OptimalControlProblem
+from ...text import Line, table
 from .. import words
-from ..result import IntegrabilityResult
-from ..words import Line
+from ..integrability_result import IntegrabilityResult
 from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, strata
 from .field import normal_form
 from .trace import trace
@@ -49,7 +49,7 @@ class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
         lines = [*_problem(self), *_levels(self)]
         lines += _empty(self) if self.empty else _final(self)
         lines += [("not followed", f"the branch {_short(e)} = 0 at level {k}: no short closed form") for e, k in self.unsolved]
-        return words.table(lines)
+        return table(lines)
 
 
 def _problem(c: SymbolicClassification) -> Iterator[Line]:

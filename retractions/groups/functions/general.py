@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
-from ....manifolds.manifold import same_point
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.matrices import exponential
 from ....manifolds.numerics.newton import tolerance
+from ....manifolds.numerics.precision import same_point
 
 Matrix = Shaped[Array, "n n"]
 

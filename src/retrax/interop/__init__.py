@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 from ..integrators import Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
+from ..optional import MissingPackageError
 from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
 from .attitudes import AttitudeEphemeris, from_aem, from_quaternions, to_aem, to_quaternions, to_rotation_spline
 from .conventions import Conventions
 from .counterpart import Counterpart
 from .geometry import Geometry
+from .isolated_import import import_peer
 from .metrics import natural_metric
-from .optional import MissingPackageError
-from .peers import import_peer
 from .tables import to_csv, to_pandas, to_xarray
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ from ..channels import About, View, raw, view
 from ..integrators import Quantity, Solution, Solutions
 from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
-from .optional import needed
+from ..optional import needed
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:

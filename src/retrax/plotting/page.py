@@ -13,8 +13,8 @@ import numpy as np
 from ..channels import BODY, SPHERE, About, Channel, View, control_channels, state_channels, view
 from ..integrators import Solution
 from ..integrators.quantities import with_unit
-from ..interop.optional import needed
 from ..manifolds import InvalidInputError
+from ..optional import needed
 
 FRAMES = 241
 BODY_SIZE, ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes

@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from ..manifolds import CotangentBundle, Manifold, TangentBundle
-from ..manifolds.manifold import default_tolerance, same_point
 from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..retractions import Retraction
 from .numerics import Vector, compiled, flat, unflat, violation_kernel
 from .precision import precision

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Manifold
-from ..manifolds.manifold import working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
 
 Vector = Float[Array, " N"]
 

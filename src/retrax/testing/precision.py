@@ -5,7 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..manifolds.manifold import working_precision
+from ..manifolds.numerics.precision import working_precision
 
 # What is known to less than this, relatively, says nothing: a fact is not decided there.
 WORST = 1e-3

@@ -20,7 +20,16 @@ from tests.integrators.singular.cases import classified, known, martinet, scaled
 FACTORS = (1.0, 1e3, 1e-3)
 SCALES = [*((x, f, 1.0) for x, f in product(FACTORS, FACTORS)), (1.0, 1.0, 1e3), (1.0, 1.0, 1e-3)]
 EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
-LONG_TO_COMPILE = ("brown", "chain of 2", "chain of 3", "chain of 4", "curved arc", "free actuator", "massless particle")
+LONG_TO_COMPILE = (
+    "brown",
+    "chain of 2",
+    "chain of 3",
+    "chain of 4",
+    "curved arc",
+    "free actuator",
+    "massless particle",
+    "sphere",
+)
 REGULAR_EQUATIONS = [
     pytest.param(name, marks=[pytest.mark.slow] if name in LONG_TO_COMPILE else [])
     for name in SINGULAR

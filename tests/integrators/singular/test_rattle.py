@@ -1,5 +1,6 @@
 """RATTLE on the final constraint manifold of a singular problem on the sphere: a long run, its leaves, wrong input."""
 
+from collections.abc import Callable
 from functools import cache
 
 import jax
@@ -9,6 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, integrate
 from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator, leaf_flow
+from retrax.integrators.singular.strategies.leaves import ambient_field
 from retrax.manifolds import (
     ConvergenceError,
     CotangentBundle,
@@ -74,6 +76,23 @@ def test_the_control_of_a_step_is_that_of_the_arc_to_second_order():
         errors.append(np.max(np.abs(path.controls - (at_nodes[:-1] + at_nodes[1:]) / 2)))
     assert errors[1] < 1e-4
     assert slope(steps, np.array(errors), 1e-13) == pytest.approx(2, abs=0.2)
+
+
+def arc_control(q: Array, p: Array) -> Array:
+    """The ``u`` with ``psi' = {psi, H_0} + u {psi, phi} = 0``."""
+
+    def rate(of: Callable) -> Array:
+        return jax.jvp(SPLIT.secondary, (q, p), ambient_field(of, (q, p)))[1]
+
+    return -rate(SPLIT.energy) / rate(lambda q, p: SPLIT.primary(q, p)[0])
+
+
+@pytest.mark.slow
+def test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc():
+    path = integrate(PROBLEM, RATTLE, start(), 0.05, 3)
+    kept, control = jax.jit(jax.vmap(lambda q, p: (constraints(q, p), arc_control(q, p))))(path.q, path.p)
+    assert np.max(np.abs(kept)) < 1e-13
+    np.testing.assert_allclose(path.controls, (control[:-1] + control[1:]) / 2, atol=1e-4)
 
 
 def test_moving_along_a_leaf_keeps_the_level_and_composes():

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate, singular_integrator
-from retrax.integrators.initial_value.integrator import find_control
+from retrax.integrators.extremal_controls import find_control
 from retrax.integrators.singular import (
     ControlAffineSplitting,
     NotApplicableError,

@@ -40,8 +40,8 @@ from ...manifolds import (
 from ...retractions import PowerRetraction, ProductRetraction, default_retraction
 from ..conventions import Conventions, Reshaped, Same, Stacked
 from ..counterpart import Counterpart
+from ..isolated_import import seeded
 from ..metrics import natural_metric
-from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .space import RetraxSpace
 

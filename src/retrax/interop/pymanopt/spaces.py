@@ -38,8 +38,8 @@ from ...retractions import (
 )
 from ..conventions import Conventions, Listed, Representatives, Reshaped, Same, SkewFactors, Stacked
 from ..counterpart import Counterpart
+from ..isolated_import import seeded
 from ..metrics import natural_metric
-from ..peers import seeded
 from ..wrapped import HostSpace, wrap
 from .conventions import Factored
 from .manifold import RetraxManifold

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ...manifolds import Manifold
-from ...manifolds.manifold import default_tolerance, real
+from ...manifolds.numerics.precision import default_tolerance, real
 from ...retractions import Retraction
 from .differences import NODES, Host, Moved, host_function
 

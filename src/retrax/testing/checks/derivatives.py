@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...retractions import DifferentiatedRetraction, Retraction, adjoint, differentiated
+from ...retractions import DifferentiatedRetraction, Retraction, differentiated, fibre_adjoint
 from ..facts import Facts, Sample
 from ..numerics import Vector, along, flat, unflat
 from ..report import Comparison, Inapplicable, fact
@@ -61,7 +61,7 @@ def _adjoints(retraction: Retraction, sample: Sample) -> dict:
     back, x, v = unflat(retraction.manifold), sample["x"], sample["v"]
     return {
         "differentiated": flat(differentiated(retraction, back(x), back(v), back(sample["w"]))),
-        "adjoint": flat(adjoint(retraction, back(x), back(v), back(sample["c"]))),
+        "adjoint": flat(fibre_adjoint(retraction, back(x), back(v), back(sample["c"]))),
     }
 
 

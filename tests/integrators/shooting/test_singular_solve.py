@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
-from retrax.integrators.boundary_value.singular.legendre import second_order
-from retrax.integrators.initial_value.integrator import resting_control
+from retrax.integrators.boundary_value.shooting.legendre import second_order
+from retrax.integrators.controls import resting_control
 from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
@@ -122,6 +122,7 @@ def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
         solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, **options)
 
 
+@pytest.mark.slow
 def test_a_momentum_that_no_symmetry_conserves_is_not_ascribed_to_the_problem():
     """``p2`` is zero on ``P_f``; ``H`` depends on both states."""
     solution = solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), 1.0, 8, classification=classified(ALY_CHAN))

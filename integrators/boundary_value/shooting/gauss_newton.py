@@ -11,9 +11,9 @@ import numpy as np
 from ....manifolds.numerics.ambient import Frame
 from ...compilation import compiled
 from ...results import Result
-from .conditions import AtEnds, EndConditions
+from .end_conditions import AtEnds, EndConditions
 from .least_squares import shortest_step
-from .shooting import Iterate, Linearised, Shooting
+from .segments import Iterate, Linearised, Shooting
 
 MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary conditions
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least

@@ -9,9 +9,9 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem
 from retrax.integrators.boundary_value.end_points import EndReader
-from retrax.integrators.boundary_value.singular import EndConditions
-from retrax.integrators.boundary_value.singular.claims import broken_end, not_stationary, stationarity
-from retrax.integrators.boundary_value.singular.conditions import AtEnds
+from retrax.integrators.boundary_value.shooting import EndConditions
+from retrax.integrators.boundary_value.shooting.claims import broken_end, not_stationary, stationarity
+from retrax.integrators.boundary_value.shooting.end_conditions import AtEnds
 from retrax.manifolds import Euclidean
 
 PLANE, STEPS = Euclidean(2), 6

@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from ....manifolds import Manifold
+from ...text import Line, many, table
 from .. import words
-from ..words import Line, many
 from .classification import Classification, Stratum
 from .levels import Level
 from .points import APPROACHED
@@ -17,7 +17,7 @@ def report_text(classification: Classification) -> str:
     """What a reader of a paper wants to know, a line each."""
     lines = [*_problem(classification), *_morse(classification), *_levels(classification)]
     lines += _empty(classification) if classification.empty else _final(classification)
-    return words.table(lines)
+    return table(lines)
 
 
 def _problem(c: Classification) -> Iterator[Line]:

@@ -19,7 +19,7 @@ from ...problem import OptimalControlProblem
 from ...singular import Classification, FinalEquations
 from ..end_points import NodeCondition, Part
 from .least_squares import least_squares
-from .shooting import Pair
+from .segments import Pair
 
 MOST_STARTS = 8
 VANISHING = 1e-6  # of the equations of P_f, of order one: their rounding at a point of it

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..singular.words import many, table
+from ..text import many, table
 from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6

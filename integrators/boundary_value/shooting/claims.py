@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds.manifold import default_tolerance
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.precision import default_tolerance
 from ...problem import OptimalControlProblem
 from ...singular import StageIntegrator
 from ...singular.strategies.direct import DirectIntegrator
 from ...singular.words import component_words
-from .conditions import AtEnds, EndConditions
+from .end_conditions import AtEnds, EndConditions
 
 STATIONARY_POWER = 0.57  # of the machine epsilon: dH/du, and the equations of P_f, relative to their parts: 1e-9
 ROUNDING = 100.0  # times the machine epsilon

@@ -26,11 +26,11 @@ from ..engine.layout import Layout
 from ..guess import Guess, default_guess
 from ..solution import SingularArc, SingularChecks, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
-from .conditions import EndConditions, points_at_ends
+from .end_conditions import EndConditions, points_at_ends
+from .gauss_newton import Found, meet_conditions
 from .least_squares import least_squares
 from .legendre import second_order
-from .newton import Found, meet_conditions
-from .shooting import Iterate, Nodes, Pair, Shooting, StepwiseGauge
+from .segments import Iterate, Nodes, Pair, Shooting, StepwiseGauge
 
 MOST_SEGMENTS = 12
 

@@ -1,7 +1,7 @@
 """What a numeric and a symbolic classification have in common."""
 
 from dataclasses import dataclass, replace
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ...manifolds import InvalidInputError
 from ..problem import OptimalControlProblem
@@ -20,6 +20,14 @@ class Piece(Protocol):
     def rank(self) -> int: ...
     @property
     def free_controls(self) -> int: ...
+
+
+class Signature(NamedTuple):
+    """What characterises a stratum of ``P^k`` at a level."""
+
+    codimension: int
+    free_controls: int
+    form_rank: int
 
 
 P = TypeVar("P", bound=Piece)

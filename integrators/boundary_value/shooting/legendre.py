@@ -11,7 +11,7 @@ from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
 from ...singular.strategies.affine import brackets, regular_places
-from .shooting import Pair
+from .segments import Pair
 
 AFFINE = 1e-8  # a control's row of d2H/du2 below this fraction of the largest entry is zero
 VANISHING = 1e-7  # a bracket below this fraction of what its differentials allow, or an eigenvalue of the largest, is zero

@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import Any
 
-from ..manifolds import RetraxError
+from .manifolds import RetraxError
 
 
 class MissingPackageError(RetraxError, ImportError):

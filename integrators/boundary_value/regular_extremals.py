@@ -1,0 +1,35 @@
+"""The extremals of regular problems by Newton's method, with coupled ends if they are."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from .arguments import Options
+from .coupled import Own
+from .engine.joint import JointConditions
+from .engine.newton import Found, newton
+from .independence import dependent_words, equation_words, require_independent
+
+
+def extremals(posed: Any, options: Options) -> Found:
+    """The extremals of a batch of trajectories, with coupled ends if they are."""
+    traced = posed.traced
+    if traced.coupling is None:
+        return newton(posed.conditions, posed.guess, *options)
+    joint: Any = JointConditions((posed.conditions,), traced.coupling)
+    guess = joint.guess((posed.guess,))
+    names = equation_words([traced.own])
+    require_independent(joint, guess, names)
+    found: Any = newton(joint, guess, *options)
+    return phase_of(
+        found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]), 0, [traced.own]
+    )
+
+
+def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:
+    """What was found of a phase, with the multipliers of its boundary constraints by their names."""
+    joint: Any = found
+    begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}
+    for name, size in phases[k].sizes.items():
+        boundary[name] = joint.assembled.coupled.multipliers[:, begin : begin + size]
+        begin += size
+    return found._replace(iterate=joint.iterate.parts[k], assembled=joint.assembled.parts[k], boundary=boundary)

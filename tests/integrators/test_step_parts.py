@@ -1,0 +1,199 @@
+"""Parts of steps, of their records and of what is decided by them, one by one: what no trajectory as a whole shows at once."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import (
+    KAHAN_LI_6,
+    KAHAN_LI_8,
+    SUZUKI,
+    TRIPLE_JUMP,
+    YOSHIDA_6,
+    Composition,
+    ControlStructure,
+    Guess,
+    Integrator,
+    OptimalControlProblem,
+    control_structure,
+    solve,
+    step_errors,
+)
+from retrax.integrators.boundary_value.engine.collocation import Collocation
+from retrax.integrators.boundary_value.engine.evaluator import Automatic
+from retrax.integrators.boundary_value.engine.transcription import Data
+from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
+from retrax.integrators.probing import flat_directions
+from retrax.integrators.stages import HamiltonianStage
+from retrax.manifolds import SO, Euclidean, Sphere
+from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
+
+LINE, PLANE, SPHERE = Euclidean(1), Euclidean(2), Sphere(2)
+THETAS = [0.0, 0.3, 0.5, 1.0]
+
+
+def half_square(q, u):
+    return u @ u / 2
+
+
+INTEGRATOR = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1)
+
+
+@pytest.mark.parametrize("theta", THETAS)
+def test_stages_of_a_record_are_at_theta(theta):
+    solution = solve(INTEGRATOR, Theta(Addition(LINE), theta), np.zeros(1), np.ones(1), 1.0, [0.2, 0.5, 0.3])
+    np.testing.assert_allclose(solution.stage_times, [0.2 * theta, 0.2 + 0.5 * theta, 0.7 + 0.3 * theta], atol=1e-15)
+    np.testing.assert_allclose(solution.stage_states[:, 0], solution.stage_times, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("weights", "order"), [(TRIPLE_JUMP, 4), (SUZUKI, 4), (YOSHIDA_6, 6), (KAHAN_LI_6, 6), (KAHAN_LI_8, 8)], ids=str
+)
+def test_weights_of_compositions_meet_the_order_conditions_of_one_power(weights, order):
+    """Sums of odd powers of the weights vanish [Hairer, Lubich, Wanner 2006, V.3.2]; those of Yoshida have 14 digits."""
+    w = np.array(weights)
+    for power in range(3, order, 2):
+        assert abs(np.sum(w**power)) < (1e-12 if weights == YOSHIDA_6 else 1e-14) * np.sum(np.abs(w) ** power)
+
+
+class Forward(Integrator):
+    """Steps of the line that are solved forward in time only."""
+
+    manifold = LINE
+    control_times = np.zeros(())
+
+    def check(self, system: Any, q: Any, p: Any) -> None: ...
+
+    def begin(self, system: Any, q: Any, p: Any) -> Any:
+        return q
+
+    def control(self, unknowns: Any) -> Any:
+        return unknowns
+
+    def step(self, system: Any, h: Any, q: Any, p: Any, previous: Any) -> StepResult:
+        return StepResult(q + h, p, q, jnp.asarray(h > 0))
+
+
+@pytest.mark.parametrize(("weights", "solved"), [((0.5, 0.5), True), (SUZUKI, False), (TRIPLE_JUMP, False)], ids=str)
+def test_a_composition_fails_with_any_of_its_substeps(weights, solved):
+    integrator, start = Composition(Forward(), weights), (jnp.zeros(1), jnp.zeros(1))
+    new = integrator.step(None, 1.0, *start, integrator.begin(None, *start))
+    assert bool(new.converged) == solved
+    np.testing.assert_allclose(new.q, 1.0, atol=1e-15)
+
+
+def test_a_step_ends_on_the_manifold_from_beside_it():
+    rotations = SO(3)
+    beside = jnp.eye(3) + 1e-9 * jnp.array([[1.0, 2.0, 0.0], [2.0, -1.0, 3.0], [0.0, 3.0, 0.5]])
+    covector = rotations.projection(beside, jnp.arange(9.0).reshape(3, 3))
+    new = restored(rotations, StepResult(beside, covector, None, jnp.array(True)))
+    assert rotations.contains(new.q, 1e-15)
+    assert rotations.is_tangent(new.q, new.p, 1e-15)
+
+
+def pendulum(theta: float, h: float) -> HamiltonianStage:
+    return HamiltonianStage(lambda q, p: p @ p / 2 + q[2], Theta(Projection(SPHERE), theta), h)
+
+
+@pytest.mark.parametrize("theta", THETAS)
+def test_predicted_stages_begin_where_the_step_does(theta):
+    """To second order in the step, wherever the base point is."""
+    q, p = jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3])
+    missed = []
+    for h in (1e-2, 1e-3):
+        stage = pendulum(theta, h)
+        missed.append(np.max(np.abs(stage.ends(stage.predict(q, p, (q, p, p)))[0] - q)))
+    assert missed[0] < 1e-3
+    assert missed[1] < max(missed[0] / 80, 1e-15)
+
+
+@pytest.mark.parametrize("theta", THETAS)
+def test_the_inverse_of_small_steps_is_that_of_the_equations(theta):
+    stage = HamiltonianStage(lambda q, p: p @ p / 2 + q @ q, Theta(Addition(PLANE), theta), 0.0)
+    z = jnp.array([0.3, -0.2]), jnp.array([0.5, 0.1])
+    equations = StepEquations.near(stage, *z, (*z, z[1]))
+    jacobian = jax.jacfwd(lambda c: equations.residual(c, *z))(equations.first)
+    np.testing.assert_allclose(stage.small_step_inverse() @ jacobian, np.eye(8), atol=1e-14)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3])
+def test_directions_are_flat_through_the_power_of_the_rounding(share):
+    """``[[1, 1], [1, 1 + 2 d]]`` has an eigenvalue near ``d``; along ``(1, -1)`` it is rounding below ``eps^0.67``."""
+    curvatures = np.zeros((2, 2, 2))
+    curvatures[0] = np.array([[1.0, 1.0], [1.0, 1.0 + 2 * share * np.finfo(float).eps ** 0.67]])
+    found = flat_directions(np.zeros((2, 2)), curvatures)
+    assert len(found) == (share < 1)
+    if len(found):
+        np.testing.assert_allclose(np.abs(found[0] @ [1, 1]), 0.0, atol=1e-9)
+
+
+def test_points_are_guessed_between_the_costates_of_the_nodes():
+    method = Gauss(3, Addition(LINE))
+    steps = Collocation(INTEGRATOR, method, None, Automatic())
+    times = np.arange(3)[None, :, None] + 0.0
+    between = (np.arange(2)[:, None] + method.nodes)[None, ..., None]
+    data = Data(np.ones((1, 2)), np.zeros((1, 0)), None)
+    begun = steps.begin(between, np.ones_like(between), 5 - 2 * times, data)
+    np.testing.assert_allclose(begun.costates, 5 - 2 * between, atol=1e-14)
+    np.testing.assert_allclose(begun.velocities, 1.0, atol=1e-14)
+
+
+def test_the_gap_has_the_defects_of_the_points():
+    """A guess whose steps meet, and whose velocities are not those of the controls."""
+    nodes, stages, seen = np.linspace(0, 1, 4)[:, None], np.zeros((6, 1)), []
+    states = (np.repeat(np.arange(3), 2) + np.tile(Gauss(2, Addition(LINE)).nodes, 3))[:, None] / 3
+    guess = Guess(states, stages, np.zeros((4, 1)), nodes, stages)
+    solution = solve(
+        INTEGRATOR, Gauss(2, Addition(LINE)), nodes[0], nodes[-1], 1.0, 3, guess=guess, callback=lambda seen_: seen.append(seen_)
+    )
+    assert seen[0].gap[0] == pytest.approx(1 / 3)  # of the way, that of each step
+    assert solution.checks.gap < 1e-12
+
+
+def test_steps_of_a_flat_space_are_followed_whole():
+    """Points of a plane that begin on one circle do not stay there: a linear problem takes one step, however long it is."""
+    problem = OptimalControlProblem(PLANE, lambda q, u: u + jnp.array([0.0, 1e3]) * q[0], half_square, 2)
+    angles = np.linspace(0, np.pi / 2, 9)
+    circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    guess, seen = Guess(circle[1::2], np.zeros((4, 2))), []
+    solve(problem, Midpoint(Addition(PLANE)), circle[0], circle[-1], 1.0, 4, guess=guess, callback=lambda one: seen.append(one))
+    assert np.max(np.abs(seen[-1].fraction)) == 1.0
+    assert len(seen) <= 3
+
+
+BOUNDED = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1, control_bounds=(-1.0, 1.0))
+
+
+@pytest.mark.parametrize("jump", [0.0, 0.01, 0.15, 0.19, 0.21, 0.3, 1.5])
+def test_arcs_end_by_jumps(jump):
+    """A control that stays at its bound to the middle and leaves it by a jump, or without; the room is 2, a tenth of it tells."""
+    times = np.linspace(0, 1, 21)
+    stages = (times[1:] + times[:-1]) / 2
+    controls = np.where(stages < 0.5, 1.0, 1.0 - jump - 1e-3 * (stages - 0.5))[:, None]
+    record: Any = SimpleNamespace(times=times, stage_times=stages, controls=controls, steps=20)
+    found = control_structure(BOUNDED, record)
+    assert found.arcs == (2 if jump > 0.2 else 1)
+    if found.jumps:
+        np.testing.assert_allclose(found.times, [0, 0.5, 1], atol=1e-15)
+        assert found.sides[:, 0].tolist() == [1, 0]
+
+
+@pytest.mark.parametrize("duration", [0.0, 1e-9, 9e-7, 1.1e-6, 1e-3])
+def test_vanished_arcs_are_left_out(duration):
+    structure = ControlStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
+    assert structure.sides[:, 0].tolist() == ([1] if duration < 1e-6 else [1, 0, 1])
+    assert structure.times[[0, -1]].tolist() == [0, 1]
+
+
+def test_errors_of_steps_do_not_depend_on_the_origin():
+    found = []
+    for origin in (0.0, 1e3):
+        problem = OptimalControlProblem(LINE, lambda q, u, origin=origin: u + jnp.sin(3 * (q - origin)), half_square, 1)
+        start = np.array([origin])
+        solution = solve(problem, Midpoint(Addition(LINE)), start, start + 1, 1.0, 6)
+        found.append(step_errors(problem, solution).states)
+    assert np.min(found[0]) > 1e-6
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-5)

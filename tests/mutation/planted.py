@@ -1,0 +1,532 @@
+"""Single-line errors of integrators, retractions and the tape, each with the tests that should notice it."""
+
+from typing import NamedTuple
+
+ENGINE = "integrators/boundary_value/engine"
+TESTS = "tests/integrators"
+CONDENSING = f"{TESTS}/engine/test_condensing.py"
+ELIMINATION = f"{TESTS}/engine/test_elimination.py"
+LIMITS = f"{TESTS}/test_inequalities.py"
+FORCES = f"{LIMITS}::test_forces_are_those_of_the_conditions_as_a_bound_becomes_active"
+BARRIER = f"{LIMITS}::test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost"
+UNREACHED = f"{LIMITS}::test_bounds_that_do_not_reach_the_end_are_named"
+CONE = f"{LIMITS}::test_derivatives_and_minima_as_a_cone_becomes_active"
+ENDS = f"{TESTS}/test_boundary_constraints.py"
+PHASES = f"{TESTS}/test_phases.py"
+FREE = f"{TESTS}/test_formulation.py"
+CLAIMS = f"{TESTS}/test_claims.py"
+OPTIMA = f"{TESTS}/test_optima.py"
+SECOND = f"{TESTS}/test_second_order.py"
+REFINED = f"{TESTS}/test_refinement.py"
+MULTIPLIERS = f"{TESTS}/test_multipliers.py"
+SOLVER = f"{TESTS}/test_solver.py"
+ORDERS = f"{TESTS}/test_solver_orders.py"
+STEPS = f"{TESTS}/test_tape_steps.py"
+SYMPLECTIC = f"{TESTS}/test_symplectic_step.py"
+DIRAC = f"{TESTS}/test_dirac.py"
+PARTS = f"{TESTS}/test_step_parts.py"
+TAPE = "tests/tape/test_tape.py"
+PRIMITIVES = "tests/tape/test_primitives.py"
+
+
+class Planted(NamedTuple):
+    """An error: what a line of a file says, which is said there once, what it says instead, and tests that should fail then."""
+
+    file: str
+    right: str
+    wrong: str
+    tests: tuple[str, ...]
+
+
+PLANTED: dict[str, Planted] = {
+    # The ten that once survived.
+    "the normal part of the gradient of the terminal cost is dropped": Planted(
+        f"{ENGINE}/transcription.py",
+        "return cost(point), layout.flat(derivative), vec.components(frame, derivative), curvature",
+        "return cost(point), frame.T @ (frame @ layout.flat(derivative)), vec.components(frame, derivative), curvature",
+        (f"{CLAIMS}::test_a_terminal_cost_bends_with_its_normal_gradient",),
+    ),
+    "stages are at the other side of the step in the record": Planted(
+        "integrators/boundary_value/posed.py",
+        "else np.array([method.theta])",
+        "else np.array([1 - method.theta])",
+        (MULTIPLIERS, f"{PARTS}::test_stages_of_a_record_are_at_theta"),
+    ),
+    "a coefficient of Kahan and Li is wrong in its seventh digit": Planted(
+        "integrators/initial_value/composition.py",
+        "0.38947496264484728641",
+        "0.38947486264484728641",
+        (f"{PARTS}::test_weights_of_compositions_meet_the_order_conditions_of_one_power",),
+    ),
+    "RATTLE does not return to the second constraint": Planted(
+        "integrators/singular/strategies/rattle.py",
+        "q2, p2 = flow(near, last)",
+        "q2, p2 = near",
+        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+    ),
+    "the control of RATTLE lacks the second move along the leaf": Planted(
+        "integrators/singular/strategies/rattle.py",
+        "_Memory(unknowns, (2 * moved + last) / h)",
+        "_Memory(unknowns, 2 * moved / h)",
+        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+    ),
+    "gap and stationarity are exchanged": Planted(
+        f"{ENGINE}/conditions.py",
+        "gap, stationarity = self._gap(assembled), self._stationarity(assembled)",
+        "stationarity, gap = self._gap(assembled), self._stationarity(assembled)",
+        (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
+    ),
+    "a step is not restored to the manifold": Planted(
+        "integrators/initial_value/step.py",
+        "q = manifold.restore(new.q)",
+        "q = new.q",
+        (f"{PARTS}::test_a_step_ends_on_the_manifold_from_beside_it",),
+    ),
+    "Dirac multipliers lack the impulse at the end": Planted(
+        "integrators/dirac/integrator.py",
+        "_Memory(last, (root[:m] + last) / h)",
+        "_Memory(last, 2 * root[:m] / h)",
+        (f"{DIRAC}::test_multipliers_are_of_order_two_at_their_times",),
+    ),
+    "the predictor of a stage is at the other side of the step": Planted(
+        "integrators/stages/hamiltonian.py",
+        "vec.scale(self.discretization.theta, velocity)",
+        "vec.scale(1 - self.discretization.theta, velocity)",
+        (f"{PARTS}::test_predicted_stages_begin_where_the_step_does",),
+    ),
+    "a matrix is singular from ten thousand times the tolerance on": Planted(
+        "integrators/probing.py",
+        "eps ** SINGULAR_POWER].T",
+        "eps ** SINGULAR_POWER * 1e4].T",
+        (f"{PARTS}::test_directions_are_flat_through_the_power_of_the_rounding",),
+    ),
+    # Integrators of initial values.
+    "the covector of a step is not made tangent": Planted(
+        "integrators/initial_value/step.py",
+        "return new._replace(q=q, p=manifold.projection(q, new.p))",
+        "return new._replace(q=q)",
+        (f"{PARTS}::test_a_step_ends_on_the_manifold_from_beside_it",),
+    ),
+    "the generating function has the cost with the wrong sign": Planted(
+        "integrators/initial_value/step.py", "- self.stage.cost(y), r1", "+ self.stage.cost(y), r1", (f"{SYMPLECTIC}",)
+    ),
+    "the substeps of a composition forget one that failed": Planted(
+        "integrators/initial_value/composition.py",
+        "converged=last.converged & new.converged",
+        "converged=new.converged",
+        (f"{PARTS}::test_a_composition_fails_with_any_of_its_substeps",),
+    ),
+    "the controls of substeps belong to their ends": Planted(
+        "integrators/initial_value/composition.py",
+        "begins = (np.cumsum(weights) - weights)",
+        "begins = np.cumsum(weights)",
+        (f"{TESTS}/test_compositions.py",),
+    ),
+    "a loop goes on after a step that failed": Planted(
+        "integrators/initial_value/loop.py",
+        "good = new.converged & (carry.failed_step < 0)",
+        "good = carry.failed_step < 0",
+        (f"{TESTS}/test_trajectory.py", f"{STEPS}::test_both_fail_at_the_same_step_or_both_succeed"),
+    ),
+    "lanes go on after a step that failed": Planted(
+        "integrators/initial_value/kernels.py",
+        "v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)",
+        "v[places[GOOD], j] * (v[places[FINITE], j] != 0)",
+        (f"{STEPS}",),
+    ),
+    "a Jacobian of lanes is factorised without its last pivot": Planted(
+        "integrators/initial_value/kernels.py",
+        "if abs(a[i, k, j]) > abs(a[best, k, j]):",
+        "if abs(a[i, k, j]) < abs(a[best, k, j]):",
+        (f"{STEPS}", f"{TESTS}/test_gauss.py::test_a_trajectory_has_a_control_for_each_point_at_its_time"),
+    ),
+    "the record of lanes has the state before the step": Planted(
+        "integrators/initial_value/kernels.py",
+        "record[(phase + index) // every, i, first + j]",
+        "record[(phase + index) // (every + 1), i, first + j]",
+        (f"{STEPS}",),
+    ),
+    "inverse Jacobians of small steps are not inverted": Planted(
+        "integrators/stages/hamiltonian.py",
+        "return np.kron(np.linalg.inv(blocks), np.eye(n))",
+        "return np.kron(blocks, np.eye(n))",
+        (f"{PARTS}::test_the_inverse_of_small_steps_is_that_of_the_equations",),
+    ),
+    "the covector at a stage has the first end with the wrong sign": Planted(
+        "integrators/stages/control.py",
+        "pull((vec.scale(-1.0, p0), p1))",
+        "pull((p0, p1))",
+        (f"{MULTIPLIERS}", f"{CLAIMS}"),
+    ),
+    # Retractions.
+    "the lift has the transposed matrix": Planted(
+        "retractions/cotangent_lift.py",
+        "jnp.linalg.solve(matrix, vec.components(frame, p))",
+        "jnp.linalg.solve(matrix.T, vec.components(frame, p))",
+        (
+            "tests/retractions/test_lifted_diffeomorphisms.py::test_a_rotation_of_the_sphere_rotates_covectors",
+            "tests/retractions/test_lifted_diffeomorphisms.py::test_the_lift_is_functorial",
+        ),
+    ),
+    "the adjoint of a map has the theta of the map": Planted(
+        "retractions/discretization.py",
+        "return 1 - self.inner.theta",
+        "return self.inner.theta",
+        ("tests/retractions/test_discretization.py",),
+    ),
+    "the inverse of the adjoint has the other sign": Planted(
+        "retractions/discretization.py",
+        "x, v = self.inner.preimage(x1, x0)\n        return x, vec.scale(-1.0, v)",
+        "x, v = self.inner.preimage(x1, x0)\n        return x, v",
+        ("tests/retractions/test_discretization.py",),
+    ),
+    "the second-order correction is twice as long": Planted(
+        "retractions/constructions/second_order.py", "vec.scale(0.5, ", "vec.scale(1.0, ", ("tests/retractions/test_order.py",)
+    ),
+    "the acceleration lacks the force of the metric": Planted(
+        "retractions/constructions/second_order.py",
+        "vec.subtract(rate, force)))",
+        "rate))",
+        ("tests/retractions/test_order.py",),
+    ),
+    "the tableau of Gauss is not about the middle": Planted(
+        "retractions/gauss.py",
+        "centred, centred + b / 2)",
+        "centred + b / 2, centred + b / 2)",
+        ("tests/retractions/test_gauss.py",),
+    ),
+    "the logarithm of the sphere is that of the chord": Planted(
+        "retractions/vectors/sphere.py",
+        "series.angle_over_sine(w @ w, c) * w",
+        "w",
+        ("tests/retractions/test_domains.py",),
+    ),
+    "the adjoint derivative of great circles lacks the turned part": Planted(
+        "retractions/vectors/sphere.py",
+        "sinc * xi - (turned @ xi) * v)",
+        "sinc * xi)",
+        ("tests/retractions/test_differentials.py",),
+    ),
+    "the Cayley map of rotations is differentiated on one side": Planted(
+        "retractions/groups/special_orthogonal.py",
+        "return x @ h @ self.manifold.left_trivialise(x, w) @ h",
+        "return x @ h @ self.manifold.left_trivialise(x, w)",
+        ("tests/retractions/test_differentials.py",),
+    ),
+    "an inverse that was not found is returned": Planted(
+        "retractions/retraction.py",
+        "reached = converged & same_point(",
+        "reached = converged | same_point(",
+        ("tests/retractions/test_newtons_inverse.py", "tests/retractions/test_domains.py"),
+    ),
+    # The tape.
+    "the machine takes the smaller for the larger": Planted(
+        "src/retrax/tape/machine.py", "return x if x > y or y != y else y", "return x if x < y or y != y else y", (PRIMITIVES,)
+    ),
+    "fused products are added where they are subtracted": Planted(
+        "src/retrax/tape/machine.py",
+        "SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul",
+        "SUB_MUL: lambda b, x, y, z, v: b.fadd(z(), b.fmul",
+        (TAPE, PRIMITIVES),
+    ),
+    "lanes write one point too few": Planted(
+        "src/retrax/tape/machine.py",
+        "m = min(lanes, last - s)",
+        "m = min(lanes, last - s - 1)",
+        (f"{TAPE}::test_any_number_of_points",),
+    ),
+    "substitution in triangular systems does not divide": Planted(
+        "src/retrax/tape/linear.py",
+        "found[i, :] = row if unit else row / matrix[i, i]",
+        "found[i, :] = row",
+        (PRIMITIVES,),
+    ),
+    "the factors are not pivoted": Planted(
+        "src/retrax/tape/linear.py", "bigger = ca.fabs(a[i, k]) > best", "bigger = ca.fabs(a[i, k]) < 0 * best", (PRIMITIVES,)
+    ),
+    "the reflections have the other sign": Planted(
+        "src/retrax/tape/linear.py",
+        "select(r[k, k] < 0, size, -size)",
+        "select(r[k, k] < 0, -size, size)",
+        (PRIMITIVES,),
+    ),
+    "a product of complex numbers lacks its second part": Planted(
+        "src/retrax/tape/elementwise.py",
+        "return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]",
+        "return x[0] * y[0], x[0] * y[1] + x[1] * y[0]",
+        (PRIMITIVES,),
+    ),
+    "a gradient stops at the last mark": Planted(
+        "src/retrax/tape/graph.py",
+        "adjoint += ca.jtimes(mark.arguments, symbols, pulled, True)",
+        "adjoint += 0 * ca.jtimes(mark.arguments, symbols, pulled, True)",
+        (TAPE,),
+    ),
+    "a direction is pushed through no mark": Planted(
+        "src/retrax/tape/graph.py",
+        "return sum(moved, start=ca.jtimes(values, by, direction))",
+        "return ca.jtimes(values, by, direction)",
+        (TAPE, f"{STEPS}"),
+    ),
+    "the expansion has the lower triangle alone": Planted(
+        "src/retrax/tape/tape.py",
+        "curvature = ca.tril2symm(ca.tril(curvature))",
+        "curvature = ca.tril(curvature)",
+        (CONDENSING, f"{CLAIMS}::test_a_terminal_cost_bends_with_its_normal_gradient"),
+    ),
+    # The engine: blocks, condensing, elimination.
+    "the condensed Hessian lacks the ends": Planted(
+        f"{ENGINE}/condensing_kernels.py",
+        "for i in range(s + 1):\n            at_ends = i == s\n            _map(",
+        "for i in range(s):\n            at_ends = i == s\n            _map(",
+        (CONDENSING,),
+    ),
+    "the slope of points is not condensed": Planted(
+        f"{ENGINE}/condensing_kernels.py", "y[a, z + j] += slope[a, j]", "y[a, z + j] += 0.0 * slope[a, j]", (CONDENSING,)
+    ),
+    "multipliers of points have the other sign": Planted(
+        f"{ENGINE}/condensing_kernels.py", "out[1][t, i] = -x[i]", "out[1][t, i] = x[i]", (CONDENSING,)
+    ),
+    "gaps do not know of the velocities before": Planted(
+        f"{ENGINE}/condensing.py", "gap[:, :-1] += self.before", "gap[:, :-1] += 0 * self.before", (CONDENSING,)
+    ),
+    "the weights of elimination stay in the multipliers": Planted(
+        f"{ENGINE}/kernels.py", "x[j, p + a] - weight * moved", "x[j, p + a]", (ELIMINATION,)
+    ),
+    "a small pivot is a clear one": Planted(
+        f"{ENGINE}/elimination.py",
+        "CLEAR = 0.6 ",
+        "CLEAR = 2.0 ",
+        (ELIMINATION, f"{SECOND}::test_half_a_turn_is_one_of_many_and_no_strict_minimum"),
+    ),
+    "a shift raises the Hessian without its scales": Planted(
+        f"{ENGINE}/kernels.py", "v[i, i] += raised[0][0] * raised[1][i]", "v[i, i] += raised[0][0]", (ELIMINATION,)
+    ),
+    "velocities of collocation are not weighted by the step": Planted(
+        f"{ENGINE}/collocation.py",
+        "lagrangian = cost + multipliers @ defect + weight[0] * pull @ limits",
+        "lagrangian = cost + multipliers @ defect + pull @ limits",
+        (f"{LIMITS}::test_units_do_not_matter", f"{LIMITS}::test_derivatives_with_active_bounds"),
+    ),
+    "the frame of collocation is not carried along": Planted(
+        f"{ENGINE}/collocation.py",
+        'velocities = np.einsum("bkac,bkic->bkia", turns, unknowns',
+        'velocities = np.einsum("bkca,bkic->bkia", turns, unknowns',
+        (f"{ORDERS}", f"{SOLVER}::test_both_evaluators_give_the_same_numbers"),
+    ),
+    "costates of the points are between the nodes the wrong way round": Planted(
+        f"{ENGINE}/collocation.py",
+        "between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]",
+        "between = place * costates[:, :-1, None] + (1 - place) * costates[:, 1:, None]",
+        (f"{TESTS}/test_between_nodes.py", f"{PARTS}::test_points_are_guessed_between_the_costates_of_the_nodes"),
+    ),
+    "the covector of the last node lacks the cost": Planted(
+        f"{ENGINE}/system.py",
+        "turned[:, -1] += sign * terminal.derivative",
+        "turned[:, -1] += 0 * terminal.derivative",
+        (f"{OPTIMA}::test_at_a_free_end_the_costate_is_minus_the_derivative_of_the_terminal_cost",),
+    ),
+    "the Hessian of the last step lacks that of the terminal cost": Planted(
+        f"{ENGINE}/system.py",
+        "blocks.hessian[:, place] += end.mT @ paid.curvature @ end",
+        "blocks.hessian[:, place] += 0 * end.mT @ paid.curvature @ end",
+        (f"{CLAIMS}::test_a_terminal_cost_bends_with_its_normal_gradient",),
+    ),
+    "functions of XLA are read in single rows": Planted(
+        f"{ENGINE}/evaluator.py",
+        "return curvature, scalar_slope[0], *jax",
+        "return curvature, 2 * scalar_slope[0], *jax",
+        (f"{SOLVER}::test_both_evaluators_give_the_same_numbers",),
+    ),
+    "shared arguments of tapes go on from point to point": Planted(
+        f"{ENGINE}/evaluator.py",
+        "size if length > 1 else 0) for k",
+        "size) for k",
+        (f"{SOLVER}::test_both_evaluators_give_the_same_numbers", f"{FREE}"),
+    ),
+    # Newton's method.
+    "anything that is finite is accepted": Planted(
+        f"{ENGINE}/newton.py",
+        "accepted = np.where(probe, residual <= FAST * state.best, improves | record)",
+        "accepted = np.where(probe, residual <= FAST * state.best, residual < np.inf)",
+        (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
+    ),
+    "success is claimed wherever residuals are small": Planted(
+        f"{ENGINE}/newton.py",
+        "isolated = arrived & (wanted <= np.sqrt(self.tolerance))",
+        "isolated = arrived",
+        (f"{CLAIMS}", f"{SOLVER}::test_success_across_a_conjugate_point"),
+    ),
+    "the Hessian is never raised": Planted(
+        f"{ENGINE}/newton.py",
+        "going = ~(descends | keep) & (shift < LARGEST_SHIFT)",
+        "going = ~(descends | keep) & (shift < 0)",
+        (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
+    ),
+    "a saddle that is reached is a minimum": Planted(
+        f"{ENGINE}/newton.py",
+        "strict & joined.isolated,",
+        "joined.isolated,",
+        (f"{SECOND}",),
+    ),
+    "members of a batch come in the order in which they left": Planted(
+        f"{ENGINE}/newton.py",
+        "order = np.argsort(joined.member)",
+        "order = np.arange(len(joined.member))",
+        (
+            f"{SOLVER}::test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_none",
+            f"{SOLVER}::test_a_batch_is_a_loop_over_its_members",
+        ),
+    ),
+    "gaps are not asked of the nodes": Planted(
+        f"{ENGINE}/conditions.py",
+        "return np.maximum(gap, missed.max(axis=1))",
+        "return gap",
+        (f"{PARTS}::test_the_gap_has_the_defects_of_the_points",),
+    ),
+    "fixed coordinates of the ends are free": Planted(
+        f"{ENGINE}/conditions.py",
+        "fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates",
+        "fixed[:, 0], fixed[:, -1] = self.ends.end_coordinates, self.ends.start_coordinates",
+        (f"{OPTIMA}",),
+    ),
+    # Steps that keep their length, borders, phases.
+    "a step may lead further than the diameter": Planted(
+        f"{ENGINE}/share.py",
+        "return DIAMETER / np.maximum(np.where(kept, turns, 0.0).max(axis=0), DIAMETER)",
+        "return np.ones(len(farthest))",
+        (f"{TESTS}/test_long_steps.py",),
+    ),
+    "lengths that change are kept": Planted(
+        f"{ENGINE}/share.py",
+        "np.where(kept, turns, 0.0).max(axis=0)",
+        "turns.max(axis=0)",
+        (f"{TESTS}/test_long_steps.py", f"{PARTS}::test_steps_of_a_flat_space_are_followed_whole"),
+    ),
+    "the border has its equations with the other sign": Planted(
+        f"{ENGINE}/border.py",
+        "side[:, mu] = -coupled.values",
+        "side[:, mu] = coupled.values",
+        (f"{ENDS}::test_an_end_on_a_circle_from_inside_to_outside",),
+    ),
+    "the border keeps the weight of the end": Planted(
+        f"{ENGINE}/border.py",
+        "matrix[:, moved, moved] -= part.weight[:, last]",
+        "matrix[:, moved, moved] -= 0 * part.weight[:, last]",
+        (f"{ENDS}::test_an_end_on_a_circle_from_inside_to_outside",),
+    ),
+    "the curvature of what couples the ends is left out": Planted(
+        f"{ENGINE}/border.py",
+        "matrix[:, : p + q, : p + q] = coupled.curvature[:, free][:, :, free]",
+        "matrix[:, : p + q, : p + q] = 0 * coupled.curvature[:, free][:, :, free]",
+        (f"{ENDS}::test_an_end_on_a_circle_from_inside_to_outside",),
+    ),
+    "equations between ends count for no gap": Planted(
+        f"{ENGINE}/joint.py",
+        "gap = np.max([self._gap(iterate, assembled), *(own.gap for own in each)], axis=0)",
+        "gap = np.max([*(own.gap for own in each)], axis=0)",
+        (f"{ENDS}",),
+    ),
+    "the cost of phases is that of the first": Planted(
+        f"{ENGINE}/joint.py",
+        "return sum((part.cost for part in self.parts), np.zeros(len(self.coupled.values)))",
+        "return self.parts[0].cost + np.zeros(len(self.coupled.values))",
+        (f"{PHASES}::test_bang_bang_arcs_of_a_double_integrator",),
+    ),
+    # Inequalities.
+    "the barrier stays where it begins": Planted(
+        f"{ENGINE}/barrier.py",
+        "less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))",
+        "less = np.maximum(1e3 * tolerance, np.minimum(LESS * barrier, barrier**FASTER))",
+        (BARRIER, FORCES),
+    ),
+    "excesses stay as cheap as they are": Planted(
+        f"{ENGINE}/barrier.py",
+        "cheap = self._is_cheap(slacks) & solved",
+        "cheap = self._is_cheap(slacks) & ~solved",
+        (
+            f"{LIMITS}::test_bounds_that_barely_reach_the_end_do",
+            f"{LIMITS}::test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it",
+        ),
+    ),
+    "nothing is impossible": Planted(
+        f"{ENGINE}/barrier.py",
+        "return small & (error <= tolerance) & (left > np.sqrt(tolerance))",
+        "return small & (error <= tolerance) & (left > 1 / tolerance)",
+        (UNREACHED,),
+    ),
+    "steps go to the boundary": Planted(f"{ENGINE}/inequalities.py", "BOUNDARY = 0.99 ", "BOUNDARY = 1.0 ", (LIMITS,)),
+    "stiffness has the excess of hard inequalities": Planted(
+        f"{ENGINE}/inequalities.py",
+        "return nu / (slacks.slacks + np.where(slacks.elastic, nu * slacks.excess / slacks.rest, 0.0))",
+        "return nu / (slacks.slacks + nu)",
+        (FORCES,),
+    ),
+    "multipliers at the end are those of hard inequalities": Planted(
+        f"{ENGINE}/augmented.py",
+        "hessian[..., z:, z:] = -give[..., None] * np.eye(c)",
+        "hessian[..., z:, z:] = give[..., None] * np.eye(c)",
+        (FORCES, CONE),
+    ),
+    # What is free, arcs, structures, errors of steps.
+    "the time of a free horizon is that of the guess": Planted(
+        "integrators/boundary_value/formulation.py",
+        "times=rate * found.times,",
+        "times=found.times,",
+        (f"{FREE}::test_a_free_horizon_is_found_from_far_above_and_below",),
+    ),
+    "the rate of the cost lacks that of the time": Planted(
+        "integrators/boundary_value/formulation.py",
+        "return rate * bound.cost_rate(q, u)",
+        "return bound.cost_rate(q, u)",
+        (f"{FREE}::test_a_free_horizon_is_found_from_far_above_and_below",),
+    ),
+    "an upper bound of the horizon is a lower one": Planted(
+        "integrators/boundary_value/formulation.py",
+        "kind.horizon_bounds, (1, -1), strict=True)",
+        "kind.horizon_bounds, (1, 1), strict=True)",
+        (f"{FREE}::test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not",),
+    ),
+    "bounds of a guess are not looked at": Planted(
+        "integrators/free.py",
+        'if not np.all((arrays["lower"] <= arrays["guess"]) & (arrays["guess"] <= arrays["upper"])):',
+        'if not np.all(arrays["lower"] <= arrays["guess"]):',
+        (f"{FREE}::test_what_is_not_free_is_named", f"{FREE}::test_free_is_frozen"),
+    ),
+    "the last arc has no duration": Planted(
+        "integrators/boundary_value/arcs.py",
+        "jnp.reshape(self.horizon - jnp.sum(found), (1,))",
+        "jnp.reshape(self.horizon - 0.9 * jnp.sum(found), (1,))",
+        (f"{REFINED}::test_a_switch_is_found_wherever_it_is",),
+    ),
+    "the bounds of arcs are exchanged": Planted(
+        "integrators/boundary_value/arcs.py",
+        "np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0))",
+        "np.where(sides > 0, lower, np.where(sides < 0, upper, 0.0))",
+        (f"{REFINED}::test_a_switch_is_found_wherever_it_is",),
+    ),
+    "a control that leaves its bound smoothly jumps": Planted(
+        "integrators/boundary_value/structure.py",
+        "JUMP = 0.1 ",
+        "JUMP = 0.0 ",
+        (f"{REFINED}", f"{PARTS}::test_arcs_end_by_jumps"),
+    ),
+    "arcs that have vanished stay": Planted(
+        "integrators/boundary_value/structure.py",
+        "lasting = np.diff(self.times) > VANISHED",
+        "lasting = np.diff(self.times) > -VANISHED",
+        (f"{REFINED}::test_a_bound_that_becomes_inactive", f"{PARTS}::test_vanished_arcs_are_left_out"),
+    ),
+    "errors of controls are not squared": Planted(
+        "integrators/boundary_value/step_errors.py",
+        "np.max(weights[own] * apart**2, axis=1, initial=0.0)",
+        "np.max(weights[own] * apart, axis=1, initial=0.0)",
+        (f"{REFINED}",),
+    ),
+    "errors of states are relative to the states": Planted(
+        "integrators/boundary_value/step_errors.py",
+        "np.where(spreads > 0, spreads, 1.0), 0.0)",
+        "np.where(sizes > 0, sizes, 1.0), 0.0)",
+        (f"{REFINED}", f"{PARTS}::test_errors_of_steps_do_not_depend_on_the_origin"),
+    ),
+}
