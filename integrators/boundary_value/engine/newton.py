@@ -21,7 +21,7 @@ from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
-SWITCH, NARROWER = 1e-3, 0.99
+SWITCH, NARROWER = 1e-3, 1e-2
 RECORD = 0.9
 SHORTEST = 2.0**-4
 FAST = 1e-2
@@ -381,7 +381,8 @@ def _funnelled(
     promised = -state.fraction * (state.promised - state.step.reach * held)
     cheaper = promised >= SWITCH * before**2
     decreases = reached + kept <= cost + held - ARMIJO * promised
-    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= NARROWER * state.funnel)
+    well = 1 - NARROWER * state.fraction * state.step.reach
+    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
     return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
 
 
