@@ -23,6 +23,7 @@ from .system import Assembled, Iterate, Residuals, Step
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 1e-2
 RECORD = 0.9
+FOLLOWED = 0.75
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
@@ -389,7 +390,8 @@ def _funnelled(
 def _next_shift(state: _State, good: np.ndarray, short: np.ndarray) -> np.ndarray:
     """Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough."""
     some = np.maximum(state.shift, FIRST_SHIFT)
-    cut = np.where(state.fraction <= 0.25, some * np.minimum(0.5 / state.fraction, RAISE), state.shift)
+    made = state.fraction * state.step.followed
+    cut = np.where(made <= 0.25, some * np.minimum(0.5 / made, RAISE), state.shift)
     less = np.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER)
-    taken_ = np.where(state.fraction == 1, less, cut)
+    taken_ = np.where(made >= FOLLOWED, less, cut)
     return np.where(good, taken_, np.where(short, np.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift))
