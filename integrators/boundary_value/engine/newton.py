@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, cast, final
 import jax
 import numpy as np
 
+from .aside import aside, is_lost
 from .augmented import is_isolated_minimum
 from .conditions import Conditions
 from .joint import JointConditions
@@ -141,10 +142,10 @@ class _Search:
                 return
             state = self.next(state)
 
-    def begun(self, guess: Iterate) -> _State:
-        """The state at the guess, with a first step."""
+    def begun(self, given: Iterate, known: bool = False) -> _State:
+        """The state at the guess, with a first step; ``known``: that it can be made."""
         conditions = self.conditions
-        guess, assembled = self.first = conditions.begin(guess)
+        guess, assembled = self.first = conditions.begin(given)
         residuals = conditions.residuals(guess, assembled)
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
@@ -152,6 +153,10 @@ class _Search:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        if not known and isinstance(conditions, Conditions):
+            lost = is_lost(conditions, guess, assembled, step)
+            if lost.any():
+                return self.begun(merged(lost, aside(conditions, guess, assembled), given), known=True)
         numbers = np.maximum(infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
         promise = descends, *conditions.promise(guess, assembled, step)
         self.trials = 1
