@@ -1,26 +1,50 @@
-"""First steps through the length at which they are followed no farther: guesses nearly at rest, of a system without drift."""
+"""Guesses from which Newton's first step is too long, or has no direction: at rest without drift, or opposite to the end."""
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solver
-from retrax.manifolds import SO, hat
-from retrax.retractions import Midpoint, default_retraction
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Cayley, Midpoint, default_retraction
 
 from .problems import half_square
 
 N, Q = 20, SO(3)
 TURNED = OptimalControlProblem(Q, lambda q, u: q @ hat(jnp.append(u, 0.0)), half_square, 2)
 SOLVER = Solver(TURNED, Midpoint(default_retraction(Q)), N)
+AXIS = np.array([0.6, 0.0, 0.8])
+SLEW = Solver(
+    OptimalControlProblem(Q * Euclidean(3), lambda q, u: (q[0] @ hat(q[1]), u), half_square, 3),
+    Midpoint(Cayley(Q * Euclidean(3))),
+    N,
+)
 END = np.asarray(default_retraction(Q)(np.eye(3), hat(jnp.array([0.4, -0.3, 1.6]))))
 
 
-@pytest.mark.parametrize("size", 10.0 ** np.arange(-2.5, 1.01, 0.25))
+FAR = 0.07  # controls smaller than that are moved aside, by which the trajectory goes half its spread
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-15, 1e-8, *10.0 ** np.arange(-2.5, 1.01, 0.25)])
 def test_a_guess_nearly_at_rest_leads_to_a_solution(size):
     times, shares = np.linspace(0, 1, N), []
     controls = size * np.stack([np.cos(times), np.sin(2 * times)], axis=1)
     guess = Guess.from_controls(TURNED, SOLVER.method, np.eye(3), controls, 1.0, N)
     found = SOLVER.solve(np.eye(3), END, 1.0, guess=guess, throw=False, callback=lambda i: shares.append(i.fraction[0]))
     assert found.success
+    assert found.cost < 16  # with a turn more than needed at most, and not with hundreds
     # The first step is as long as the controls are small: a diameter is this share of it.
-    assert shares[0] == pytest.approx(min(1.17 * size, 1.0), rel=0.1)
+    if size > FAR:
+        assert shares[0] == pytest.approx(min(1.17 * size, 1.0), rel=0.1)
+    else:
+        assert shares[0] > 0.3
+
+
+@pytest.mark.parametrize("angle", np.pi + np.array([-1.0, -0.1, -1e-2, -1e-6, 0.0, 1e-6, 1e-2, 0.1]))
+@pytest.mark.parametrize("rate", [0.0, 10.0])
+def test_ends_that_are_opposite_come_together(angle, rate):
+    # All attitudes of the guess are the first one; rates far larger than their entries do not hide the way to the last.
+    end = np.asarray(default_retraction(Q)(np.eye(3), hat(angle * AXIS))), np.zeros(3)
+    states = np.tile(np.eye(3), (N, 1, 1)), np.tile(rate * AXIS, (N, 1))
+    guess = Guess(states, np.zeros((N, 3)))
+    found = SLEW.solve((np.eye(3), np.zeros(3)), end, 1.0, guess=guess, throw=False)
+    assert found.success

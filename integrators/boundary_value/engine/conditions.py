@@ -14,7 +14,7 @@ from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
-FAR = 0.5  # times the largest entry of the nodes: ends further apart meet along an arc
+FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
 @final
@@ -313,7 +313,8 @@ class Conditions:
         nodes, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
         gaps = after - nodes
         nodes[:, -1:] = last
-        far = np.abs(gaps).max(axis=2) > FAR * np.abs(nodes).max(axis=(1, 2), initial=0.0)[:, None]
+        columns = self.at_nodes.layout.largest_in_columns
+        far = np.any(columns(np.abs(gaps)) > FAR * columns(np.abs(nodes).max(axis=1, keepdims=True, initial=0.0)), axis=2)
         if not far.any():
             return nodes, gaps, None
         arcs, shares = np.ones_like(gaps), np.ones_like(gaps)

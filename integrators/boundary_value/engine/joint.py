@@ -59,6 +59,7 @@ class JointStep(NamedTuple):
     convex: np.ndarray
     finite: np.ndarray
     reach: np.ndarray
+    followed: np.ndarray
 
 
 class JointUnits(NamedTuple):
@@ -298,12 +299,15 @@ class JointConditions:
 
     def _joined(self, steps: list[Step], moves: np.ndarray, solved: Solved, parts: list[Response], equations: int) -> JointStep:
         """The steps of all phases, with one share that all may go; ``equations`` of the border."""
-        reach = np.min([np.broadcast_to(step.reach, len(moves)) for step in steps], axis=0)
+        reach, followed = (
+            np.min([np.broadcast_to(own, len(moves)) for own in each], axis=0)
+            for each in ([step.reach for step in steps], [step.followed for step in steps])
+        )
         same = (step.within(reach) for step in steps)
         counts = [step.multipliers[0].size for step in steps]
         convex, clear = _convex(solved, parts, sum(counts), equations)
         finite = np.all([step.finite for step in steps], axis=0) & np.all(np.isfinite(solved.multipliers), axis=1)
-        return JointStep(tuple(same), moves, solved.multipliers, convex & clear, convex, finite, reach)
+        return JointStep(tuple(same), moves, solved.multipliers, convex & clear, convex, finite, reach, followed)
 
     def wanted(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units."""

@@ -24,6 +24,12 @@ class Layout:
         self.size = int(self._ends[-1])
         self.shapes = [tuple(kind.shape) for kind in self._kinds]
         self.places = [slice(begin, end) for begin, end in pairwise(self._ends.tolist())]  # of each array
+        own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
+        counts = [1 + np.max(column, initial=-1) for column in own]
+        self.array_of_columns = np.repeat(np.arange(len(own)), counts)
+        numbers = np.concatenate([np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))])
+        self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)  # of matrices, or whole arrays
+        self._sorted, self._first = np.argsort(numbers, kind="stable"), np.searchsorted(np.sort(numbers), np.arange(sum(counts)))
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":
@@ -42,6 +48,10 @@ class Layout:
     def flat_frame(self, frame: Frame) -> Array:
         """The entries of the vectors of a frame, shape ``(n, size)``, in a function that is traced."""
         return jax.vmap(self.flat)(frame)
+
+    def largest_in_columns(self, entries: np.ndarray) -> np.ndarray:
+        """The largest entry of each column of a point's arrays, along the last axis."""
+        return np.maximum.reduceat(entries[..., self._sorted], self._first, axis=-1)
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
@@ -85,6 +95,15 @@ class Layout:
                 join(part[..., :half].reshape(shape), part[..., half:].reshape(shape)) if is_complex else part.reshape(shape)
             )
         return jax.tree.unflatten(self._structure, leaves)
+
+
+def _columns(shape: tuple[int, ...], is_complex: bool) -> np.ndarray:
+    """Which column of an array each of its entries in a flat vector belongs to."""
+    if len(shape) < 2:
+        own = np.zeros(shape, int)
+    else:
+        own = np.broadcast_to(np.arange(math.prod(shape[:-2]) * shape[-1]).reshape(*shape[:-2], 1, shape[-1]), shape)
+    return np.tile(own.ravel(), 1 + is_complex)
 
 
 def parameter_layout(parameters: Any, axes: int = 0) -> Layout:

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, Self, cast, final
 import jax
 import numpy as np
 
+from .aside import aside, is_lost
 from .augmented import is_isolated_minimum
 from .batches import merged, put, taken
 from .conditions import Conditions
@@ -22,8 +23,9 @@ from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
-SWITCH, NARROWER = 1e-3, 0.99
+SWITCH, NARROWER = 1e-3, 1e-2
 RECORD = 0.9
+FOLLOWED = 0.75
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
@@ -155,10 +157,10 @@ class _Search:
                 return
             state = self.next(state)
 
-    def begun(self, guess: Iterate) -> _State:
-        """The state at the guess, with a first step."""
+    def begun(self, given: Iterate, known: bool = False) -> _State:
+        """The state at the guess, with a first step; ``known``: that it can be made."""
         conditions = self.conditions
-        guess, assembled = self.first = conditions.begin(guess)
+        guess, assembled = self.first = conditions.begin(given)
         residuals = conditions.residuals(guess, assembled)
         count = len(residuals.gap)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
@@ -166,6 +168,10 @@ class _Search:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        if not known and isinstance(conditions, Conditions):
+            lost = is_lost(conditions, guess, assembled, step)
+            if lost.any():
+                return self.begun(merged(lost, aside(conditions, guess, assembled), given), known=True)
         numbers = np.maximum(merit.infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
@@ -374,15 +380,17 @@ def _funnelled(state: _State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
     promised = -state.fraction * (state.promised - state.step.reach * held)
     cheaper = promised >= SWITCH * before.infeasibility**2
     decreases = trial.cost + trial.held <= before.cost + held - ARMIJO * promised
+    well = 1 - NARROWER * state.fraction * state.step.reach
     infeasibility = trial.infeasibility
-    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= NARROWER * state.funnel)
+    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
     return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
 
 
 def _next_shift(state: _State, good: np.ndarray, short: np.ndarray) -> np.ndarray:
     """Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough."""
     some = np.maximum(state.shift, FIRST_SHIFT)
-    cut = np.where(state.fraction <= 0.25, some * np.minimum(0.5 / state.fraction, RAISE), state.shift)
+    made = state.fraction * state.step.followed
+    cut = np.where(made <= 0.25, some * np.minimum(0.5 / made, RAISE), state.shift)
     less = np.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER)
-    taken_ = np.where(state.fraction == 1, less, cut)
+    taken_ = np.where(made >= FOLLOWED, less, cut)
     return np.where(good, taken_, np.where(short, np.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift))

@@ -21,8 +21,8 @@ def followed(
 ) -> np.ndarray:
     """The share of a step, shape (B,), in which nothing that keeps its size moves by more than a diameter.
 
-    That is judged array by array of the states, and of controls on a manifold; no array of a flat space keeps its size where
-    the step leads.
+    That is judged array by array of the states, and of controls on a manifold, by their columns that keep their sizes or by all
+    of them if the array keeps its own; nothing in a flat space keeps its size where the step leads.
     """
     n, unknowns, extent = nodes.dimension, iterate.unknowns, assembled.extent
     along = step.unknowns[..., :n]
@@ -33,42 +33,53 @@ def followed(
     # Where no coordinate moves by its share of a diameter, nothing else is to be found out.
     elif np.all(np.abs(along).max(axis=1) <= DIAMETER / np.sqrt(max(n, 1)) * extent.along(extent.values)):
         return np.ones(len(along))
-    turns = np.concatenate([_turns(*part) for part in parts])
-    farthest = turns.max(axis=0, initial=0.0)
+    same = [_steady(*part[:2]) for part in parts]
+    farthest = _turns(parts, same)
     if not np.any(farthest > DIAMETER):
         return np.ones(len(farthest))
     far = Moves(step.unknowns, multipliers, DIAMETER / np.maximum(farthest, DIAMETER), step.inner)
     moved = transcription.move(unknowns, assembled.blocks, far, data)
     reached = (moved.centres, moved.controls)[: len(parts)]
-    kept = np.concatenate([_kept(*part[:2], after) for part, after in zip(parts, reached, strict=True)])
-    return DIAMETER / np.maximum(np.where(kept, turns, 0.0).max(axis=0), DIAMETER)
+    kept = [a & _kept(*part[:2], after) for a, part, after in zip(same, parts, reached, strict=True)]
+    return DIAMETER / np.maximum(_turns(parts, kept), DIAMETER)
 
 
-def _turns(layout: Layout, points: np.ndarray, support: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Largest moves of the arrays of points, relative to their sizes, by coordinates that move nothing else: (arrays, B).
+Part = tuple[Layout, np.ndarray, np.ndarray, np.ndarray]  # points, their support, and what their coordinates move by
 
-    Zero where the sizes differ along the trajectory.
+
+def _turns(parts: list[Part], same: list[np.ndarray]) -> np.ndarray:
+    """Largest move of an array of the points, relative to the size of those of its columns that are the same: (B,).
+
+    Counted are the coordinates that move nothing but such columns.
     """
-    found = np.zeros((len(layout.places), len(moves)))
-    sizes = [size.reshape(len(moves), -1) for size in _sizes(layout, points)]
-    same = [np.ptp(size, axis=1) <= ROUNDING * size.max(axis=1, initial=0.0) for size in sizes]
-    if not np.any(same):
-        return found
-    touched = np.array([np.any(support[:, :, place] > ROUNDING, axis=2) for place in layout.places])
-    alone = touched & (touched.sum(axis=0) == 1)
-    for k in np.flatnonzero(np.any(same, axis=1)):
-        lengths = np.sqrt(np.einsum("b...a,ba->b...", moves * moves, alone[k])).reshape(len(moves), -1).max(axis=1)
-        turns = np.where(same[k], sizes[k].max(axis=1), 0.0)
-        found[k] = np.where(turns > 0, lengths / np.where(turns > 0, turns, 1.0), 0.0)
-    return found
+    largest = np.zeros(len(parts[0][1]))
+    for (layout, points, support, moves), steady in zip(parts, same, strict=True):
+        touched = np.einsum("bne,ce->cbn", support > ROUNDING, layout.in_columns) > 0
+        squares = np.einsum("b...e,ce->cb...", points * points, layout.in_columns)
+        for k in range(len(layout.places)):
+            own = steady & (layout.array_of_columns == k)[:, None]
+            alone = np.any(touched & own[..., None], axis=0) & ~np.any(touched & ~own[..., None], axis=0)
+            lengths = np.einsum("b...n,bn->b...", moves * moves, alone).reshape(len(moves), -1).max(axis=1)
+            sizes = np.einsum("cb...,cb->b...", squares, own).reshape(len(moves), -1).max(axis=1)
+            largest = np.maximum(largest, np.sqrt(np.where(sizes > 0, lengths / np.where(sizes > 0, sizes, 1.0), 0.0)))
+    return largest
 
 
-def _sizes(layout: Layout, points: np.ndarray) -> list[np.ndarray]:
-    return [np.sqrt(np.einsum("...e,...e->...", points[..., place], points[..., place])) for place in layout.places]
+def _sizes(layout: Layout, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Sizes of the columns of points, and of the arrays that they are in: (columns, B, ...)."""
+    squares = np.einsum("...e,ce->c...", points * points, layout.in_columns)
+    together = np.equal.outer(layout.array_of_columns, layout.array_of_columns).astype(float)
+    return np.sqrt(squares), np.sqrt(np.einsum("ac,c...->a...", together, squares))
+
+
+def _steady(layout: Layout, points: np.ndarray) -> np.ndarray:
+    """Which columns have the same sizes along the trajectory, by themselves or as a whole array: (columns, B)."""
+    both = [sizes.reshape(*sizes.shape[:2], -1) for sizes in _sizes(layout, points)]
+    return np.any([np.ptp(sizes, axis=2) <= ROUNDING * sizes.max(axis=2, initial=0.0) for sizes in both], axis=0)
 
 
 def _kept(layout: Layout, points: np.ndarray, moved: np.ndarray) -> np.ndarray:
-    """Whether the arrays of points have the sizes that they had: (arrays, B)."""
+    """Which columns of points, by themselves or as a whole array, have the sizes that they had: (columns, B)."""
     pairs = zip(_sizes(layout, points), _sizes(layout, moved), strict=True)
-    same = [np.all((np.abs(b - a) <= ROUNDING * a).reshape(len(a), -1), axis=1) for a, b in pairs]
-    return np.array(same, bool).reshape(len(layout.places), len(points))
+    same = [np.abs(after - before) <= ROUNDING * before for before, after in pairs]
+    return np.any([np.all(own.reshape(*own.shape[:2], -1), axis=2) for own in same], axis=0)

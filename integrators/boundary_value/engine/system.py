@@ -48,6 +48,7 @@ class Step(NamedTuple):
     inner: Any = None  # of what was condensed
     turn: Turn | None = None  # of the slacks
     share: np.ndarray | float = 1.0  # of the step that may be made
+    followed: np.ndarray | float = 1.0  # of the step that points of constant size follow
 
     @property
     def reach(self) -> np.ndarray | float:
@@ -57,8 +58,8 @@ class Step(NamedTuple):
     def within(self, share: np.ndarray) -> "Step":
         """The step of which at most this share is made."""
         if self.turn is None:
-            return self._replace(share=share)
-        return self._replace(share=share, turn=self.turn._replace(reach=np.minimum(share, self.turn.reach)))
+            return self._replace(share=share, followed=share)
+        return self._replace(share=share, followed=share, turn=self.turn._replace(reach=np.minimum(share, self.turn.reach)))
 
 
 class Residuals(NamedTuple):

@@ -1,6 +1,5 @@
 """From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
 
-import math
 from functools import partial
 from typing import Any, NamedTuple, final
 
@@ -264,23 +263,16 @@ class Nodes:
     def amid(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by entry.
 
-        Each array of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
+        Each column of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
         tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.
         """
-        middle = self._middle.at(1, first, second)[0]
+        middle, columns = self._middle.at(1, first, second)[0], self.layout.in_columns
         found = np.where(np.all(np.isfinite(middle), axis=1, keepdims=True), middle, first)
-        sagitta, half = (np.sqrt(a**2 @ self._arrays.T) for a in ((first + second) / 2 - found, (second - first) / 2))
+        sagitta, half = (np.sqrt(a**2 @ columns.T) for a in ((first + second) / 2 - found, (second - first) / 2))
         angle = np.where(half > 0, 2 * np.arctan2(sagitta, np.where(half > 0, half, 1.0)), 0.0)  # of half the arc
         angle = np.minimum(angle, QUARTER)
         arcs = np.where(angle > 0, angle / np.sin(np.where(angle > 0, angle, 1.0)), 1.0)
-        return found, arcs @ self._arrays, (arcs * np.cos(angle)) @ self._arrays
-
-    @property
-    def _arrays(self) -> np.ndarray:
-        """Which array of a point each entry belongs to, as 0 and 1, shape (arrays, E)."""
-        leaves = jax.tree.leaves(self.problem.manifold.ambient)
-        sizes = [math.prod(leaf.shape) * (1 + np.issubdtype(leaf.dtype, np.complexfloating)) for leaf in leaves]
-        return np.repeat(np.eye(len(sizes)), sizes, axis=1)
+        return found, arcs @ columns, (arcs * np.cos(angle)) @ columns
 
     def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
         """The point of the manifold next to the middle of the chord, by a few steps along its tangential part.

@@ -1,0 +1,73 @@
+"""Guesses from which Newton's method cannot set out, moved aside.
+
+At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess are
+dependent, and Newton's step has no bound. Near to rest it has one, far beyond anything that the trajectory is like. Nor is
+it known which way round ends come together that are opposite to each other. Then the guess is moved by controls that are random
+but always the same, and by the states to which they lead to first order.
+"""
+
+import numpy as np
+
+from .conditions import Conditions
+from .elimination import BlockSystem, eliminate
+from .scaling import SHARE, Units
+from .system import Assembled, Iterate, Step
+
+FAR = 30.0  # times its spread: a trajectory is not asked to move by more
+HALF = 0.5  # of its spread: what it is moved aside by
+OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
+STIFF = 1e6  # the shift with which Newton's step is the least that the constraints ask for
+WAVES = 3  # half periods in the horizon, and less
+
+
+def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
+    """Whether Newton's step leads a member far off, and all that the linearised constraints allow; or ends are opposite."""
+    lost = _is_far(conditions, assembled, step)
+    if lost.any():
+        least, _, _ = conditions.eliminate(iterate, assembled, np.full(len(lost), STIFF))
+        lost &= _is_far(conditions, assembled, least)
+    asked, gap = (
+        np.linalg.norm(found / conditions.measured.nodes[:, None], axis=2) for found in (assembled.asked, assembled.gap)
+    )
+    wide = gap > SHARE * gap.max(axis=1, keepdims=True)  # others are rounding, and have no direction
+    return lost | np.any(wide & (asked < OPPOSITE * gap), axis=1)
+
+
+def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Iterate:
+    """The iterates moved aside, each until one of its arrays has moved by half its spread."""
+    blocks = assembled.blocks
+    n, (batch, count, z) = assembled.gap.shape[2], blocks.slope.shape
+    times, draw = (np.arange(count) + 0.5) / count, np.random.default_rng(0)
+    waves = np.cos(np.pi * times[:, None] * np.arange(WAVES)) @ draw.standard_normal((WAVES, z - n))
+    curved = assembled.extent.curvature[:, n:]
+    sizes = 1 / np.sqrt(np.where(curved > 0, curved, 1.0))
+    hessian, slope = np.zeros_like(blocks.hessian), np.zeros((batch, count, z, 1))
+    hessian[:, :, range(n, z), range(n, z)] = (1 / sizes**2)[:, None]
+    slope[:, :, n:, 0] = -waves / sizes[:, None]
+    one, gaps = np.ones((batch, n)), np.zeros((batch, count + 1, n, 1))
+    system = BlockSystem(hessian, blocks.left, blocks.right, slope, gaps, one, np.zeros((batch, n)))
+    found = eliminate(system, Units(np.concatenate([one, sizes], axis=1), one, np.ones(batch)))
+    step = Step(found.steps[..., 0], np.zeros(found.multipliers.shape[:3]), *np.ones((3, batch), bool))
+    far = _moves(conditions, assembled, step)
+    longest = np.min(far, axis=0, initial=np.inf)
+    size = np.where(np.isfinite(longest) & (longest > 0), HALF / np.where(longest > 0, longest, 1.0), 0.0)
+    step = step._replace(unknowns=np.where(found.finite[:, :1, None], size[:, None, None] * step.unknowns, 0.0))
+    completed = conditions.completed(iterate._replace(slacks=None), assembled, step)
+    return conditions.move(iterate._replace(slacks=None), assembled, completed, np.ones(batch))
+
+
+def _is_far(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
+    """Whether every array of the states that is spread along the trajectory is moved by many times that, shape (B,)."""
+    least = np.min(_moves(conditions, assembled, step), axis=0, initial=np.inf)
+    return ~step.finite | (np.isfinite(least) & (least > FAR))
+
+
+def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
+    """How far the arrays of the states are moved, in their spreads, infinite where these are zero: (arrays, B)."""
+    extent, n, moves = assembled.extent, assembled.gap.shape[2], []
+    along = np.abs(step.unknowns[..., :n]).max(axis=1)
+    for place in conditions.at_nodes.layout.places:
+        spread = extent.spreads[:, place].max(axis=1, initial=0.0)
+        moved = (along[:, :, None] * extent.support[:, :, place]).max(axis=(1, 2), initial=0.0)
+        moves.append(np.where(spread > 0, moved / np.where(spread > 0, spread, 1.0), np.inf))
+    return np.array(moves)
