@@ -9,9 +9,9 @@ import numpy as np
 from jaxtyping import Array
 
 from ..manifolds import InvalidInputError
-from ..manifolds.manifold import working_precision
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
 from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
 from .compilation import call_compiled
