@@ -79,8 +79,7 @@ class VectorBundle(Manifold):
 class TangentBundle(VectorBundle):
     """Tangent bundle ``TM``; points are pairs ``(x, v)``.
 
-    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``; the dimension
-    is twice that of ``M``.
+    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``; ``dim TM = 2 dim M``.
     """
 
 

@@ -139,6 +139,8 @@ def check_cotangent_lift(
     conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``points``, ``tolerance``, ``only``,
     ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold,
     unless ``throw`` is false.
+
+    ``points``: points of ``T*Q``, pairs, of the shape of the manifold's ``ambient``.
     """
     claims = {"equivariant": equivariant, "symmetric": symmetric, "reach": reach}
     facts = CotangentLiftFacts(lift, **claims, seeds=seeds, points=points, tolerance=tolerance)

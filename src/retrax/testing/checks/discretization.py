@@ -199,6 +199,8 @@ def check_discretization_map(
     ``symmetric``: whether it is claimed to be its own adjoint, hence of order 2. ``reach``: the longest tangent vector that is
     used. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
     ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+
+    ``points``: points of the shape of the manifold's ``ambient``.
     """
     facts = DiscretizationFacts(discretization, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance)
     return examine(facts, DISCRETIZATION_CHECKS, only, skip, throw)

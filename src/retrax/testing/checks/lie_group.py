@@ -224,5 +224,7 @@ def check_lie_group(
 
     ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
     ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+
+    ``points``: points of the shape of the manifold's ``ambient``.
     """
     return examine(LieGroupFacts(group, seeds=seeds, points=points, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw)

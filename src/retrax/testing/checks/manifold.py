@@ -307,5 +307,7 @@ def check_manifold(
     machine epsilons of the precision that JAX is set to: 1e-12 in double, 5e-4 in single. ``only`` names the checks to run
     (default: all), ``skip`` maps names of checks to the reasons for leaving them out.
     Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+
+    ``points``: points of the shape of the manifold's ``ambient``.
     """
     return examine(ManifoldFacts(manifold, seeds=seeds, points=points, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw)

@@ -245,6 +245,8 @@ def check_metric(
     ``isometries``: maps of the manifold to itself, by names, that are claimed to leave the metric invariant, as
     ``{"left translation": lambda x: a @ x}``. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in
     ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+
+    ``points``: points of the shape of the manifold's ``ambient``.
     """
     facts = MetricFacts(metric, isometries=isometries, seeds=seeds, points=points, tolerance=tolerance)
     return examine(facts, METRIC_CHECKS, only, skip, throw)

@@ -156,6 +156,8 @@ def check_retraction(
     ``reach``: tangent vectors up to this length, Euclidean in the ambient space, must lie in its domain. ``seeds``,
     ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
     ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+
+    ``points``: points of the shape of the manifold's ``ambient``.
     """
     claims = {"order": order, "metric": metric, "reach": reach}
     facts = RetractionFacts(retraction, **claims, seeds=seeds, points=points, tolerance=tolerance)
