@@ -79,7 +79,8 @@ class VectorBundle(Manifold):
 class TangentBundle(VectorBundle):
     """Tangent bundle ``TM``; points are pairs ``(x, v)``.
 
-    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``; ``dim TM = 2 dim M``.
+    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``;
+    ``dim TM = 2 dim M``.
     """
 
 
