@@ -12,12 +12,8 @@ HEAD = """Examples
 ========
 
 Each script states its equation, solves it, checks the result against a known value, and draws it. They run as they are:
-<<<<<<< HEAD
-``python examples/attitude_slew.py``. Pages with pictures were made by running their scripts; each has its script as a notebook
+``python examples/attitude_slew.py``. Pages with pictures were made by running their scripts. Each page has its script as a notebook
 too.
-=======
-``python examples/attitude_slew.py``. Pages with pictures were made by running their scripts. Each page has its script as a notebook.
->>>>>>> 7ff805e (Documentation in the list of changes)
 """
 shown: set[Path] = set()
 

@@ -6,13 +6,15 @@ import timeit
 from collections.abc import Callable
 
 import jax
+import numpy as np
 from docstrings import escaped
 from retrax import manifolds as m
 from retrax import retractions as r
 from retrax.manifolds import Manifold
 from retrax.retractions import DifferentiatedRetraction, MidpointRetraction, Retraction
 
-BATCH, REPEATS = 1000, 3
+BATCH = 1000
+FEWEST, MOST, SECONDS = 3, 50, 0.2  # calls of which the quickest counts, as many as fit into this time
 FAMILIES = {name: getattr(r, name) for name in ("Exponential", "Cayley", "Projection", "Polar", "QR")}
 EXAMPLES: tuple[Manifold, ...] = (
     m.Euclidean(3),
@@ -92,7 +94,8 @@ def row(*cells: str) -> list[str]:
 
 def words(kind: type[Retraction]) -> str:
     """The first sentence of a class, and those on its inverse, image and domain."""
-    paragraphs = [" ".join(part.split()) for part in inspect.cleandoc(kind.__doc__ or "").split("\n\n")]
+    parts = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
+    paragraphs = [" ".join(part.split()) for part in parts if not part.startswith(">>>")]
     sentences = re.split(r"(?<=[.;]) (?=[A-Z`])", " ".join(paragraphs[1:]))
     about = [text for text in sentences if re.search(r"\b(inverse|image|domain)\b", text, re.IGNORECASE)]
     return escaped(" ".join([paragraphs[0], *about]).rstrip(";.") + ".")
@@ -121,5 +124,11 @@ def measured(retraction: Retraction) -> tuple[float, float]:
 
 def cost(function: Callable, *batch: jax.Array) -> float:
     """The least time of some calls, in microseconds a member; compiled before."""
-    jax.block_until_ready(function(*batch))
-    return min(timeit.repeat(lambda: jax.block_until_ready(function(*batch)), number=1, repeat=REPEATS)) / BATCH * 1e6
+
+    def call() -> None:
+        jax.block_until_ready(function(*batch))
+
+    call()
+    once = timeit.timeit(call, number=1)
+    repeats = int(np.clip(SECONDS / once, FEWEST, MOST))
+    return min(once, *timeit.repeat(call, number=1, repeat=repeats)) / BATCH * 1e6
