@@ -56,7 +56,7 @@ def fibre_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -
     ``v`` and the value are tangent vectors at ``x``, all of the shape of a point.
 
     >>> x, v, xi = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
-    >>> adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
+    >>> fibre_adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
     [1.0, 2.0]
     """
     require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a covector": xi})
