@@ -76,7 +76,7 @@ class Submanifold(Manifold):
     def nearby(self, x: Ambient) -> Ambient:
         """A point of the submanifold near ``x``, by Newton steps along the normals until they are rounding.
 
-        Where they do not converge the last iterate is returned: ``contains`` tells. Raises ``InvalidInputError`` if ``x``
+        Where they do not converge the last iterate is returned: ``contains`` says so. Raises ``InvalidInputError`` if ``x``
         has not the structure of a point.
         """
         wrong = self.describe_mismatch(x, "a point beside it")

@@ -56,7 +56,7 @@ class Solver:
 
     ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers that
     count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``, the tape where
-    the functions can be traced to one; ``solver.evaluator`` tells which it is, and ``solver.reason`` why.
+    the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
 
     What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
     ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at the first
