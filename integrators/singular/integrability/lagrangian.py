@@ -29,7 +29,7 @@ from .jets import Pair, hamiltonian_field
 def critical_set(problem: OptimalControlProblem) -> Submanifold:
     """``{(z, u) : dH/du = 0}`` in ``T*Q x U``: a submanifold of dimension ``2n`` where ``H`` is a Morse family.
 
-    Raises ``InvalidInputError`` for what is no problem; so do ``L_H`` and ``S_H``.
+    Raises ``InvalidInputError`` for anything but a problem; so do ``L_H`` and ``S_H``.
     """
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"expected an OptimalControlProblem, got {problem!r}")
