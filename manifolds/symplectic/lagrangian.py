@@ -100,8 +100,8 @@ def _isotropy_tolerance() -> float:
 def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
     """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and ker)``.
 
-    Raises ``InvalidInputError`` for anything but an ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``, or ``i`` does
-    not map it and its neighbours into ``M``.
+    Raises ``InvalidInputError`` for anything but an ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``, or ``i``
+    does not map it and its neighbours into ``M``.
 
     ``y``: a point of the source, of its shape.
     """

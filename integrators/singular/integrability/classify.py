@@ -79,9 +79,9 @@ def classify(
     gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
     no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
 
-    Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or that are finite
-    at no start, no number of starts, or what is outside the reach of exact algebra, and ``NotOnManifoldError`` if ``near`` is no
-    state.
+    Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or that are
+    finite at no start, anything but a number of starts, and functions outside the reach of exact algebra, and
+    ``NotOnManifoldError`` if ``near`` is not a state.
     """
     require_concrete("classify", problem, near)
     _check(problem, starts, near)
