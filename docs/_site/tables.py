@@ -44,16 +44,13 @@ HEAD = f"""Manifolds and retractions
 
 ``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential, Projection,
 Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy.
-A level set, and any other manifold with a
-``restore``, has ``Projection`` or ``Restored`` by Newton's method.
+A level set, and any other manifold with a ``restore``, has ``Projection`` or ``Restored`` by Newton's method.
 
 Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of derivatives
-(D); what is
-missing is derived, by Newton's method, a round trip and automatic differentiation. The last two columns are microseconds of the
-map and of its inverse for a point, on the manifold in the heading, in a compiled batch of {BATCH}, on the computer on which this
-page was
-made: compare them with each other. What is said of an image, that of ``R_x``, and of a domain comes from the classes;
-:doc:`/conformance` has the rule for all domains.
+(D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two columns are
+microseconds of the map and of its inverse for a point, on the manifold in the heading, in a compiled batch of {BATCH}, on the
+computer on which this page was made: compare them with each other. The sentences on images, those of ``R_x``, and on domains
+come from the classes; :doc:`/conformance` has the rule for all domains.
 """
 
 
