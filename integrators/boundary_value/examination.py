@@ -10,6 +10,7 @@ from ...reading import one_reading
 from ..constraints import LOWER, UPPER
 from ..problem import OptimalControlProblem
 from .control_curvature import ControlCurvature
+from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import StateJumps
 
@@ -25,6 +26,7 @@ class Examination:
         self.problem = problem
         self._jumps = {timed: StateJumps(problem, timed) for timed in (False, True)}
         self._curvature: ControlCurvature | None = None
+        self._qualification: Qualification | None = None
 
     def __call__(self, solution: Solution, free_horizon: bool) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
@@ -38,8 +40,17 @@ class Examination:
             if jump:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
                 return replace(solution, success=False, result=f"The conditions {how} {jump}.")
-            idle = self.undetermined(solution) if solution.success else ""
-            return replace(solution, result=f"{solution.result} {idle}") if idle else solution
+            notes = [self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+            said = " ".join(filter(None, notes))
+            return replace(solution, result=f"{solution.result} {said}") if said else solution
+
+    def _unqualified(self, solution: Solution) -> str:
+        """A sentence on constraints that do not determine their multipliers."""
+        if not self.problem.limits.functions:  # bounds alone do
+            return ""
+        if self._qualification is None:
+            self._qualification = Qualification(self.problem, solution.parameters)
+        return self._qualification(solution)
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
