@@ -17,6 +17,7 @@ from .solution import Solution
 ACTIVE = 1e-3  # of the largest multiplier of the same entry: it holds the trajectory there
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
 VANISHES = float(np.finfo(float).eps) ** 0.25  # of the largest derivative along the trajectory
+OUTSIDE = float(np.finfo(float).eps) ** 0.5  # of the largest value: an end that violates a constraint by less is on it
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = float(np.finfo(float).eps) ** 0.5  # smallest singular value of rows of length one
 
@@ -38,7 +39,7 @@ class Qualification:
         values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
         bound = self.problem.with_parameters(parameters).at_time(0.0)
         own = self._multipliers(solution)
-        if not (np.all(np.isfinite(slopes)) and own.shape == values.shape):
+        if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
         felt = np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * solution.checks.hamiltonian_size
         active = felt & (own > ACTIVE * np.max(own, axis=0))
@@ -56,6 +57,19 @@ class Qualification:
                 "its square or cube."
             )
         return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+
+    def at_ends(self, solution: Solution) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names of the inequalities, and by how much both ends violate those that do not depend on the controls, ``(2, k)``."""
+        parameters, places = solution.parameters, [0, -1]
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        at_stages = self.state.rows(solution.stage_states, 1), self.control.rows(solution.controls, 1)
+        values, slopes = self._limits(*at_stages, solution.stage_times[:, None], given[None])
+        nodes = self.state.rows(solution.states, 1)[places], at_stages[1][places]
+        ends, _ = self._limits(*nodes, solution.times[places][:, None], given[None])
+        free = np.max(np.abs(slopes[:, :, self.problem.manifold.dimension :]), axis=(0, 2), initial=0.0) == 0
+        size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
+        over = np.where(free & (ends > OUTSIDE * size), ends, 0.0)
+        return self.problem.with_parameters(parameters).at_time(0.0).inequality_names, over
 
     @staticmethod
     def _dependent(solution: Solution, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:
@@ -79,7 +93,8 @@ class Qualification:
         """Those of the inequalities in their order, shape ``(N s, k)``."""
         limits, own = self.problem.limits, solution.stage_multipliers
         sides = [own[name][:, side] for name, side in limits.bounded.items() if side]
-        return np.concatenate([*sides, *(own[name] for name in limits.names)], axis=1)
+        none = np.zeros((len(solution.stage_times), 0))  # of a constraint without entries
+        return np.concatenate([none, *sides, *(own.get(name, none) for name in limits.names)], axis=1)
 
     @cached_property
     def _limits(self) -> Evaluated:

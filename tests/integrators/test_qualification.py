@@ -79,3 +79,20 @@ def test_limits_that_are_independent_say_nothing():
     assert found.success
     assert found.checks.strict_minimum
     assert found.result == "The equations are solved to the tolerance asked for."
+
+
+def test_an_end_outside_a_constraint_is_no_success():
+    """The constraint holds at the stages, which begin behind the start: through the place at which the start is on it."""
+    solver = solver_of({"gate": lambda q, u, place: place - q[0]})
+    for place in (-0.5, -1e-9, 0.0, 1e-6, 1e-3, 0.1):
+        found = solved(solver, place)
+        assert found.success == (place <= 0), place
+        assert found.result.startswith("The start violates gate by") == (place > 0), place
+    free = solver.solve(None, np.array([1.0, 0.0]), 1.0, guess=solved(solver, -0.5), parameters=0.1)
+    assert free.success
+
+
+def test_a_constraint_without_entries_is_none():
+    found = solved(solver_of({"none": lambda q, u: jnp.zeros(0)}))
+    assert found.success
+    assert found.cost == pytest.approx(6.0, rel=1e-9)
