@@ -34,8 +34,9 @@ def is_count(x: object) -> bool:
 
 def is_finite_number(x: object) -> bool:
     """Whether ``x`` is one finite real number; True and False are none."""
-    known = isinstance(x, int | float | np.number | np.ndarray | jax.Array) and not isinstance(x, bool)
-    return known and np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
+    if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray | jax.Array):
+        return False
+    return np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
 
 
 def pairing(a: Ambient, b: Ambient) -> Array:
