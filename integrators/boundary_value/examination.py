@@ -3,13 +3,17 @@
 from dataclasses import replace
 from typing import Any, final
 
+import jax
 import numpy as np
 
 from ...manifolds import Euclidean
 from ...reading import one_reading
 from ..constraints import LOWER, UPPER
+from ..free import is_free
 from ..problem import OptimalControlProblem
 from .control_curvature import ControlCurvature
+from .members import Asked
+from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import StateJumps
 
@@ -25,11 +29,13 @@ class Examination:
         self.problem = problem
         self._jumps = {timed: StateJumps(problem, timed) for timed in (False, True)}
         self._curvature: ControlCurvature | None = None
+        self._qualification: Qualification | None = None
 
-    def __call__(self, solution: Solution, free_horizon: bool) -> Solution:
+    def __call__(self, solution: Solution, free_horizon: bool, given: tuple[bool, bool] = (False, False)) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
 
-        With a free horizon a jump in an explicit time counts too, because the horizon shifts it.
+        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where an end that is
+        ``given`` violates a constraint of the states, of which the conditions at the stages know nothing.
         """
         if solution.singular is not None:
             return solution
@@ -38,8 +44,36 @@ class Examination:
             if jump:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
                 return replace(solution, success=False, result=f"The conditions {how} {jump}.")
-            idle = self.undetermined(solution) if solution.success else ""
-            return replace(solution, result=f"{solution.result} {idle}") if idle else solution
+            outside = self._outside(solution, given) if solution.success else ""
+            if outside:
+                return replace(solution, success=False, result=outside)
+            notes = [self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+            said = " ".join(filter(None, notes))
+            return replace(solution, result=f"{solution.result} {said}") if said else solution
+
+    def _qualified(self, solution: Solution) -> Qualification:
+        if self._qualification is None:
+            self._qualification = Qualification(self.problem, solution.parameters)
+        return self._qualification
+
+    def _unqualified(self, solution: Solution) -> str:
+        """A sentence on constraints that do not determine their multipliers; bounds alone do."""
+        return self._qualified(solution)(solution) if self.problem.limits.functions else ""
+
+    def _outside(self, solution: Solution, given: tuple[bool, bool]) -> str:
+        """A sentence on a constraint of the states that an end violates."""
+        if not (self.problem.limits.functions and any(given)):
+            return ""
+        names, excess = self._qualified(solution).at_ends(solution)
+        for end, known, over in zip(("start", "end"), given, excess, strict=True):
+            if known and np.max(over, initial=0.0) > 0:
+                worst = int(np.argmax(over))
+                return (
+                    f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the stages alone, and the "
+                    f"trajectory cannot keep it; expected {'a start' if end == 'start' else 'an end'} where it is not positive; "
+                    "try another one, or a wider constraint."
+                )
+        return ""
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
@@ -88,13 +122,21 @@ class Examination:
             pull += own.get(name, 0.0)
         flat = pull * room <= VANISHES * solution.checks.hamiltonian_size
         for name in limits.names:  # one that holds the trajectory may determine controls
-            largest = np.max(own[name], initial=0.0)
-            flat &= ~np.any(own[name] > VANISHES * largest, axis=1)[:, None] if largest > 0 else True
+            rows = own.get(name, np.zeros((count, 0)))
+            largest = np.max(rows, initial=0.0)
+            flat &= ~np.any(rows > VANISHES * largest, axis=1)[:, None] if largest > 0 else True
         if np.any(flat):
             if self._curvature is None:
                 self._curvature = ControlCurvature(self.problem, solution.parameters)
             flat &= self._curvature(solution, solution.parameters) == 0  # exactly: no entry of the control is in the derivative
         return flat
+
+
+def given_ends(asked: Asked) -> tuple[bool, bool]:
+    """Whether the start and the end are prescribed with all their factors."""
+    ends = (jax.tree.leaves(end, is_leaf=lambda leaf: leaf is None or is_free(leaf)) for end in (asked.start, asked.end))
+    first, last = (not any(leaf is None or is_free(leaf) for leaf in leaves) for leaves in ends)
+    return first, last
 
 
 def _longest(flat: np.ndarray) -> tuple[int, int]:

@@ -12,8 +12,9 @@ from ..free import guessed
 from .end_points import EndReader
 from .engine.layout import Layout
 from .engine.start import Start
-from .guess import default_guess
+from .guess import Guess, default_guess
 from .posed_phase import NAMED
+from .solution import Solution
 
 
 def guessed_phases(phases: Sequence[Any], links: Sequence[Any]) -> list[Any]:
@@ -53,7 +54,12 @@ class _Known:
         ends, known = (first.start[0], last.end[0]), (first.prescribed[0].known, last.prescribed[1].known)
         if phase.guess is None:
             return cls(ends, known)
-        states = layout.rows(getattr(phase.guess, "stage_states", None) or phase.guess.states, 1)
+        guess = phase.guess
+        if not isinstance(guess, Guess | Solution):
+            raise InvalidInputError(
+                f"phase {number}: guess must be a Guess or a Solution, got {guess!r:.80}; try Guess(states, controls)"
+            )
+        states = layout.rows(guess.states if isinstance(guess, Guess) else guess.stage_states, 1)
         filled = (np.where(k, row, state) for k, row, state in zip(known, ends, (states[0], states[-1]), strict=True))
         a, b = filled
         return cls((a, b), (np.ones_like(known[0]), np.ones_like(known[1])))

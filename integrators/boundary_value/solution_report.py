@@ -9,6 +9,10 @@ from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
 ACTIVE = 1e-3  # of the largest multiplier
+NO_MINIMUM = (
+    "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a sphere, "
+    "or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
+)
 
 
 def report_text(solution: Solution) -> str:
@@ -26,6 +30,8 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
         return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
+    if solution.success and not checks.strict_minimum:
+        yield "", NO_MINIMUM
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
         yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"

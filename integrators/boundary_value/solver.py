@@ -24,7 +24,7 @@ from .engine.batches import taken
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
-from .examination import Examination
+from .examination import Examination, given_ends
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
 from .guess import Guess
@@ -152,7 +152,7 @@ class Solver:
         require_concrete("solve", start, end, horizon, guess, parameters)
         options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
         asked, choice = Asked(start, end, horizon, guess, parameters), (classification, integrator)
-        solution = self.examined(self.found(asked, options, *choice), horizon)
+        solution = self.examined(self.found(asked, options, *choice), asked)
         return solution.require_success() if throw else solution
 
     def found(
@@ -183,9 +183,9 @@ class Solver:
             solution = cast(Solution, solution)
             return solution if solution.success else explained(members.problem_of(0), solution)
 
-    def examined(self, solution: Solution, horizon: Any) -> Solution:
+    def examined(self, solution: Solution, asked: Asked) -> Solution:
         """The solution with what its conditions do not tell."""
-        examined = self._examination(solution, is_free(horizon))
+        examined = self._examination(solution, is_free(asked.horizon), given_ends(asked))
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]
@@ -213,7 +213,8 @@ class Solver:
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
         options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-        return self._all_examined(self.all_found(Asked(starts, ends, horizons, guesses, parameters), options), horizons)
+        asked = Asked(starts, ends, horizons, guesses, parameters)
+        return self._all_examined(self.all_found(asked, options), asked)
 
     def all_found(self, asked: Asked, options: dict[str, Any]) -> Solutions:
         """The extremals of a batch, of which the conditions alone are looked at."""
@@ -225,12 +226,12 @@ class Solver:
             self._regularity.require_regular(members)
             return self._solved(members, checked, began)
 
-    def _all_examined(self, solutions: Solutions, horizons: Any) -> Solutions:
+    def _all_examined(self, solutions: Solutions, asked: Asked) -> Solutions:
         """The solutions of a batch with what their conditions do not tell."""
-        if not self._examination.needed(solutions[0].parameters, is_free(horizons)):
+        if not self._examination.needed(solutions[0].parameters, is_free(asked.horizon)):
             return solutions
         with one_reading():
-            examined = [self.examined(solution, horizons) for solution in solutions]
+            examined = [self.examined(solution, asked) for solution in solutions]
         same = all(one is other for one, other in zip(examined, solutions, strict=True))
         return solutions if same else Solutions.of(examined)
 

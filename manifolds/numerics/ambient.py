@@ -33,9 +33,10 @@ def is_count(x: object) -> bool:
 
 
 def is_finite_number(x: object) -> bool:
-    """Whether ``x`` is one finite real number."""
-    known = isinstance(x, int | float | np.number | np.ndarray | jax.Array)
-    return known and np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
+    """Whether ``x`` is one finite real number; True and False are none."""
+    if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray | jax.Array):
+        return False
+    return np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
 
 
 def pairing(a: Ambient, b: Ambient) -> Array:

@@ -231,6 +231,7 @@ def phase(**changes):
         (([phase()], None, 2.0, {"horizon": lambda ends: 0.0}), r"\['horizon'\] has a name under which"),
         (([phase()], None, None, {"start of phase 0": lambda ends: 0.0}), r"\['start of phase 0'\] has a name under which"),
         (([phase()], None, None, None, 3), r"guess must be a PhasedSolution of 1 phase, got 3; try"),
+        (([phase(guess=3)],), r"phase 0: guess must be a Guess or a Solution, got 3; try"),
         (([phase(parameters=None)],), r"phase 0: the problem's functions take parameters, and none are given"),
         (([phase(start=np.zeros(3))],), r"phase 0: start: a point of R\^2 has shape"),
         (

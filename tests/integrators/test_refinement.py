@@ -115,7 +115,7 @@ def test_ends_on_a_set_hold_in_arcs_too(slopes):
         assert found.quantities.controls[0].name == "force"
 
 
-NEAR = 1.0 + np.array([-1e-2, -1e-5, -1e-6, -1e-8, 0.0, 1e-9, 1e-7, 1e-6, 3e-4, 1e-2])
+NEAR = 1.0 + np.array([-1e-5, -1e-8, 1e-9, 1e-7, 1e-2])
 
 
 @pytest.mark.parametrize("shares", [(1 - 5e-7,), pytest.param(tuple(NEAR), marks=pytest.mark.slow)])
@@ -236,7 +236,7 @@ def test_a_solver_in_other_steps_is_the_same_solver():
 
 def test_what_accuracy_cannot_be():
     given = REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4
-    for wrong in (0.0, -1e-8, np.nan, "fine"):
+    for wrong in (0.0, -1e-8, np.nan, np.inf, True, np.ones(2), "fine"):
         with pytest.raises(InvalidInputError, match="accuracy must be"):
             solve(*given, accuracy=wrong)
     with pytest.raises(InvalidInputError, match="without control_bounds"):

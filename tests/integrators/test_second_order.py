@@ -47,6 +47,7 @@ def test_the_short_way_costs_half_the_square_of_the_angle_and_is_a_strict_minimu
     solution = geodesic(angle)
     assert solution.cost == pytest.approx(angle**2 / 2, rel=1e-10)
     assert solution.checks.strict_minimum
+    assert "conjugate" not in str(solution)
     (momentum,) = solution.momenta.values()
     assert norm(momentum - angle * np.array([0.0, 0.0, 1.0])) < 1e-10
 
@@ -66,12 +67,15 @@ def test_the_long_way_is_an_extremal_that_is_no_minimum(angle):
     assert solution.cost == pytest.approx((2 * np.pi - angle) ** 2 / 2, rel=1e-10)
     assert not solution.checks.strict_minimum
     assert re.search("not .*strict local minimum", str(solution))
+    assert "points along the extremal may be conjugate" in " ".join(str(solution).split())
 
 
 def test_half_a_turn_is_one_of_many_and_no_strict_minimum():
     solution = geodesic(np.pi, turning(np.pi))
     assert solution.cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
     assert not solution.checks.strict_minimum
+    said = " ".join(str(solution).split())
+    assert "may be conjugate, as opposite ones of a sphere, or it is a saddle; try another guess, as Guess.from_waypoints" in said
 
 
 def from_a_noisy_guess(seed: int, noise: float, **options) -> Solution:

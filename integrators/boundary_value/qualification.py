@@ -1,0 +1,114 @@
+"""Whether the constraints that hold a trajectory determine their multipliers: their derivatives there are independent."""
+
+from functools import cached_property
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds.numerics import ambient as vec
+from ..problem import OptimalControlProblem
+from .engine.evaluator import Automatic, Evaluated
+from .engine.layout import Layout, parameter_layout
+from .solution import Solution
+
+ACTIVE = 1e-3  # of the largest multiplier of the same entry: it holds the trajectory there
+FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
+VANISHES = float(np.finfo(float).eps) ** 0.25  # of the largest derivative along the trajectory
+OUTSIDE = float(np.finfo(float).eps) ** 0.5  # of the largest value: an end that violates a constraint by less is on it
+LEAVE_OUT = "leave out what follows from the others"
+DEPENDENT = float(np.finfo(float).eps) ** 0.5  # smallest singular value of rows of length one
+
+
+@final
+class Qualification:
+    """Looks at the derivatives of the inequalities of a problem along its solutions; traced once."""
+
+    def __init__(self, problem: OptimalControlProblem, parameters: Any) -> None:
+        self.problem, self.parameter = problem, parameter_layout(parameters)
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+
+    def __call__(self, solution: Solution) -> str:
+        """A sentence on inequalities whose multipliers are not determined where they hold the trajectory; empty if all are."""
+        parameters = solution.parameters
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        layouts = (self.state, solution.stage_states), (self.control, solution.controls)
+        rows = (layout.rows(points, 1) for layout, points in layouts)
+        values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
+        bound = self.problem.with_parameters(parameters).at_time(0.0)
+        own = self._multipliers(solution)
+        if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
+            return ""
+        felt = np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * solution.checks.hamiltonian_size
+        active = felt & (own > ACTIVE * np.max(own, axis=0))
+        # Coordinates in units of what they change the inequalities by most, so that none has a unit.
+        slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
+        lengths = np.linalg.norm(slopes, axis=2)
+        flat = active & (lengths < VANISHES * np.max(lengths, axis=0))
+        names = bound.inequality_names
+        if np.any(flat):
+            k, i = np.argwhere(flat)[0]
+            place = f"near t = {solution.stage_times[k]:.6g}"
+            return (
+                f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can hold it "
+                "there; try a function that passes through zero with a slope, as q[0] - a in place of "
+                "its square or cube."
+            )
+        return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+
+    def at_ends(self, solution: Solution) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names of the inequalities, and by how much both ends violate those that do not depend on the controls, ``(2, k)``."""
+        parameters, places = solution.parameters, [0, -1]
+        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        at_stages = self.state.rows(solution.stage_states, 1), self.control.rows(solution.controls, 1)
+        values, slopes = self._limits(*at_stages, solution.stage_times[:, None], given[None])
+        nodes = self.state.rows(solution.states, 1)[places], at_stages[1][places]
+        ends, _ = self._limits(*nodes, solution.times[places][:, None], given[None])
+        free = np.max(np.abs(slopes[:, :, self.problem.manifold.dimension :]), axis=(0, 2), initial=0.0) == 0
+        size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
+        over = np.where(free & (ends > OUTSIDE * size), ends, 0.0)
+        return self.problem.with_parameters(parameters).at_time(0.0).inequality_names, over
+
+    @staticmethod
+    def _dependent(solution: Solution, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:
+        for k in np.flatnonzero(np.sum(active, axis=1) > 1):
+            held = np.flatnonzero(active[k])
+            left, sizes, _ = np.linalg.svd(rows[k, held], full_matrices=True)
+            if len(held) > len(sizes) or sizes[-1] < DEPENDENT:
+                shares = left[:, -1]
+                involved = np.abs(shares) > ACTIVE * np.max(np.abs(shares))
+                # Forces of positive multipliers cancel: they hold from all sides.
+                enclosed = np.ptp(np.sign(shares[involved])) == 0
+                named = " and ".join(names[i] for i in held[involved])
+                return (
+                    f"{named} hold the trajectory near t = {solution.stage_times[k]:.6g} with derivatives that depend on each "
+                    "other: their multipliers are not determined one by one, and no strict minimum is shown; try to "
+                    f"{'leave room between them, or to write an equation into the dynamics' if enclosed else LEAVE_OUT}."
+                )
+        return ""
+
+    def _multipliers(self, solution: Solution) -> np.ndarray:
+        """Those of the inequalities in their order, shape ``(N s, k)``."""
+        limits, own = self.problem.limits, solution.stage_multipliers
+        sides = [own[name][:, side] for name, side in limits.bounded.items() if side]
+        none = np.zeros((len(solution.stage_times), 0))  # of a constraint without entries
+        return np.concatenate([none, *sides, *(own.get(name, none) for name in limits.names)], axis=1)
+
+    @cached_property
+    def _limits(self) -> Evaluated:
+        return Automatic().values(self._limits_of, self.state.size, self.control.size, 1, self.parameter.size)
+
+    def _limits_of(self, x: Array, control: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
+        """The inequalities, and their derivatives by coordinates of state and control."""
+        problem = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        q, u, n = self.state.point(x), self.control.point(control), problem.manifold.dimension
+        frame, directions = problem.manifold.basis(q), problem.controls.basis(u)
+
+        def values(d: Array) -> Array:
+            near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
+            return problem.inequalities(*near)
+
+        rest = jnp.zeros(n + problem.controls.dimension)
+        return values(rest), jax.jacfwd(values)(rest)

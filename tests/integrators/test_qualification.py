@@ -1,0 +1,98 @@
+"""Constraints that do not determine their multipliers: the record says so, and what to try."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jaxtyping import Array
+from retrax.integrators import OptimalControlProblem, Solver
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Gauss
+
+PLANE = Euclidean(2)
+TOGETHER = "with derivatives that depend on each other: their multipliers are not determined one by one"
+
+
+def solver_of(limits: dict[str, Any], **options: Any) -> Solver:
+    def cart(q: Array, u: Array, *_: Any) -> Array:
+        return jnp.stack([q[1], u[0]])
+
+    problem = OptimalControlProblem(PLANE, cart, lambda q, u, *_: u @ u / 2, 1, constraints=limits, **options)
+    return Solver(problem, Gauss(2, Addition(PLANE)), 10)
+
+
+def solved(solver: Solver, parameters: Any = None) -> Any:
+    return solver.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0, parameters=parameters, throw=False)
+
+
+def test_a_limit_that_is_said_twice_has_two_multipliers_that_are_not_determined():
+    """Through the difference of both at which one holds alone; their sum is that of one."""
+    unit = np.array([3.0, 7.0])
+
+    def both(q: Array, u: Array, more: Array) -> Array:
+        return unit * jnp.stack([q[1] - 1.3, q[1] - 1.3 - more])
+
+    solver = solver_of({"speed": both})
+    for more in (0.0, 1e-14, 1e-4, 1e-2, 1.0):
+        found = solved(solver, more)
+        assert found.success
+        twice = f"speed[0] and speed[1] hold the trajectory near t = 0.378868 {TOGETHER}"
+        assert (twice in found.result) == (more < 1e-10), more
+        assert ("try to leave out what follows from the others" in found.result) == (more < 1e-10)
+        if more != 1e-4:  # between, the second one is felt
+            assert np.max(found.multipliers["speed"] @ unit) == pytest.approx(28.38292, rel=1e-5)
+            assert found.checks.strict_minimum == (more > 1e-10)
+
+
+def test_a_limit_on_a_bound_is_said_with_both_names():
+    found = solved(solver_of({"force": lambda q, u: u[0] - 5}, control_bounds=(-5.0, 5.0)))
+    assert found.success
+    assert f"control_bounds upper[0] and force hold the trajectory near t = 0.0211325 {TOGETHER}" in found.result
+
+
+def test_an_equation_between_two_inequalities_is_said_to_leave_no_room():
+    found = solved(solver_of({"line": lambda q, u: jnp.stack([q[1] - 6 * q[0], 6 * q[0] - q[1]])}))
+    assert not found.success
+    assert "line[0] and line[1] hold the trajectory" in found.result
+    assert "try to leave room between them, or to write an equation into the dynamics" in found.result
+
+
+def test_a_limit_without_slope_is_named():
+    """``a v + v^3`` through the slopes at which a multiplier is large, and at which there is none."""
+
+    def cubic(q: Array, u: Array, slope: Array) -> Array:
+        v = q[1] - 1.3
+        return slope * v + v**3
+
+    solver = solver_of({"speed": cubic})
+    for slope in (1.0, 1e-2, 0.0):
+        found = solved(solver, slope)
+        assert found.success == (slope > 0)
+        assert ("The derivative of speed vanishes where it holds the trajectory" in found.result) == (slope == 0)
+
+
+def test_limits_that_are_independent_say_nothing():
+    """Active bounds of force and speed at once, and limits that do not hold it."""
+    limits = {"speed": lambda q, u: q[1] - 1.3, "low": lambda q, u: jnp.stack([-9 - q[1], -9 - 2 * q[1]])}
+    found = solved(solver_of(limits, control_bounds=(-6.0, 6.0)))
+    assert found.success
+    assert found.checks.strict_minimum
+    assert found.result == "The equations are solved to the tolerance asked for."
+
+
+def test_an_end_outside_a_constraint_is_no_success():
+    """The constraint holds at the stages, which begin behind the start: through the place at which the start is on it."""
+    solver = solver_of({"gate": lambda q, u, place: place - q[0]})
+    for place in (-0.5, -1e-9, 0.0, 1e-6, 1e-3, 0.1):
+        found = solved(solver, place)
+        assert found.success == (place <= 0), place
+        assert found.result.startswith("The start violates gate by") == (place > 0), place
+    free = solver.solve(None, np.array([1.0, 0.0]), 1.0, guess=solved(solver, -0.5), parameters=0.1)
+    assert free.success
+
+
+def test_a_constraint_without_entries_is_none():
+    found = solved(solver_of({"none": lambda q, u: jnp.zeros(0)}))
+    assert found.success
+    assert found.cost == pytest.approx(6.0, rel=1e-9)
