@@ -1,11 +1,12 @@
 """Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by side."""
 
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ....aligned import aligned
+from ....aligned import aligned_all
 from ....threads import in_threads
 from .arrays import LANES, plain, whole
 from .scaling import Units
@@ -93,15 +94,22 @@ def eliminate(
 
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
-    rows = z + 2 * n
-    width, own = whole(rows + columns), whole(z)
-    starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
-    bases = np.concatenate([[0], np.cumsum(width - starts)])
-    shapes = (2 * n, own), (rows, width), (columns, rows), (2, width)
-    work = tuple(aligned(*shape) for shape in shapes)
+    rows, width, bases, size = _rows(n, z, columns)
+    shapes = (2 * n, whole(z)), (rows, width), (columns, rows), (2, width)
+    work, factors = aligned_all(shapes), aligned_all([(count, size), (count, width)])
     for array in work:
-        array[:] = 0.0
-    return work, (aligned(count, bases[-1]), bases[:-1] - starts, aligned(count, width), np.empty((count, rows), np.int64))
+        array.fill(0.0)
+    return tuple(work), (factors[0], bases, factors[1], np.empty((count, rows), np.int64))
+
+
+@cache
+def _rows(n: int, z: int, columns: int) -> tuple[int, int, np.ndarray, int]:
+    """Number of rows of a front, their width, where those that are kept begin, and how many numbers these have."""
+    rows = z + 2 * n
+    width = whole(rows + columns)
+    starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
+    ends = np.cumsum(width - starts)
+    return rows, width, ends - width, int(ends[-1])
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:

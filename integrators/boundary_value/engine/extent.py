@@ -5,6 +5,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from ....aligned import aligned_all
 from ....threads import in_threads
 from .arrays import plain
 from .transcription import Blocks
@@ -39,20 +40,24 @@ class Extent(NamedTuple):
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
 
 
+_LEAST = (-np.inf, -np.inf, *[0.0] * 7)  # what the fields begin with
+
+
 def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:
     """The extent of trajectories with these nodes, frames, multipliers, gaps and blocks."""
     from . import extent_kernels
 
     batch, count, n, z = blocks.left.shape
-    highest, lowest = np.full((2, batch, nodes.shape[2]), -np.inf)
-    missing, lacking = np.zeros((2, batch, n))
-    support, steps = np.zeros((batch, n, nodes.shape[2])), np.zeros((3, batch, z))
-    found = Extent(highest, lowest, support, missing, lacking, np.zeros(batch), *steps)
+    e = nodes.shape[2]
+    shapes = (batch, e), (batch, e), (batch, n, e), (batch, n), (batch, n), (batch,), (batch, z), (batch, z), (batch, z)
+    found = Extent(*aligned_all(shapes))
+    for part, least in zip(found, _LEAST, strict=True):
+        part.fill(least)
     trajectory = tuple(map(plain, (nodes, frames, coordinates, gap)))
     arrays = tuple(map(plain, (blocks.hessian, blocks.left, blocks.right, blocks.slope, blocks.gradient)))
 
     def run(part: range) -> None:
         extent_kernels.survey(part.start, part.stop, trajectory, arrays, (*found, np.empty((2, z))))
 
-    in_threads(run, batch, count * (2 * n * (z + nodes.shape[2])))
+    in_threads(run, batch, count * (2 * n * (z + e)))
     return found
