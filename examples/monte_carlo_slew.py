@@ -1,132 +1,138 @@
-"""Where a slew ends when the spacecraft is not the one it was computed for: mean and principal directions of 500 attitudes.
+"""What a slew takes when neither the spacecraft nor the target is known for sure: 1000 optimal slews, and their percentiles.
 
     R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
 
-The optimal torques for the nominal inertia are played back, open loop, on spacecraft whose inertia is off by 2 % on each axis and
-whose first rate is off by 0.5 mrad/s (standard deviations). Their last attitudes are points of SO(3): geomstats' Fréchet mean
-and tangent principal component analysis summarise them, on our manifold. Checked are that the logarithms at the mean
-average to zero, which is what makes it the Fréchet mean, and that the principal standard deviations are those of the
-linearised propagation of the same errors.
+Each spacecraft has an inertia of its own, off by 3 % on each axis, and a target attitude off by 2 degrees about each axis
+(standard deviations, normal), and is slewed in the way that is optimal for it: what torque must the wheels be built for?
+A sweep solves them into a folder, from which it goes on when it is interrupted, here or in processes of their own. Checked are
+that each slew is a strict local minimum, that a second call solves nothing again, and that the standard deviation of the cost
+is the one to first order, by the derivatives of the nominal extremal.
 
-    python examples/monte_carlo_slew.py [--samples 500] [--output examples/output]
+    python examples/monte_carlo_slew.py [--samples 1000] [--workers 0] [--output examples/output]
 """
 
 import argparse
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-from retrax.integrators import OptimalControlProblem, solve
-from retrax.interop import to_geomstats
-from retrax.manifolds import SO, Euclidean, hat, vee
-from retrax.retractions import Cayley, Exponential, Midpoint
+from retrax.integrators import OptimalControlProblem, Solver
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Cayley, Midpoint
+from retrax.sweeps import Study, sweep
+from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")
 import matplotlib.pyplot as plt
 
-INERTIA = jnp.array([5621.0, 4547.0, 2364.0])  # kg m^2, principal axes
-HORIZON, STEPS = 60.0, 60
-STEP = HORIZON / STEPS
-SPREAD = jnp.array([0.02, 0.02, 0.02, 5e-4, 5e-4, 5e-4])  # of the relative inertia, and of the first rate, rad/s
-EXP = Exponential(SO(3))
-TARGET = EXP(jnp.eye(3), hat(np.deg2rad(150) * jnp.array([1.0, 2.0, -2.0]) / 3))
+INERTIA = np.array([5621.0, 4547.0, 2364.0])  # kg m^2, principal axes
+TARGET = Rotation.from_rotvec(np.deg2rad(150) * np.array([1.0, 2.0, -2.0]) / 3).as_matrix()
+HORIZON, STEPS = 60.0, 30  # s
+SPREAD = np.array([0.03] * 3 + [np.deg2rad(2)] * 3)  # of the relative inertia, and of the target about the body axes
+PERCENT = (5, 50, 95, 99)
 Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w in rad/s
+START = np.eye(3), np.zeros(3)
 
 
-def spin(rate, torque, inertia):
-    """Rate of change of the body rate under a torque in the body frame, N m."""
-    return (torque - jnp.cross(rate, inertia * rate)) / inertia
+def dynamics(q, u, inertia):
+    """Velocity of the attitude and of the body rate under a torque u in the body frame, N m."""
+    attitude, rate = q
+    return attitude @ hat(rate), (u - jnp.cross(rate, inertia * rate)) / inertia
 
 
-PROBLEM = OptimalControlProblem(
-    Q, lambda q, u: (q[0] @ hat(q[1]), spin(q[1], u, INERTIA)), running_cost=lambda q, u: u @ u / 2, controls=3
-)
+def cases(members):
+    """The slews with these numbers."""
+    errors = SPREAD * np.stack([np.random.default_rng([0, member]).standard_normal(6) for member in members])
+    ends = TARGET @ Rotation.from_rotvec(errors[:, 3:]).as_matrix(), np.zeros(3)
+    return {"starts": START, "ends": ends, "horizons": HORIZON, "parameters": INERTIA * (1 + errors[:, :3])}
 
 
-def last_attitude(torques, error):
-    """Last attitude with an error ``(relative inertia, first rate)``: rates by Runge-Kutta, attitudes by the exponential."""
-    inertia = INERTIA * (1 + error[:3])
-
-    def half(rate, torque):
-        k1 = spin(rate, torque, inertia)
-        k2 = spin(rate + STEP / 4 * k1, torque, inertia)
-        k3 = spin(rate + STEP / 4 * k2, torque, inertia)
-        k4 = spin(rate + STEP / 2 * k3, torque, inertia)
-        return rate + STEP / 12 * (k1 + 2 * k2 + 2 * k3 + k4)
-
-    def step(state, torque):
-        attitude, rate = state
-        middle = half(rate, torque)
-        return (EXP(attitude, STEP * attitude @ hat(middle)), half(middle, torque)), None
-
-    return jax.lax.scan(step, (jnp.eye(3), error[3:]), torques)[0][0]
+def keep(solutions):
+    """The largest torque on an axis, N m, the largest rate, rad/s, and whether the slew is a strict local minimum."""
+    return {
+        "torque": np.max(np.abs(solutions.controls), axis=(1, 2)),
+        "rate": np.max(np.linalg.norm(solutions.states[1], axis=2), axis=1),
+        "minimum": [solution.checks.strict_minimum for solution in solutions],
+    }
 
 
-def rotation_vectors(centre, attitudes):
-    """Rotation vectors, in the body frame, that lead from ``centre`` to the attitudes, rad."""
-    return jax.vmap(lambda y: vee(centre.T @ EXP.preimage(centre, y)))(attitudes)
+def study():
+    """The solver, its cases and what is kept: made once in each worker."""
+    problem = OptimalControlProblem(Q, dynamics, running_cost=lambda q, u, inertia: u @ u / 2, controls=3)
+    return Study(Solver(problem, Midpoint(Cayley(Q)), STEPS), cases, keep)
 
 
-def summary(attitudes):
-    """Fréchet mean, principal standard deviations, descending, and principal axes, by geomstats."""
-    space = to_geomstats(SO(3))
-    from geomstats.learning.frechet_mean import FrechetMean  # after the door is open: its import is quiet
-    from geomstats.learning.pca import TangentPCA
+def linear_deviation():
+    """The standard deviation of the cost to first order in the errors, and the nominal cost, N^2 m^2 s."""
+    solver = study().solver
 
-    mean = FrechetMean(space).set(epsilon=1e-24).fit(attitudes).estimate_
-    pca = TangentPCA(space, n_components=3).fit(attitudes, base_point=mean)
-    # |x hat(w)|^2 = 2 |w|^2, and the components have unit length in the ambient space.
-    axes = [vee(jnp.asarray(mean.T @ component)) * np.sqrt(2) for component in pca.components_.reshape(3, 3, 3)]
-    return mean, np.sqrt(pca.explained_variance_ / 2), np.stack(axes)
+    def cost(errors):
+        end = TARGET @ Cayley(SO(3))(jnp.eye(3), hat(errors[3:])), jnp.zeros(3)
+        return solver.extremal(START, end, HORIZON, parameters=INERTIA * (1 + errors[:3])).cost
+
+    value, slope = jax.value_and_grad(cost)(jnp.zeros(6))
+    return float(np.linalg.norm(slope * SPREAD)), float(value)
 
 
-def plot(errors, deviations, axes, path):
-    """The cloud of rotation vectors from the mean, in the planes of the principal axes, with ellipses of two deviations."""
-    figure, panels = plt.subplots(1, 2, figsize=(10, 5), layout="constrained")
-    turn = np.linspace(0, 2 * np.pi, 100)
-    along = np.rad2deg(errors @ axes.T)
-    for panel, second in zip(panels, (1, 2), strict=True):
-        panel.scatter(along[:, 0], along[:, second], s=6, alpha=0.5)
-        panel.plot(*(2 * np.rad2deg(deviations[[0, second]])[:, None] * np.stack([np.cos(turn), np.sin(turn)])), color="C3")
-        panel.set_xlabel("along the first principal axis [deg]")
-        panel.set_ylabel(f"along the {('second', 'third')[second - 1]} [deg]")
-        panel.set_aspect("equal", "datalim")
-    figure.suptitle("Last attitudes around their Fréchet mean, two standard deviations")
+def plot(found, nominal, deviation, path):
+    """Histograms of the cost, with what the first order says of it, and of the peak torque, with their percentiles."""
+    figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
+    names = "cost [N$^2$ m$^2$ s]", "largest torque on an axis [N m]"
+    for panel, values, name in zip(panels, (found.cost, found.kept["torque"]), names, strict=True):
+        panel.hist(values, bins=40, density=True, alpha=0.6)
+        for percent, value in zip(PERCENT, np.percentile(values, PERCENT), strict=True):
+            panel.axvline(value, color="C3", linewidth=1)
+            panel.annotate(f"{percent} %", (value, 1.01), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
+        panel.set_xlabel(name)
+        panel.set_yticks([])
+    costs = np.linspace(*panels[0].get_xlim(), 200)
+    normal = np.exp(-(((costs - nominal) / deviation) ** 2) / 2) / (deviation * np.sqrt(2 * np.pi))
+    panels[0].plot(costs, normal, color="black", linewidth=1, label="to first order")
+    panels[0].legend(loc="upper left")
+    figure.suptitle(f"{len(found)} optimal slews with dispersed inertia and target")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
+def run(samples, folder, workers):
+    """The sweep: here, or in processes of their own."""
+    if not workers:
+        return sweep(study, samples, folder, verbose=True)
+    with ProcessPoolExecutor(workers, get_context("spawn")) as pool:
+        return sweep(study, samples, folder, pool, verbose=True)
+
+
 def main(arguments=None):
-    """Solve, sample, summarise, compare, plot; returns the deviations, those of the linear theory, and the mean logarithm."""
+    """Solve, or go on, summarise, compare, plot; returns the sweep, the deviation of its costs, and that to first order."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--samples", type=int, default=500)
+    parser.add_argument("--samples", type=int, default=1000)
+    parser.add_argument("--workers", type=int, default=0, help="processes; 0: this one, with threads")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
+    folder = options.output / f"monte_carlo_slew_{options.samples}"
 
-    rest = jnp.zeros(3)
-    solution = solve(PROBLEM, Midpoint(Cayley(Q)), (jnp.eye(3), rest), (TARGET, rest), HORIZON, STEPS)
-    torques = jnp.asarray(solution.controls)
-    errors = SPREAD * jax.random.normal(jax.random.key(0), (options.samples, 6))
-    attitudes = np.asarray(jax.jit(jax.vmap(last_attitude, (None, 0)))(torques, errors))
+    found = run(options.samples, folder, options.workers)
+    written = {path: path.stat().st_mtime_ns for path in folder.rglob("*.npz")}
+    again = run(options.samples, folder, 0)
+    print(found)
+    print("nothing was solved again:", all(path.stat().st_mtime_ns == before for path, before in written.items()))
+    print("all are strict minima:", bool(again.kept["minimum"].all()))
+    units = {"cost [N^2 m^2 s]": found.cost, "peak torque [N m]": found.kept["torque"], "peak rate [rad/s]": found.kept["rate"]}
+    print("percent".ljust(20), *(f"{percent:>10}" for percent in PERCENT))
+    for name, values in units.items():
+        print(name.ljust(20), *(f"{value:10.4g}" for value in np.percentile(values, PERCENT)))
+    linear, nominal = linear_deviation()
+    deviation = float(np.std(found.cost, ddof=1))
+    print(f"deviation of the cost: {deviation:.1f}, to first order {linear:.1f}; nominal cost {nominal:.1f} N^2 m^2 s")
 
-    mean, deviations, axes = summary(attitudes)
-    cloud = np.asarray(rotation_vectors(mean, attitudes))
-    mean_log = np.max(np.abs(cloud.mean(axis=0)))
-    nominal = last_attitude(torques, jnp.zeros(6))
-    slope = jax.jacfwd(lambda error: rotation_vectors(nominal, last_attitude(torques, error)[None])[0])(jnp.zeros(6))
-    linear = np.sqrt(np.linalg.eigvalsh((slope * SPREAD**2) @ slope.T)[::-1])
-    away = np.rad2deg(np.linalg.norm(rotation_vectors(TARGET, mean[None])[0]))
-    print(f"Fréchet mean of {options.samples} attitudes: {away:.3f} degrees from the target, mean logarithm {mean_log:.1e} rad")
-    print("principal standard deviations [deg]:", np.round(np.rad2deg(deviations), 4))
-    print("by linearised propagation     [deg]:", np.round(np.rad2deg(linear), 4))
-
-    plot(cloud, deviations, axes, options.output / "monte_carlo_slew.png")
+    plot(found, nominal, linear, options.output / "monte_carlo_slew.png")
     print(f"written: {options.output / 'monte_carlo_slew.png'}")
-    return deviations, linear, mean_log
+    return found, deviation, linear
 
 
 if __name__ == "__main__":

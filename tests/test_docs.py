@@ -25,6 +25,7 @@ SLOW = (
     "paper.md",
     "pictures.md",
     "singular.md",
+    "sweeps.md",
 )
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 

@@ -17,7 +17,18 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ROOMS = "manifolds", "manifolds.symplectic", "retractions", "integrators", "problems", "plotting", "interop", "testing", "tape"
+ROOMS = (
+    "manifolds",
+    "manifolds.symplectic",
+    "retractions",
+    "integrators",
+    "problems",
+    "sweeps",
+    "plotting",
+    "interop",
+    "testing",
+    "tape",
+)
 RECORD = Path(__file__).parent / "lacking.toml"
 RECORDED = tomllib.loads(RECORD.read_text())
 ARRAYS = re.compile(r"\b(Array|ArrayLike|ndarray)\b")

@@ -17,6 +17,7 @@ ROOMS = {
     "retractions": "Retractions and discretization maps",
     "integrators": "Integrators and solvers",
     "problems": "Problems with known optima",
+    "sweeps": "Thousands of solves",
     "plotting": "Pictures and pages",
     "interop": "Doors to other libraries",
     "testing": "The conformance kit",

@@ -70,7 +70,7 @@ class Recording:
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return {**fields, "parameters": parameters}, member
+        return {**fields, "parameters": parameters, "result": results}, member
 
     def _trajectories(self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray) -> dict[str, Any]:
         """Times, states, costates and controls of a batch, of which those at the stages are given together."""

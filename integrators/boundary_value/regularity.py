@@ -74,7 +74,8 @@ class Regularity:
         ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is singular at
         all of them, the member is classified.
         """
-        self._require_regular(members, 0)
+        if not self.has_to_be_shown(members):  # a look at the functions takes as long as a hundred solves
+            self._require_regular(members, 0)
         if self._posing.problem.limits.along or not members.rows.size:
             return
         _, left = np.unique(members.rows, axis=0, return_index=True)

@@ -316,8 +316,9 @@ class Solutions(Sequence[Solution]):
     def __getattr__(self, name: str) -> Any:
         if name not in {field.name for field in fields(Solution)}:
             raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
-        if name in LISTED:
-            return [getattr(member, name) for member in self]
+        if name in LISTED:  # the results are known before the members are made, which takes longer
+            known = self._fields.get(name)
+            return [getattr(member, name) for member in self] if known is None else [known[place] for place in self._places]
         return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
 
     def save(self, path: str | Path) -> None:

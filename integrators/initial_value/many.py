@@ -27,13 +27,15 @@ def integrate_many(
     steps: int,
     save_every: int = 1,
     evaluator: str | None = None,
+    verbose: bool = False,
 ) -> Trajectory:
     """Integrate ``system`` from many starts at once: ``integrate`` for each member of a leading axis.
 
     ``starts``: points and covectors with that axis, ``B`` long; ``step_sizes``: one number or ``B``. Every array of the
     trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops is marked there, nothing
     is raised for it. On the tape, which runs the trajectories side by side on all processors; where it cannot run, XLA compiles
-    one loop for this number of steps, which Ctrl-C does not stop.
+    one loop for this number of steps, which Ctrl-C does not stop, and whose progress is not known. ``verbose``: as in
+    ``integrate``.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and for calls under
     ``jit``, ``vmap`` and ``grad``: there take ``jax.vmap`` of ``integrate``. Ctrl-C as in ``integrate``.
@@ -48,7 +50,7 @@ def integrate_many(
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):
         return call_compiled(_scanned, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
-    return run_on_tape(found, integrator, sizes, saves, every)
+    return run_on_tape(found, integrator, sizes, saves, every, verbose)
 
 
 def _scanned(

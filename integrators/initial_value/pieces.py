@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ...progress import Advance, progress
+
 FIRST_PIECE = 8  # steps, before it is known how long one takes
 PIECE_SECONDS = 0.1  # what a piece should take: two hundred times its call, and too short to wait for
 MOST_GROWTH = 16  # of the number of steps from one piece to the next: the time of a short piece says little
@@ -39,8 +41,16 @@ class Outcome(NamedTuple):
     interrupt: KeyboardInterrupt | None
 
 
-def run(steps: Steps, saves: int, every: int) -> Outcome:
-    """Integrate over ``saves`` blocks of ``every`` steps, piece after piece. If interrupted, the nodes are those reached."""
+def run(steps: Steps, saves: int, every: int, verbose: bool = False) -> Outcome:
+    """Integrate over ``saves`` blocks of ``every`` steps, piece after piece. If interrupted, the nodes are those reached.
+
+    ``verbose``: the progress is shown.
+    """
+    with progress("integrate", saves * every, "steps", verbose) as advance:
+        return _run(steps, saves, every, advance)
+
+
+def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
     first = steps.kept()
     nodes = jax.tree.map(lambda a: np.empty((saves + 1, *a.shape), a.dtype), first)
     _put(nodes, 0, first)
@@ -60,6 +70,7 @@ def run(steps: Steps, saves: int, every: int) -> Outcome:
                 _put(nodes, slice(row + 1 + known, None), steps.kept())
                 return Outcome(nodes, failed, None)
             done += count
+            advance(count)
             count = 1 + int(count * min(MOST_GROWTH, PIECE_SECONDS / max(seconds, 1e-9)))
     except KeyboardInterrupt as interrupt:
         reached = done // every

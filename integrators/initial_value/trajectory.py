@@ -119,6 +119,7 @@ def integrate(
     save_every: int = 1,
     throw: bool = True,
     evaluator: str | None = None,
+    verbose: bool = False,
 ) -> Trajectory:
     """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in time).
 
@@ -130,7 +131,8 @@ def integrate(
 
     Elsewhere each call traces the functions anew and runs the steps on the tape, in pieces of a fraction of a second; where an
     operation has no scalar form, and for integrators without a stage, XLA compiles them. ``Trajectory.evaluator`` says which;
-    ``evaluator``, ``"tape"`` or ``"xla"``, asks for one.
+    ``evaluator``, ``"tape"`` or ``"xla"``, asks for one. ``verbose`` shows the progress: a bar in a terminal where tqdm is
+    installed, else lines of the logger ``retrax``.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
     ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its one argument is the
@@ -146,7 +148,7 @@ def integrate(
     if not transformed:
         integrator.check(system, q0, p0)
     whole = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
-    trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator)
+    trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator, verbose)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)
         first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
@@ -221,21 +223,24 @@ def _in_pieces(
     saves: int,
     every: int,
     evaluator: str | None,
+    verbose: bool,
 ) -> Trajectory:
     """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the times."""
     starts, step_sizes = jax.tree.map(lambda a: np.array(a)[None], (start, step_size))
     found = tape_steps(system, integrator, starts, step_sizes, evaluator)
     if not isinstance(found, str):
-        return run_on_tape(found, integrator, step_sizes[0], saves, every)
+        return run_on_tape(found, integrator, step_sizes[0], saves, every, verbose)
     steps = XlaSteps(system, integrator, start, step_size, found)
-    nodes, failed, interrupt = run(steps, saves, every)
+    nodes, failed, interrupt = run(steps, saves, every, verbose)
     nodes = nodes._replace(controls=jax.tree.map(lambda a: a[1:], nodes.controls))
     return _recorded(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
 
 
-def run_on_tape(steps: "TapeSteps", integrator: Integrator, step_size: np.ndarray, saves: int, every: int) -> Trajectory:
+def run_on_tape(
+    steps: "TapeSteps", integrator: Integrator, step_size: np.ndarray, saves: int, every: int, verbose: bool
+) -> Trajectory:
     """The trajectory, or the trajectories of a leading axis if ``step_size`` has one."""
-    kept, failed, interrupt = run(steps, saves, every)
+    kept, failed, interrupt = run(steps, saves, every, verbose)
     nodes, failed = steps.nodes(kept), np.broadcast_to(failed, kept.shape[-1:])
     if not step_size.ndim:
         nodes, failed = jax.tree.map(lambda a: a[0], (nodes, failed))

@@ -1,5 +1,6 @@
 """Geometric integration and optimal control on manifolds: a manifold and a retraction are all a user has to supply."""
 
+import logging
 from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
@@ -12,6 +13,8 @@ if TYPE_CHECKING:
     from . import problems
 
 __all__ = ["Free", "__version__", "integrators", "manifolds", "problems", "retractions"]
+
+logging.getLogger(__name__).addHandler(logging.NullHandler())  # what is heard of it is the user's choice
 
 
 def __getattr__(name: str) -> ModuleType:

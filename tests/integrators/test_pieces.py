@@ -1,5 +1,6 @@
 """Integration in pieces: the numbers of one loop, whatever the pieces; compiled once; interrupted with what was reached."""
 
+import logging
 import signal
 import subprocess
 import sys
@@ -22,6 +23,7 @@ from retrax.integrators import (
     SymplecticIntegrator,
     Trajectory,
     integrate,
+    integrate_many,
 )
 from retrax.integrators.initial_value import pieces
 from retrax.integrators.initial_value.lanes import TapeSteps
@@ -213,3 +215,14 @@ def test_ctrl_c_ends_a_long_run():
     assert "KeyboardInterrupt: Trajectory(" in error
     assert process.returncode == -signal.SIGINT
     assert float(out.split()[-1]) - began < 3.0  # seconds: a fraction of one where nothing else runs
+
+
+@pytest.mark.parametrize("steps", [1, 8, 9, 4000])
+@pytest.mark.parametrize("verbose", [False, True])
+def test_the_progress_of_an_integration_is_shown_where_it_is_asked_for(steps, verbose, caplog):
+    with caplog.at_level(logging.INFO, "retrax"):
+        path = integrate(quartic, MIDPOINT, START, 1e-3, steps, verbose=verbose)
+        integrate_many(quartic, MIDPOINT, [part[None] for part in START], 1e-3, steps, verbose=verbose)
+    assert path.result == Result.successful
+    lines = [record.getMessage().partition(",")[0] for record in caplog.records]
+    assert lines == [f"integrate: {steps} of {steps} steps"] * 2 * verbose

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
+from ....progress import Advance, progress
 from ....reading import reads_once
 from ...functions import require_concrete
 from ...problem import OptimalControlProblem
@@ -40,6 +41,7 @@ def classify(
     exclude_zero_costate: bool | None = ...,
     near: Pair | None = ...,
     symbolic: Literal[False] = ...,
+    verbose: bool = ...,
 ) -> Classification: ...
 
 
@@ -52,6 +54,7 @@ def classify(
     exclude_zero_costate: bool | None = ...,
     near: Pair | None = ...,
     symbolic: Literal[True],
+    verbose: bool = ...,
 ) -> "SymbolicClassification": ...
 
 
@@ -64,6 +67,7 @@ def classify(
     exclude_zero_costate: bool | None = None,
     near: Pair | None = None,
     symbolic: bool = False,
+    verbose: bool = False,
 ) -> "Classification | SymbolicClassification":
     """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
 
@@ -77,7 +81,9 @@ def classify(
     A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
     agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
     gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
-    no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused.
+    no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused. ``verbose`` shows how many points are through
+    with the algorithm, as in ``integrate``; Ctrl-C is the usual ``KeyboardInterrupt``, whose one argument is the tuple of the
+    levels until then.
 
     Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or that are
     finite at no start, anything but a number of starts, and functions outside the reach of exact algebra, and
@@ -89,15 +95,18 @@ def classify(
         return _symbolic(problem, exclude_zero_costate, near)
     warn_about_precision()
     with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
-        return _classify(problem, starts, seed, exclude_zero_costate, near)
+        return _classify(problem, starts, seed, exclude_zero_costate, near, verbose)
 
 
-def _classify(problem: OptimalControlProblem, starts: int, seed: int, exclude: bool | None, near: Pair | None) -> Classification:
+def _classify(
+    problem: OptimalControlProblem, starts: int, seed: int, exclude: bool | None, near: Pair | None, verbose: bool
+) -> Classification:
     first = random_starts(problem, ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or float(np.ptp(first.at.cost_rate)) == 0  # a constant is part of no condition
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and problem.is_steep_at())
-    levels, morse, found = _run(first, unit_costate=exclude and homogeneous)
+    with progress("classify", len(first.slow), "points", verbose) as advance:
+        levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
     return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest())
 
@@ -147,13 +156,25 @@ class _Found(NamedTuple):
         return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
 
 
-def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | None, list[_Found]]:
+def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Level], MorseTest | None, list[_Found]]:
     """The levels until ``P^k`` stops around each of its points or none is consistent, and the points where it stopped.
 
     ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
     changes after it, and the point goes no further.
     """
-    points, levels, morse, found = first, [], None, list[_Found]()
+    levels = list[Level]()
+    try:
+        return _through(first, unit_costate, levels, advance)
+    except KeyboardInterrupt as interrupt:
+        interrupt.args = (tuple(levels),)
+        raise
+
+
+def _through(
+    first: Points, unit_costate: bool, levels: list[Level], advance: Advance
+) -> tuple[list[Level], MorseTest | None, list[_Found]]:
+    """What ``_run`` returns; ``levels`` are added to."""
+    points, morse, found = first, None, list[_Found]()
     while True:
         level = len(levels)
         if level > points.array.order:
@@ -169,9 +190,12 @@ def _run(first: Points, unit_costate: bool) -> tuple[list[Level], MorseTest | No
         settled = [level > 0 and _new_equations(history) == 0 for history in histories]
         ended = [_Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops]
         found += ended
-        if len(ended) == len(histories):
+        left = np.setdiff1d(np.arange(len(points.slow)), reliable[settled])
+        is_last = len(ended) == len(histories)
+        advance(len(points.slow) - (0 if is_last else len(left)), f"level {level}")
+        if is_last:
             return levels, morse, found
-        points = select(points, np.setdiff1d(np.arange(len(points.slow)), reliable[settled]))
+        points = select(points, left)
 
 
 def _histories(points: Points) -> list[list[PointRanks]]:

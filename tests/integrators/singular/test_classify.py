@@ -1,5 +1,7 @@
 """The integrability algorithm: its answers, that they depend on no start and no scale, and what it says in words."""
 
+import logging
+import sys
 from itertools import product
 
 import equinox as eqx
@@ -9,13 +11,14 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
+from retrax.integrators.singular.integrability.levels import summarise as summarise_levels
 from retrax.integrators.singular.integrability.starts import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics.rank import numerical_rank
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint, default_retraction
 
-from tests.integrators.singular.cases import classified, known, martinet, scaled
+from tests.integrators.singular.cases import ONE, classified, known, martinet, scaled
 
 FACTORS = (1.0, 1e3, 1e-3)
 SCALES = [*((x, f, 1.0) for x, f in product(FACTORS, FACTORS)), (1.0, 1.0, 1e3), (1.0, 1.0, 1e-3)]
@@ -346,3 +349,26 @@ def test_under_a_transformation_it_says_that_it_runs_outside():
 def test_starts_near_what_is_no_state_are_refused():
     with pytest.raises(NotOnManifoldError, match=r"near must be a state \(q, p\)"):
         classify(known("regular").problem, near=(jnp.zeros(3), jnp.zeros(2)))
+
+
+@pytest.mark.parametrize("finished", range(4))
+def test_an_interrupted_classification_has_its_levels(finished, monkeypatch, caplog):
+    """Ctrl-C at each level, and behind the last one."""
+    problem, summarise = scaled(known("academic").problem, ONE), summarise_levels
+    count = len(classified("academic").levels)
+    calls = iter(range(finished))
+
+    def interrupted(*arguments):
+        if next(calls, None) is None:
+            raise KeyboardInterrupt
+        return summarise(*arguments)
+
+    monkeypatch.setattr(sys.modules[classify.__module__], "summarise", interrupted)
+    with caplog.at_level(logging.INFO, "retrax"):
+        if finished < count:
+            with pytest.raises(KeyboardInterrupt) as caught:
+                classify(problem, verbose=True)
+            assert [level.index for level in caught.value.args[0]] == [*range(finished)]
+        else:
+            assert len(classify(problem, verbose=True).levels) == count
+    assert ("20 of 20 points" in caplog.text) == (finished >= count)

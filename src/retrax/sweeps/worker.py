@@ -1,0 +1,71 @@
+"""What workers do: make the study once, solve chunks of members, and write them to the store."""
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.precision import working_precision
+from ..threads import one_thread
+from .store import Store
+from .study import Study, made, solved
+
+_own = threading.local()  # what a solver computes with belongs to its thread
+_making = threading.Lock()
+
+
+class Job(NamedTuple):
+    """What every worker of a sweep is told, beside its chunk; ``token`` is another one for each call of ``sweep``."""
+
+    build: Callable[[], Any]
+    folder: str
+    total: int
+    chunk: int
+    token: str
+    precision: str
+    alone: bool  # whether other workers need the other processors
+
+
+class Done(NamedTuple):
+    """How many members of a chunk were solved, and how many have no success."""
+
+    members: int
+    failed: int
+
+
+def run(job: Job, part: int) -> Done:
+    """Solve a chunk of members, and write what was found."""
+    store = Store(Path(job.folder), job.total, job.chunk)
+    study = _study(job)
+    clock, cpu = time.perf_counter(), time.thread_time() if job.alone else time.process_time()
+    with one_thread() if job.alone else nullcontext():
+        found = solved(study, store.members(part))
+    seconds = time.perf_counter() - clock, (time.thread_time() if job.alone else time.process_time()) - cpu
+    store.write(part, found, seconds)
+    return Done(len(found["success"]), int(np.sum(~found["success"])))
+
+
+def _study(job: Job) -> Study:
+    """The study of a sweep, made once in each thread that works for it."""
+    if getattr(_own, "token", None) != job.token:
+        _own.study = None  # the one before, with all that it holds
+        here = str(working_precision())
+        if here != job.precision:
+            raise InvalidInputError(
+                f"a worker computes in {here}, and the process that began the sweep in {job.precision}; "
+                'try jax.config.update("jax_enable_x64", True) inside of build, or JAX_ENABLE_X64=1 in the environment of workers'
+            )
+        with _making:
+            _own.study = made(job.build)
+        _own.token = job.token
+    return _own.study
+
+
+def adopt(study: Study, token: str) -> None:
+    """Take a study that was made here as that of a sweep."""
+    _own.study, _own.token = study, token
