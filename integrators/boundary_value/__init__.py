@@ -4,6 +4,7 @@ from .batch_file import load_solutions
 from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
+from .multistart import multistart
 from .phased_solution import PhasedSolution
 from .phases import Phase, solve_phases
 from .posed_phase import PhaseEnds
@@ -41,6 +42,7 @@ __all__ = [
     "discretization_error",
     "load_solution",
     "load_solutions",
+    "multistart",
     "solve",
     "solve_phases",
     "step_errors",

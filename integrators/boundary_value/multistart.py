@@ -1,0 +1,76 @@
+"""Several extremals of one problem, found from drawn guesses."""
+
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...manifolds import Euclidean, InvalidInputError, Manifold, Product
+from ...manifolds.numerics.ambient import Ambient
+from ..functions import require_concrete
+from ..options import known_options
+from .end_points import EndReader
+from .engine.layout import Layout
+from .guess import Guess, default_guess
+from .solution import Solutions
+from .solver import Solver
+
+WAYPOINTS = 3  # at most
+
+
+@known_options
+def multistart(
+    solver: Solver,
+    start: Any,
+    end: Any,
+    horizon: Any,
+    count: int = 24,
+    seed: int = 0,
+    parameters: Any = None,
+    tolerance: float | None = None,
+    max_iterations: int = 100,
+) -> Solutions:
+    """The extremals to which ``count`` guesses lead, in one batch: those that converged first, the cheapest before all others.
+
+    The first guess is the default one; the others go through one to three points of the manifold, drawn in turns from ``seed``,
+    with controls at rest. A point of a flat factor is drawn around both ends, by their distance and sizes. What is found are
+    local extremals: the least cost is an upper bound of the optimum, and no proof of it [Rinnooy Kan, Timmer, Stochastic
+    global optimization methods, Math. Program. 39, 1987].
+
+    ``start``, ``end``, ``horizon``, ``parameters``: as for ``solver.solve``. Of what is returned ``distinct`` counts the
+    extremals that differ, and ``[0]`` is the best. Nothing is raised where none converged: read ``success``. Raises
+    ``InvalidInputError`` for other arguments. Regular problems only.
+    """
+    require_concrete("multistart", start, end, horizon, parameters)
+    if not isinstance(solver, Solver):
+        raise InvalidInputError(f"multistart takes a Solver, got {solver!r:.60}; try Solver(problem, method, steps)")
+    for name, value, least in (("count", count, 1), ("seed", seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+            raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
+    given = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), parameters)
+    guesses = [_guess(solver, start, end, k, np.random.default_rng([seed, k])) for k in range(count)]
+    options = {"tolerance": tolerance, "max_iterations": max_iterations}
+    found = solver.solve_many(start, end, horizon, guesses, given, **options)
+    return Solutions.of(sorted(found, key=lambda one: (not one.success, one.cost)))
+
+
+def _guess(solver: Solver, start: Any, end: Any, k: int, draw: np.random.Generator) -> Guess:
+    """Guess number ``k``."""
+    problem, method, steps = solver.problem, solver.method, solver.fractions
+    if k == 0:
+        return default_guess(problem, method, start, end, steps)
+    ends, layout = EndReader(problem.manifold).ends(start, end, batched=False), Layout.of(problem.manifold)
+    ends.require_known(start)
+    first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
+    between = [_point(problem.manifold, first, last, draw) for _ in range(1 + (k - 1) % WAYPOINTS)]
+    return Guess.from_waypoints(problem, method, [first, *between, last], steps)
+
+
+def _point(manifold: Manifold, first: Any, last: Any, draw: np.random.Generator) -> Ambient:
+    """A drawn point; in flat factors around two points."""
+    if isinstance(manifold, Product):
+        return tuple(_point(*parts, draw) for parts in zip(manifold.factors, first, last, strict=True))
+    if isinstance(manifold, Euclidean):
+        size = np.max(np.abs(last - first), initial=0.0) + np.max(np.abs(first), initial=0.0)
+        return (first + last) / 2 + size * draw.standard_normal(np.shape(first))
+    return jax.tree.map(np.asarray, manifold.random_point(jax.random.key(int(draw.integers(2**31)))))
