@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
+from ..manifolds.numerics import ambient as vec
 from .compilation import call_compiled
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ def at_each(function: Callable, points: Any, *arguments: Any) -> Any:
     ``function`` is a JAX function of arrays. It is computed on a tape, or compiled where that has no rule for what the function
     calls, or arrays are large.
     """
-    tape = _tape(function, jax.tree.map(lambda leaf: leaf[0], points), *arguments)
+    tape = _tape(function, vec.entries(points, 0), *arguments)
     if tape is None:
         return jax.tree.map(np.asarray, call_compiled(_each, function, points, arguments)[0])
     count = len(jax.tree.leaves(points)[0])

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import InvalidInputError
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from .constraints import constraint_words
@@ -271,7 +272,7 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
 def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
     """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
-    u, size = jax.tree.map(lambda leaf: leaf[first], probed.controls), probed.sizes[first]
+    u, size = vec.entries(probed.controls, first), probed.sizes[first]
     if not np.all(np.isfinite((size, *probed.costs))):
         raise InvalidInputError(
             f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "

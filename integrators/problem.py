@@ -365,10 +365,10 @@ class OptimalControlProblem(eqx.Module):
             return True
         every = [flat for ways in found for flat in ways]
         bases, ways = (np.stack([getattr(flat, name) for flat in every]) for name in ("bases", "direction"))
-        given = jax.tree.map(lambda leaf: leaf[np.array([flat.sample for flat in every])], covectors)
+        given = vec.entries(covectors, np.array([flat.sample for flat in every]))
         ladder = LADDER.astype(directions.dtype)
         along = jax.device_get(call_compiled(along_lines, self, q, u, given, bases, ways, ladder)[0])
-        bends = [bend(flat, jax.tree.map(lambda leaf, k=k: leaf[k], along)) for k, flat in enumerate(every)]
+        bends = [bend(flat, vec.entries(along, k)) for k, flat in enumerate(every)]
         for flat, bent, slopes in zip(every, bends, along.slopes, strict=True):
             if bent is not None and not bent.smooth:
                 there = [self.steer(u, flat.bases[bent.line] + t * flat.direction) for t in (0.0, LADDER[bent.place])]

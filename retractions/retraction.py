@@ -61,7 +61,7 @@ class Retraction(eqx.Module):
         """The two points ``R(x, -v)`` and ``R(x, v)``."""
         # One batched evaluation: half as much to compile as two.
         both = jax.vmap(lambda s: self(x, vec.scale(s, v)))(jnp.array([-1.0, 1.0]))
-        first, second = (jax.tree.map(lambda leaf, i=i: leaf[i], both) for i in (0, 1))
+        first, second = (vec.entries(both, i) for i in (0, 1))
         return first, second
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:

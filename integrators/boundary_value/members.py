@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.precision import default_tolerance
 from ..options import HORIZON
@@ -65,7 +66,7 @@ class Members:
     def parameters(self) -> Any:
         """The parameters as arrays of their own, with the members along the leading axis."""
         given = copied(self.asked.parameters)
-        return given if self.axes else jax.tree.map(lambda leaf: leaf[None], given)
+        return given if self.axes else vec.entries(given, None)
 
     def problem_of(self, k: int) -> OptimalControlProblem:
         """The problem with the parameters of a member."""

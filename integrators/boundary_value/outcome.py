@@ -2,9 +2,9 @@
 
 from dataclasses import replace
 
-import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
 from ..results import sentence
@@ -16,7 +16,7 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
     if solution.success or solution.result == sentence("stopped"):
         return solution
-    q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (solution.stage_states, solution.controls))
+    q, u = (vec.entries(part, 0) for part in (solution.stage_states, solution.controls))
     reason = problem.imprecise(q, u) or kinks_near(problem, solution)
     return replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
 

@@ -2,11 +2,11 @@
 
 from typing import Any, NamedTuple, final
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
+from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
 from ..problem import OptimalControlProblem
 from .arguments import Method, Options, copied, fractions_of
@@ -74,7 +74,7 @@ class PosedPhase(NamedTuple):
 
     def recorded(self, found: Found, options: Options, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        given = jax.tree.map(lambda leaf: leaf[None], copied(self.asked.parameters))
+        given = vec.entries(copied(self.asked.parameters), None)
         _, member = self.inner.recording.of(self.posed, given, found, options, seconds)
         solution = member(0)
         if self.formulation is not None:
@@ -116,7 +116,7 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) ->
         members = inner.reader.one(asked)
         equations = inner.posing.posed(members)
         bound, guess = members.problem_of(0), members.guess_of(0)
-        first = members.conditions_of(0)[0].point if guess is None else jax.tree.map(lambda leaf: leaf[0], guess.states)
+        first = members.conditions_of(0)[0].point if guess is None else vec.entries(guess.states, 0)
         regular = bound.check(first, resting_control(bound.controls)) or bound.limits.along
     except NAMED as error:
         raise type(error)(f"phase {number}: {error}") from error

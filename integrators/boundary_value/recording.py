@@ -6,6 +6,7 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
 from .engine.layout import Layout
@@ -59,7 +60,7 @@ class Recording:
         known = _known(found)
 
         def member(k: int) -> Solution:
-            own: Any = jax.tree.map(lambda leaf: leaf[k], diagnostics)
+            own: Any = vec.entries(diagnostics, k)
             return Solution(
                 **jax.tree.map(lambda leaf: leaf[k] if leaf.ndim > 1 else leaf[k].item(), fields),
                 result=results[k],

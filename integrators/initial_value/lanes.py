@@ -8,6 +8,7 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import NotTraceableError, Tape
 from ...threads import in_threads
@@ -33,7 +34,7 @@ class TapeSteps(Steps):
         self._step_sizes, self._parts = np.array(step_sizes, float), parts
         count = len(step_sizes)
         unknowns, q, p = _begin(system, single, starts)
-        self._like = jax.tree.map(lambda a: a[0], (unknowns, q, p))
+        self._like = vec.entries((unknowns, q, p), 0)
         self._control = single.control(self._like[0])
         y, q0, p0 = self._like
         self._programs = step_programs(single, system, y, q0, p0, parts.size)
@@ -69,7 +70,7 @@ class TapeSteps(Steps):
 def _begin(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
     """The unknowns before the first step, points and covectors, with a leading axis."""
     try:
-        tape = Tape.trace(partial(_begun, system, integrator), jax.tree.map(lambda a: a[0], starts))
+        tape = Tape.trace(partial(_begun, system, integrator), vec.entries(starts, 0))
     except NotTraceableError:  # a control, say, that is found by iteration
         return jax.device_get(call_compiled(_all_begun, system, integrator, starts)[0])
     last = tape(jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), starts))

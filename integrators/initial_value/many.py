@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ...reading import reads_once
@@ -45,7 +46,7 @@ def integrate_many(
     starts = _checked_starts(integrator.manifold, starts)
     count = len(jax.tree.leaves(starts)[0])
     sizes = _checked_sizes(step_sizes, count)
-    integrator.check(system, *jax.tree.map(lambda a: a[0], starts))
+    integrator.check(system, *vec.entries(starts, 0))
     saves, every = int(steps) // int(save_every), int(save_every)
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):

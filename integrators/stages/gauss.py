@@ -129,7 +129,7 @@ class GaussStage(Stage):
         return rates @ self.method.weights
 
     def predict(self, q0: Ambient, p0: Ambient, previous: GaussUnknowns) -> GaussUnknowns:
-        u = jax.tree.map(lambda leaf: leaf[-1], previous.controls)
+        u = vec.entries(previous.controls, -1)
         velocity = self.manifold.projection(q0, vec.gradient(lambda p: self.hamiltonian(q0, p, u), p0))
         ahead = vec.scale(self._h, velocity)
         x = self.method.retraction(q0, vec.scale(self.method.theta, ahead))

@@ -5,6 +5,7 @@ A *frame* is a pytree of the same structure whose leaves carry one extra leading
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -77,6 +78,11 @@ def subtract(a: Ambient, b: Ambient) -> Ambient:
 def scale(s: ArrayLike, a: Ambient) -> Ambient:
     """Multiple ``s a`` by a scalar."""
     return jax.tree.map(lambda leaf: s * leaf, a)
+
+
+def entries(tree: Any, index: Any) -> Any:
+    """``leaf[index]`` of every array of a tree."""
+    return jax.tree.map(lambda leaf: leaf[index], tree)
 
 
 def zeros(ambient: PyTree) -> Ambient:

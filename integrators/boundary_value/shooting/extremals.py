@@ -141,8 +141,8 @@ def _first_points(shooting: Shooting, c: Classification, request: Request, first
         fractions = at / request.steps
         costates = jax.tree.map(lambda a, b: _blend(fractions, a, b), first[1], last[1])
     else:
-        states, costates = request.guess.states, jax.tree.map(lambda leaf: leaf[at], request.guess.costates)
-    states = jax.tree.map(lambda leaf: leaf[at], states)
+        states, costates = request.guess.states, vec.entries(request.guess.costates, at)
+    states = vec.entries(states, at)
     points = _near_final(request.problem.manifold, c.equations, states, costates)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
         raise InvalidInputError(
@@ -185,7 +185,7 @@ def _at_stages(shooting: Shooting, nodes: Nodes) -> Any:
     integrator, theta = shooting.integrator, shooting.integrator.lift.theta
     if integrator.control_times == theta:
         return nodes.controls
-    begin = integrator.begin(shooting.problem, *jax.tree.map(lambda leaf: leaf[0], nodes.z))
+    begin = integrator.begin(shooting.problem, *vec.entries(nodes.z, 0))
     controls = jnp.concatenate([integrator.control(begin)[None], nodes.controls])
     return (1 - theta) * controls[:-1] + theta * controls[1:]
 
@@ -197,13 +197,13 @@ def _outcome() -> Callable[..., _Outcome]:
     def outcome(shooting: Shooting, equations: FinalEquations, nodes: Nodes) -> _Outcome:
         problem, discretization = shooting.problem, shooting.integrator.lift.discretization
         z, controls = nodes[0], _at_stages(shooting, nodes)
-        before, after = (jax.tree.map(lambda leaf, s=s: leaf[s], z[0]) for s in (slice(None, -1), slice(1, None)))
+        before, after = (vec.entries(z[0], s) for s in (slice(None, -1), slice(1, None)))
         states, _ = jax.vmap(discretization.preimage)(before, after)
         stage = ControlStage(problem=problem, discretization=discretization, step=shooting.step)
         cost = jnp.sum(jax.vmap(stage.cost)((states, controls)))
-        cost = cost + problem.final_cost(jax.tree.map(lambda leaf: leaf[-1], z[0]))
+        cost = cost + problem.final_cost(vec.entries(z[0], -1))
         residual = vec.largest(jax.vmap(equations)(z))
-        first, last = (jax.tree.map(lambda leaf, s=s: leaf[s], z) for s in (slice(None, -1), slice(1, None)))
+        first, last = (vec.entries(z, s) for s in (slice(None, -1), slice(1, None)))
         stages = states, jax.vmap(stage.covector)((states, controls), first[1], last[1])
         claims = stationarity(problem, (first, stages, last), controls)
         return _Outcome(z, stages, controls, cost, residual, claims)
@@ -219,7 +219,7 @@ def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
     with np.errstate(all="ignore"):  # of an iterate that is no solution
         diagnosis = Diagnosis(problem, None, Automatic())
         found = diagnosis(diagnosis.at_nodes(first, second), stages, np.zeros((1, 0)))
-    return jax.tree.map(lambda leaf: leaf[0], found)
+    return vec.entries(found, 0)
 
 
 def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:
@@ -244,7 +244,7 @@ def _record(
         presymplectic=method.presymplectic,
         conditions={name: float(value) for name, value in found.ends.violations.items()},
         independent=found.independent,
-        second_order=second_order(request.problem, jax.tree.map(lambda leaf: leaf[:-1], outcome.nodes), controls),
+        second_order=second_order(request.problem, vec.entries(outcome.nodes, slice(-1)), controls),
     )
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
     success, result = _judged(request, method, found, outcome)

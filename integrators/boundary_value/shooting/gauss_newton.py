@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Frame
 from ...compilation import compiled
 from ...results import Result
@@ -112,7 +113,7 @@ def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, f
     """The state at the iterate moved by coordinates in frames."""
     place, linearise, at_ends = _kernels()
     moved, frames = place(shooting, iterate, frames, jnp.asarray(d))
-    first = jax.tree.map(lambda leaf: leaf[0], (moved.points, frames))
+    first = vec.entries((moved.points, frames), 0)
     at = linearise(shooting, moved, frames)
     ends = at_ends(conditions, *first, at.end, at.end_moves)
     return _State(moved, frames, *jax.device_get((at, ends)))

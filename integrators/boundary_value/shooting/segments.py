@@ -119,11 +119,10 @@ class Shooting(eqx.Module):
         firsts = self.length * jnp.arange(self.segments)
         ends, pushes, (nodes, solved) = jax.vmap(self._pushed)(points, gauge, frames, firsts)
         (before, moved), (after, bases) = (
-            jax.tree.map(lambda leaf, s=s: leaf[s], trees)
-            for trees, s in (((ends, pushes), slice(None, -1)), ((points, frames), slice(1, None)))
+            vec.entries(trees, s) for trees, s in (((ends, pushes), slice(None, -1)), ((points, frames), slice(1, None)))
         )
         gap = vec.subtract(before, after)
-        end, end_moves = jax.tree.map(lambda leaf: leaf[-1], (ends, pushes))
+        end, end_moves = vec.entries((ends, pushes), -1)
         return Linearised(
             nodes=nodes,
             end=end,

@@ -132,9 +132,7 @@ class Points:
         """
         level = max(self.level, 0)
         zero = np.max(significance(self.stack("array")[:, :, : level + 1]), axis=(1, 2)) <= ZERO
-        inside = np.isfinite(
-            [relative(jax.tree.map(lambda leaf, i=i: leaf[i], self.beside), self.sizes.rows, level) for i in range(SAMPLES)]
-        )
+        inside = np.isfinite([relative(vec.entries(self.beside, i), self.sizes.rows, level) for i in range(SAMPLES)])
         rows = np.maximum(self.sizes.rows, LOOSE * own_sizes(self.at))
         zero &= (np.max(relative(self.at, rows, level), axis=1) <= CONVERGED) & inside.all(axis=(0, 2))
         return (self.residuals <= CONVERGED) & zero & ~self.away & (self.level >= 0)
@@ -262,7 +260,7 @@ def with_order(points: Points, order: int) -> Points:
 
 def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
-    centers, at = jax.tree.map(lambda leaf: leaf[which], (points.centers, points.at))
+    centers, at = vec.entries((points.centers, points.at), which)
     beside = jax.tree.map(lambda leaf: leaf[:, which], points.beside)
     evidence = [part[which] for part in (points.slow, points.away, points.unclear, points.opposed, points.stiff)]
     return Points(points.array, centers, at, beside, points.sizes, points.level, *evidence)

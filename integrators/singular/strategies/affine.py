@@ -130,7 +130,7 @@ def first_finite(batch: Any) -> Any:
     """The first of a batch of trees all arrays of which are finite, or the first if none is."""
     finite = [jnp.all(jnp.isfinite(leaf.reshape(leaf.shape[0], -1)), axis=1) for leaf in jax.tree.leaves(batch)]
     index = jnp.argmax(jnp.all(jnp.stack(finite), axis=0))
-    return jax.tree.map(lambda leaf: leaf[index], batch)
+    return vec.entries(batch, index)
 
 
 def affine_tolerance() -> float:

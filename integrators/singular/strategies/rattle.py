@@ -68,7 +68,7 @@ class RattleIntegrator(SingularIntegrator):
         problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
-        states = [jax.tree.map(lambda leaf, i=i: leaf[i], stratum.states) for i in range(stratum.count)]
+        states = [vec.entries(stratum.states, i) for i in range(stratum.count)]
         curvature = _finite([_curvature(problem, z, stratum.u) for z in states], "second derivatives of H in the controls")
         singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= affine_tolerance()))
         if not singular:
