@@ -82,6 +82,12 @@ def test_the_adjoint_of_theta_is_one_minus_theta_with_the_retractions_exchanged(
     assert np.max(np.abs(flat(adjoint(x, v)) - flat(Theta(first, 0.7, second)(x, v)))) > 1e-6
 
 
+@pytest.mark.parametrize("theta", [0.0, 0.5, 1.0])
+def test_the_inverse_of_an_adjoint_returns(theta):
+    adjoint, z = Adjoint(Theta(Exponential(Sphere(2)), theta)), (jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3]))
+    np.testing.assert_allclose(flat(adjoint.preimage(*adjoint(*z))), flat(z), atol=1e-14)
+
+
 @compiled
 def _both_inverses(w):
     discretization = Midpoint(Exponential(Sphere(2)))

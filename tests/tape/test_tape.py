@@ -100,6 +100,37 @@ def test_jacobian_is_of_all_values_by_all_arguments():
     np.testing.assert_array_equal(tape.jacobian()(x[:, None], a[:, None])[..., 0], expected)
 
 
+@jax.custom_jvp
+def steep(x):
+    """A sine with three times its derivative."""
+    return jnp.sin(x)
+
+
+@steep.defjvp
+def _(primals, tangents):
+    return steep(primals[0]), 3 * jnp.cos(primals[0]) * tangents[0]
+
+
+def test_derivatives_go_through_derivatives_of_ones_own():
+    """Of a function in a function, and beside what has the usual ones, in both modes and twice."""
+
+    def values(x):
+        return steep(x * steep(x)) + x**2
+
+    def total(x):
+        return jnp.sum(values(x))
+
+    x, direction = np.array([0.3, -0.7, 1.1]), np.array([0.2, 1.0, -0.4])
+    found = {
+        "jacobian": (Tape.trace(values, x).jacobian()(x[:, None]), jax.jacfwd(values)(x)),
+        "push": (Tape.trace(values, x).push(0)(x[:, None], direction[:, None]), jax.jvp(values, (x,), (direction,))[1]),
+        "gradient": (Tape.trace(total, x).gradient()(x[:, None]), jax.grad(total)(x)),
+        "hessian": (Tape.trace(total, x).hessian()(x[:, None]), jax.hessian(total)(x)),
+    }
+    for name, (mine, expected) in found.items():
+        np.testing.assert_allclose(mine[..., 0], expected, atol=1e-13, err_msg=name)
+
+
 @pytest.mark.parametrize("size", [1, 2])
 def test_derivatives_by_some_arguments(size):
     def function(x, a, z):
