@@ -395,14 +395,14 @@ PLANTED: dict[str, Planted] = {
     # Steps that keep their length, borders, phases.
     "a step may lead further than the diameter": Planted(
         f"{ENGINE}/share.py",
-        "return DIAMETER / np.maximum(np.where(kept, turns, 0.0).max(axis=0), DIAMETER)",
+        "return DIAMETER / np.maximum(_turns(parts, kept), DIAMETER)",
         "return np.ones(len(farthest))",
         (f"{TESTS}/test_long_steps.py",),
     ),
     "lengths that change are kept": Planted(
         f"{ENGINE}/share.py",
-        "np.where(kept, turns, 0.0).max(axis=0)",
-        "turns.max(axis=0)",
+        "_turns(parts, kept)",
+        "_turns(parts, same)",
         (f"{TESTS}/test_long_steps.py", f"{PARTS}::test_steps_of_a_flat_space_are_followed_whole"),
     ),
     "the border has its equations with the other sign": Planted(
