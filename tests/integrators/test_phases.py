@@ -28,7 +28,9 @@ def bang_bang(length, guesses):
 def test_bang_bang_arcs_of_a_double_integrator():
     """From rest to rest over L with ``|u| = 1``: both arcs take ``sqrt(L)``, ``H = 0``, and ``dT/dL = 1 / sqrt(L) = p_x``."""
     for length, guesses in ((1.0, (0.3, 4.0)), (100.0, (3.0, 3.0))):
-        found = solve_phases(bang_bang(length, guesses))
+        seen = []
+        found = solve_phases(bang_bang(length, guesses), callback=lambda one, seen=seen: seen.append(one.cost[0]))
+        assert seen[-1] == pytest.approx(found.cost, rel=1e-10)
         np.testing.assert_allclose(found.durations, np.sqrt(length), rtol=1e-10)
         assert found.cost == pytest.approx(2 * np.sqrt(length), rel=1e-10)
         assert found.strict_minimum

@@ -23,7 +23,7 @@ from retrax.integrators import (
     step_errors,
 )
 from retrax.integrators.boundary_value.engine.collocation import Collocation
-from retrax.integrators.boundary_value.engine.evaluator import Automatic
+from retrax.integrators.boundary_value.engine.evaluator import Automatic, TapeEvaluator, XlaEvaluator
 from retrax.integrators.boundary_value.engine.transcription import Data
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
 from retrax.integrators.probing import flat_directions
@@ -197,3 +197,37 @@ def test_errors_of_steps_do_not_depend_on_the_origin():
         found.append(step_errors(problem, solution).states)
     assert np.min(found[0]) > 1e-6
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("pull", [-50.0, 0.5, 0.99, 1.01, 2.0])
+def test_the_curvature_of_a_terminal_cost_counts(pull):
+    """``int u^2 / 2 dt - pull x(T)^2 / 2`` over a unit of time: rest at zero is least for a pull below 1 only."""
+    problem = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1, terminal_cost=lambda q: -pull * q @ q / 2)
+    guess = Guess(np.zeros((3, 1)), np.zeros((3, 1)))
+    solution = solve(problem, Midpoint(Addition(LINE)), np.zeros(1), None, 1.0, 3, guess=guess)
+    assert solution.checks.strict_minimum == (pull < 1)
+
+
+@pytest.mark.parametrize("place", [-0.5, -0.01, 0.01, 0.5])
+def test_the_curvature_of_boundary_constraints_counts(place):
+    """Straight to the point (1, 0) of the unit circle: the nearest one from (a, 0) with a > 0, the farthest with a < 0."""
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: u, half_square, 2, boundary_constraints={"circle": lambda a, b: b @ b - 1}
+    )
+    start, way = np.array([place, 0.0]), np.array([1 - place, 0.0])
+    shares = np.array([[0.25], [0.75]])
+    guess = Guess(start + shares * way, np.tile(way, (2, 1)), np.tile(way, (3, 1)))
+    solution = solve(problem, Midpoint(Addition(PLANE)), start, None, 1.0, 2, guess=guess)
+    np.testing.assert_allclose(solution.states[-1], [1.0, 0.0], atol=1e-12)
+    assert solution.checks.strict_minimum == (place > 0)
+
+
+def test_evaluators_have_the_same_derivatives():
+    def function(d, x):
+        y = x + jnp.outer(jnp.array([1.0, -2.0, 0.5]), d).sum(axis=1)
+        return jnp.sin(y) @ y, (y**3, y[:2] * y[1:]), y[0] * d[1] + x[2]
+
+    x = np.array([[0.3, -0.2, 0.7], [1.0, 0.5, -0.4]])
+    found = (evaluator.derivatives(function, 2, 3)(x) for evaluator in (TapeEvaluator(), XlaEvaluator("of this test")))
+    for mine, other in zip(*found, strict=True):
+        np.testing.assert_allclose(mine, other, rtol=1e-13, atol=1e-14)

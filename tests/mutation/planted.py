@@ -332,13 +332,13 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/system.py",
         "blocks.hessian[:, place] += end.mT @ paid.curvature @ end",
         "blocks.hessian[:, place] += 0 * end.mT @ paid.curvature @ end",
-        (f"{CLAIMS}::test_a_terminal_cost_bends_with_its_normal_gradient",),
+        (f"{PARTS}::test_the_curvature_of_a_terminal_cost_counts",),
     ),
-    "functions of XLA are read in single rows": Planted(
+    "gradients of functions of XLA are twice as long": Planted(
         f"{ENGINE}/evaluator.py",
         "return curvature, scalar_slope[0], *jax",
         "return curvature, 2 * scalar_slope[0], *jax",
-        (f"{SOLVER}::test_both_evaluators_give_the_same_numbers",),
+        (f"{PARTS}::test_evaluators_have_the_same_derivatives",),
     ),
     "shared arguments of tapes go on from point to point": Planted(
         f"{ENGINE}/evaluator.py",
@@ -421,7 +421,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/border.py",
         "matrix[:, : p + q, : p + q] = coupled.curvature[:, free][:, :, free]",
         "matrix[:, : p + q, : p + q] = 0 * coupled.curvature[:, free][:, :, free]",
-        (f"{ENDS}::test_an_end_on_a_circle_from_inside_to_outside",),
+        (f"{PARTS}::test_the_curvature_of_boundary_constraints_counts",),
     ),
     "equations between ends count for no gap": Planted(
         f"{ENGINE}/joint.py",
