@@ -231,3 +231,13 @@ def test_evaluators_have_the_same_derivatives():
     found = (evaluator.derivatives(function, 2, 3)(x) for evaluator in (TapeEvaluator(), XlaEvaluator("of this test")))
     for mine, other in zip(*found, strict=True):
         np.testing.assert_allclose(mine, other, rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("height", [2.0, 5.0, 50.0])
+def test_from_a_hill_it_goes_down(height):
+    """``height (1 - x^2)^2`` has a hill at zero, where Newton's own steps lead back to, and wells at its sides."""
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: half_square(q, u) + height * (1 - q @ q) ** 2, 1)
+    guess = Guess(np.full((10, 1), 0.1), np.zeros((10, 1)))
+    solution = solve(problem, Midpoint(Addition(LINE)), np.array([0.1]), None, 3.0, 10, guess=guess)
+    assert solution.states[-1, 0] > 0.9
+    assert solution.checks.strict_minimum

@@ -363,7 +363,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/newton.py",
         "going = ~(descends | keep) & (shift < LARGEST_SHIFT)",
         "going = ~(descends | keep) & (shift < 0)",
-        (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
+        (f"{PARTS}::test_from_a_hill_it_goes_down",),
     ),
     "a saddle that is reached is a minimum": Planted(
         f"{ENGINE}/newton.py",
