@@ -1,7 +1,8 @@
 """What a solution that meets its conditions does not tell by itself: jumps that it passes, controls that nothing determines."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, final
+from typing import Any, TypeVar, final
 
 import jax
 import numpy as np
@@ -11,11 +12,15 @@ from ...reading import one_reading
 from ..constraints import LOWER, UPPER
 from ..free import is_free
 from ..problem import OptimalControlProblem
+from ..results import sentence
+from .arguments import structure_of
 from .control_curvature import ControlCurvature
 from .members import Asked
 from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import StateJumps
+
+T = TypeVar("T")
 
 VANISHES = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
@@ -23,13 +28,11 @@ SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than
 
 @final
 class Examination:
-    """Examines solutions of one problem; what it traces for that, it traces once."""
+    """Examines solutions of one problem; what it traces for that, it traces once for parameters of one structure."""
 
     def __init__(self, problem: OptimalControlProblem) -> None:
         self.problem = problem
-        self._jumps = {timed: StateJumps(problem, timed) for timed in (False, True)}
-        self._curvature: ControlCurvature | None = None
-        self._qualification: Qualification | None = None
+        self._traced: dict[Any, Any] = {}
 
     def __call__(self, solution: Solution, free_horizon: bool, given: tuple[bool, bool] = (False, False)) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
@@ -37,10 +40,10 @@ class Examination:
         With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where an end that is
         ``given`` violates a constraint of the states, of which the conditions at the stages know nothing.
         """
-        if solution.singular is not None:
+        if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
         with one_reading(), np.errstate(all="ignore"):
-            jump = self._looked(free_horizon)(solution)
+            jump = self._looked(free_horizon, solution.parameters)(solution)
             if jump:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
                 return replace(solution, success=False, result=f"The conditions {how} {jump}.")
@@ -51,20 +54,22 @@ class Examination:
             said = " ".join(filter(None, notes))
             return replace(solution, result=f"{solution.result} {said}") if said else solution
 
-    def _qualified(self, solution: Solution) -> Qualification:
-        if self._qualification is None:
-            self._qualification = Qualification(self.problem, solution.parameters)
-        return self._qualification
+    def _once(self, kind: Callable[..., T], parameters: Any, *which: Any) -> T:
+        """An examiner of this kind for parameters of their structure."""
+        key = kind, structure_of(parameters), which
+        if key not in self._traced:
+            self._traced[key] = kind(self.problem, *(which or (parameters,)))
+        return self._traced[key]
 
     def _unqualified(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return self._qualified(solution)(solution) if self.problem.limits.functions else ""
+        return self._once(Qualification, solution.parameters)(solution) if self.problem.limits.functions else ""
 
     def _outside(self, solution: Solution, given: tuple[bool, bool]) -> str:
         """A sentence on a constraint of the states that an end violates."""
         if not (self.problem.limits.functions and any(given)):
             return ""
-        names, excess = self._qualified(solution).at_ends(solution)
+        names, excess = self._once(Qualification, solution.parameters).at_ends(solution)
         for end, known, over in zip(("start", "end"), given, excess, strict=True):
             if known and np.max(over, initial=0.0) > 0:
                 worst = int(np.argmax(over))
@@ -77,10 +82,10 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self.problem.limits.along or bool(self._looked(free_horizon).steps(parameters))
+        return self.problem.limits.along or bool(self._looked(free_horizon, parameters).steps(parameters))
 
-    def _looked(self, free_horizon: bool) -> StateJumps:
-        return self._jumps[free_horizon and self.problem.time_dependent]
+    def _looked(self, free_horizon: bool, parameters: Any) -> StateJumps:
+        return self._once(StateJumps, parameters, free_horizon and self.problem.time_dependent)
 
     def undetermined(self, solution: Solution) -> str:
         """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""
@@ -126,9 +131,8 @@ class Examination:
             largest = np.max(rows, initial=0.0)
             flat &= ~np.any(rows > VANISHES * largest, axis=1)[:, None] if largest > 0 else True
         if np.any(flat):
-            if self._curvature is None:
-                self._curvature = ControlCurvature(self.problem, solution.parameters)
-            flat &= self._curvature(solution, solution.parameters) == 0  # exactly: no entry of the control is in the derivative
+            curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
+            flat &= curvature == 0  # exactly: no entry of the control is in the derivative
         return flat
 
 

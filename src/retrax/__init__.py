@@ -5,6 +5,10 @@ from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING
 
+from .threads import ask_for_threads
+
+ask_for_threads()  # before anything below makes JAX compute
+
 from . import integrators, manifolds, retractions
 from ._version import __version__
 from .integrators import Free

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import cache
 
+THREADS = 8  # of XLA, so many that its decompositions do not wait for one another
 WORTH_A_THREAD = 300_000  # operations that one thread does before a second is worth its start
 _alone: ContextVar[bool] = ContextVar("retrax_one_thread", default=False)
 
@@ -37,6 +38,16 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
     run(own)
     for future in futures:
         future.result()
+
+
+def ask_for_threads() -> None:
+    """Ask XLA for eight threads where there are fewer processors, unless the user asks for some number.
+
+    Each of jaxlib's batched decompositions waits on a thread of XLA for its parts, which other threads do: two at once, as in a
+    logarithm on SO(n) x U(n), wait for ever where there are two threads [jaxlib 0.10.2]. It counts before JAX computes anything.
+    """
+    if (os.cpu_count() or 1) < THREADS:
+        os.environ.setdefault("PJRT_NPROC", str(THREADS))
 
 
 @cache

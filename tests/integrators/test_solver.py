@@ -126,7 +126,9 @@ def test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_
     many = solver.solve_many(START, ends, horizons, parameters=parameters, callback=lambda i: seen.append(list(i.members)))
     assert list(many.success) == [True, True, False, True]
     assert seen[0] == [0, 1, 2, 3]
-    assert all(set(after) <= set(before) for before, after in pairwise(seen))
+    # The third is moved aside at first, in vain, and then tried as it is, alone.
+    again = [after for before, after in pairwise(seen) if not set(after) <= set(before)]
+    assert again in ([], [[2]])
     assert len(seen[-1]) < 4
     for k in (0, 1, 3):
         own = jax.tree.map(lambda leaf, k=k: leaf[k], parameters)

@@ -78,6 +78,7 @@ def test_a_pool_that_is_killed_goes_on_where_it_was(tmp_path, known):
 
 @pytest.mark.slow
 def test_a_cluster_of_dask_loses_a_worker_and_no_member(tmp_path, known):
+    pytest.importorskip("distributed", reason="the extra cluster is not installed")
     process = begun([*SCRIPT, "dask", str(tmp_path), "0.05"])
     until(process, tmp_path, 4)
     busy = [int(name.rpartition(":")[2]) for name in load_sweep(tmp_path / "sweep").workers]
@@ -92,6 +93,7 @@ def test_a_cluster_of_dask_loses_a_worker_and_no_member(tmp_path, known):
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the launcher is installed on Linux")
 def test_ranks_of_mpi(tmp_path, known):
+    pytest.importorskip("mpi4py", reason="the extra cluster is not installed")
     launcher = shutil.which("mpiexec", path=f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}")
     how = ["--allow-run-as-root", "--oversubscribe", "-n", "2", SCRIPT[0], "-m", "mpi4py.futures"]
     process = begun([str(launcher), *how, *SCRIPT[1:], "mpi", str(tmp_path), "0"])

@@ -10,11 +10,12 @@ taken.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, Self, cast, final
+from typing import Any, NamedTuple, cast, final
 
 import jax
 import numpy as np
 
+from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
 from .aside import aside, is_lost
 from .augmented import is_isolated_minimum
 from .batches import merged, put, taken
@@ -22,20 +23,19 @@ from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
 
-ARMIJO = 1e-4
-SWITCH, NARROWER = 1e-3, 1e-2
 RECORD = 0.9
-FOLLOWED = 0.75
 SHORTEST = 2.0**-4
 FAST = 1e-2
 SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-RAISE, LOWER = 10.0, 4.0
 STIFF, SLOW = 1e2, 1e-6  # a shift, or a share of a step, at which hard inequalities are made elastic
-FIRST_SHIFT, SMALLEST_SHIFT, LARGEST_SHIFT = 1e-4, 1e-8, 1e10
 CURVATURE = 1e-9
+LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
+OF_MEMBERS = (
+    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing", "contradictory",
+)  # fmt: skip
 
 
 class Iteration(NamedTuple):
@@ -51,41 +51,6 @@ class Iteration(NamedTuple):
     accepted: np.ndarray
     violation: np.ndarray  # of the inequalities, relative
     barrier: np.ndarray  # relative to the unit of the cost rate; zero without inequalities
-
-
-class Merit(NamedTuple):
-    """The infeasibility, the cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
-
-    infeasibility: np.ndarray
-    cost: np.ndarray
-    held: np.ndarray
-
-    @classmethod
-    def of(cls, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Self:
-        """Those at an iterate."""
-        return cls(conditions.infeasibility(iterate, assembled), *conditions.merit(iterate, assembled))
-
-
-class _State(NamedTuple):
-    """One entry for each member that is on its way."""
-
-    member: np.ndarray
-    iterate: Iterate
-    assembled: Assembled
-    residuals: Residuals
-    step: Step
-    descends: np.ndarray  # the step has positive curvature
-    promised: np.ndarray  # change of the cost to first order by the whole step
-    turned: np.ndarray  # change of the multipliers on the gap by the whole step
-    merit: Merit
-    funnel: np.ndarray  # the infeasibility that no iterate exceeds any more
-    fraction: np.ndarray
-    shift: np.ndarray
-    best: np.ndarray
-    correction: np.ndarray  # what the linearised conditions still asked for where the residuals met the tolerance
-    isolated: np.ndarray
-    claimed: np.ndarray
-    done: np.ndarray
 
 
 @final
@@ -120,29 +85,48 @@ def newton(
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
     where the system is singular to rounding, residuals say nothing about the distance to a solution, and one is claimed only
-    if the trajectory has kept its size.
+    if the trajectory has kept its size. A guess that was moved aside in vain is tried as it is.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
-    try:
-        search.run(guess)
-    except KeyboardInterrupt:
-        if search.state is None:
-            raise
-        search.stopped = True
-    return search.found()
+    found = search.ended(guess)
+    astray = np.flatnonzero(search.lost & ~found.claimed)
+    if found.stopped or not astray.size:
+        return found
+    seen = callback and (lambda iteration: callback(iteration._replace(members=astray[iteration.members])))
+    alone = _Search(conditions.of(astray), tolerance, max_iterations, seen, as_it_is=True)
+    again = alone.ended(taken(guess, astray))
+    again = again._replace(iterations=found.iterations[astray] + again.iterations)
+    both = {name: put(getattr(found, name), astray, getattr(again, name)) for name in OF_MEMBERS}
+    return found._replace(stopped=again.stopped, **both)
 
 
 class _Search:
     """The members on their way, and those that have left."""
 
     def __init__(
-        self, conditions: Conditions, tolerance: float, max_iterations: int, callback: Callable[[Iteration], Any] | None
+        self,
+        conditions: Conditions,
+        tolerance: float,
+        max_iterations: int,
+        callback: Callable[[Iteration], Any] | None,
+        as_it_is: bool = False,
     ) -> None:
         self.conditions, self.tolerance, self.max_iterations, self.callback = conditions, tolerance, max_iterations, callback
-        self.state: _State | None = None
-        self.left: list[tuple[_State, int]] = []
+        self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
+        self.state: State | None = None
+        self.left: list[tuple[State, int]] = []
         self.trials = 0
         self.stopped = False
+
+    def ended(self, guess: Iterate) -> Found:
+        """What is found from a guess, until an interrupt at the latest."""
+        try:
+            self.run(guess)
+        except KeyboardInterrupt:
+            if self.state is None:
+                raise
+            self.stopped = True
+        return self.found()
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
@@ -157,8 +141,8 @@ class _Search:
                 return
             state = self.next(state)
 
-    def begun(self, given: Iterate, known: bool = False) -> _State:
-        """The state at the guess, with a first step; ``known``: that it can be made."""
+    def begun(self, given: Iterate) -> State:
+        """The state at the guess, with a first step."""
         conditions = self.conditions
         guess, assembled = self.first = conditions.begin(given)
         residuals = conditions.residuals(guess, assembled)
@@ -168,18 +152,19 @@ class _Search:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        if not known and isinstance(conditions, Conditions):
-            lost = is_lost(conditions, guess, assembled, step)
-            if lost.any():
-                return self.begun(merged(lost, aside(conditions, guess, assembled), given), known=True)
+        if not self.lost.size:
+            looked = isinstance(conditions, Conditions) and not self.as_it_is
+            self.lost = is_lost(conditions, guess, assembled, step) if looked else no
+            if self.lost.any():
+                return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
         numbers = np.maximum(merit.infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
-        state = _State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
+        state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
         arrived = residuals.final <= self.tolerance
         return self.settled(state._replace(best=residuals.largest), arrived)
 
-    def next(self, state: _State) -> _State:
+    def next(self, state: State) -> State:
         """Assemble the trial, judge it, and compute the next step."""
         conditions = self.conditions.of(state.member)
         trial = conditions.move(state.iterate, state.assembled, state.step, state.fraction)
@@ -201,7 +186,7 @@ class _Search:
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
 
-    def lowered(self, conditions: Conditions, state: _State) -> tuple[_State, np.ndarray]:
+    def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
         """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are short.
 
         What was reached counts no more there.
@@ -232,13 +217,13 @@ class _Search:
         return state, changed
 
     def judged(
-        self, conditions: Conditions, state: _State, trial: Iterate, assembled: Assembled, found: Residuals
-    ) -> tuple[_State, np.ndarray, np.ndarray]:
+        self, conditions: Conditions, state: State, trial: Iterate, assembled: Assembled, found: Residuals
+    ) -> tuple[State, np.ndarray, np.ndarray]:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed again."""
         probe = (self.trials == 1) & ~state.descends & (trial.slacks is None)
         residual = found.largest
         merit = Merit.of(conditions, trial, assembled)
-        improves, narrowed = _funnelled(state, merit)
+        improves, narrowed = funnelled(state, merit)
         record = residual <= np.maximum(RECORD * state.best, self.tolerance)
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
@@ -252,7 +237,7 @@ class _Search:
             residuals=reached,
             merit=merit,
             funnel=funnel,
-            shift=_next_shift(state, good, short),
+            shift=next_shift(state, good, short),
             fraction=np.where(good | short | probe, 1.0, state.fraction / 2),
             best=np.where(good, np.minimum(state.best, residual), state.best),
         )
@@ -287,7 +272,7 @@ class _Search:
             convex = again.convex | (shift[places] >= CONVEX) | loose[places]
             descends[places] = (curvature >= CURVATURE * size) & convex
 
-    def settled(self, state: _State, arrived: np.ndarray, conditions: Conditions | None = None) -> _State:
+    def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
         """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted there.
 
         Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one
@@ -304,7 +289,7 @@ class _Search:
         exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
-    def elsewhere(self, state: _State) -> np.ndarray:
+    def elsewhere(self, state: State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
 
         Near the end the normal part of what is missing is the square of its size: from there it moves.
@@ -316,12 +301,12 @@ class _Search:
         met &= conditions.infeasibility(state.iterate, state.assembled) <= np.sqrt(self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
-    def contradictory(self, state: _State) -> np.ndarray:
+    def contradictory(self, state: State) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
         own = state.iterate, state.assembled, state.residuals
         return self.conditions.of(state.member).is_infeasible(*own, self.tolerance)
 
-    def report(self, state: _State, accepted: np.ndarray) -> None:
+    def report(self, state: State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""
         if self.callback is None:
             return
@@ -331,7 +316,7 @@ class _Search:
         seen = residuals.gap, residuals.stationarity, state.shift, length, accepted, violation, barrier
         self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 
-    def leave(self, state: _State, finished: np.ndarray) -> _State | None:
+    def leave(self, state: State, finished: np.ndarray) -> State | None:
         """What remains when members leave that have finished."""
         if not finished.any():
             return state
@@ -369,28 +354,5 @@ class _Search:
         return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
 
 
-def _solvable(state: _State) -> np.ndarray:
+def _solvable(state: State) -> np.ndarray:
     return state.step.finite & (state.shift < LARGEST_SHIFT)
-
-
-def _funnelled(state: _State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the trial is accepted inside the funnel, and the funnel after it."""
-    before = state.merit
-    held = before.held + state.fraction * state.turned
-    promised = -state.fraction * (state.promised - state.step.reach * held)
-    cheaper = promised >= SWITCH * before.infeasibility**2
-    decreases = trial.cost + trial.held <= before.cost + held - ARMIJO * promised
-    well = 1 - NARROWER * state.fraction * state.step.reach
-    infeasibility = trial.infeasibility
-    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
-    return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
-
-
-def _next_shift(state: _State, good: np.ndarray, short: np.ndarray) -> np.ndarray:
-    """Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough."""
-    some = np.maximum(state.shift, FIRST_SHIFT)
-    made = state.fraction * state.step.followed
-    cut = np.where(made <= 0.25, some * np.minimum(0.5 / made, RAISE), state.shift)
-    less = np.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER)
-    taken_ = np.where(made >= FOLLOWED, less, cut)
-    return np.where(good, taken_, np.where(short, np.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift))

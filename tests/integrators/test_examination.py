@@ -1,0 +1,41 @@
+"""What is looked at beside the conditions of a solution: for each structure of parameters, and not where it was stopped."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, Solver
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Midpoint
+
+LINE = Euclidean(1)
+METHOD = Midpoint(Addition(LINE))
+START, END = np.zeros(1), np.ones(1)
+
+
+def pushed(q, u, given):
+    return u * jnp.sum(given)
+
+
+def test_constraints_are_examined_with_parameters_of_any_structure():
+    """The constraint holds the trajectory at the end alone, where it is ``sum(given) <= 1``."""
+    problem = OptimalControlProblem(
+        LINE,
+        pushed,
+        lambda q, u, given: u @ u / 2,
+        1,
+        constraints={"wall": lambda q, u, given: jnp.sum(given) * q - 1},
+        control_bounds=(-3.0, 3.0),
+    )
+    solver = Solver(problem, METHOD, 6)
+    for parameters, outside in ((np.ones(1), False), (np.full(2, 0.5), False), (np.full(2, 0.7), True), (np.full(1, 1.4), True)):
+        found = solver.solve(START, END, 1.0, parameters=parameters, throw=False)
+        assert found.success != outside
+        assert ("violates" in found.result) == outside
+
+
+@pytest.mark.parametrize("height", [0.0, 0.1])
+def test_an_iteration_that_was_stopped_is_said_to_be_stopped(height):
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2 + height * jnp.where(q[0] > 0.5, 1.0, 0.0), 1)
+    found = Solver(problem, METHOD, 6).solve(START, END, 1.0, callback=lambda iteration: True, throw=False)
+    assert not found.success
+    assert "stopped" in found.result
