@@ -4,18 +4,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, TypeVar, final
 
-import jax
 import numpy as np
 
 from ...manifolds import Euclidean
 from ...reading import one_reading
 from ..constraints import LOWER, UPPER
-from ..free import is_free
 from ..problem import OptimalControlProblem
 from ..results import sentence
 from .arguments import structure_of
 from .control_curvature import ControlCurvature
-from .members import Asked
+from .end_points import EndReader
 from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import StateJumps
@@ -34,11 +32,11 @@ class Examination:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
 
-    def __call__(self, solution: Solution, free_horizon: bool, given: tuple[bool, bool] = (False, False)) -> Solution:
+    def __call__(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any] = (None, None)) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
 
-        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where an end that is
-        ``given`` violates a constraint of the states, of which the conditions at the stages know nothing.
+        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is ``given``
+        of the start or the end violates a constraint of the states, of which the conditions at the stages know nothing.
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
@@ -65,13 +63,15 @@ class Examination:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
         return self._once(Qualification, solution.parameters)(solution) if self.problem.limits.functions else ""
 
-    def _outside(self, solution: Solution, given: tuple[bool, bool]) -> str:
+    def _outside(self, solution: Solution, given: tuple[Any, Any]) -> str:
         """A sentence on a constraint of the states that an end violates."""
-        if not (self.problem.limits.functions and any(given)):
+        if not self.problem.limits.functions or all(end is None for end in given):
             return ""
-        names, excess = self._once(Qualification, solution.parameters).at_ends(solution)
-        for end, known, over in zip(("start", "end"), given, excess, strict=True):
-            if known and np.max(over, initial=0.0) > 0:
+        first, last = EndReader(self.problem.manifold).ends(*given, batched=True).prescribed
+        fixed = np.stack([first.coordinates, last.coordinates]) > 0
+        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, fixed)
+        for end, over in zip(("start", "end"), excess, strict=True):
+            if np.max(over, initial=0.0) > 0:
                 worst = int(np.argmax(over))
                 return (
                     f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the stages alone, and the "
@@ -134,13 +134,6 @@ class Examination:
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative
         return flat
-
-
-def given_ends(asked: Asked) -> tuple[bool, bool]:
-    """Whether the start and the end are prescribed with all their factors."""
-    ends = (jax.tree.leaves(end, is_leaf=lambda leaf: leaf is None or is_free(leaf)) for end in (asked.start, asked.end))
-    first, last = (not any(leaf is None or is_free(leaf) for leaf in leaves) for leaves in ends)
-    return first, last
 
 
 def _longest(flat: np.ndarray) -> tuple[int, int]:

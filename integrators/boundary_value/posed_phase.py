@@ -57,6 +57,7 @@ class PosedPhase(NamedTuple):
     outer: _Inner
     inner: _Inner
     asked: Asked
+    given: tuple[Any, Any]  # the start and the end, as they were asked for
     posed: Posed
 
     def state(self, y: Any) -> Any:
@@ -85,7 +86,7 @@ class PosedPhase(NamedTuple):
         """The solution with what its conditions do not tell; ``free``: whether times are, of any phase."""
         bound = self.inner.problem.with_parameters(self.asked.parameters)
         solution = solution if self.formulation is not None else explained(bound, solution)
-        return self.outer.examination(solution, free)
+        return self.outer.examination(solution, free, self.given)
 
 
 @final
@@ -122,4 +123,4 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) ->
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:
         raise InvalidInputError(f"phase {number}: {SINGULAR}")
-    return PosedPhase(problem, phase.parameters, formulation, outer, inner, asked, equations)
+    return PosedPhase(problem, phase.parameters, formulation, outer, inner, asked, (phase.start, phase.end), equations)

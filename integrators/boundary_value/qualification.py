@@ -58,17 +58,22 @@ class Qualification:
             )
         return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
 
-    def at_ends(self, solution: Solution) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the inequalities, and by how much both ends violate those that do not depend on the controls, ``(2, k)``."""
+    def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2, k)``.
+
+        ``fixed``: which coordinates of both ends are prescribed, shape ``(2, n)``; the controls are free.
+        """
         parameters, places = solution.parameters, [0, -1]
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         at_stages = self.state.rows(solution.stage_states, 1), self.control.rows(solution.controls, 1)
         values, slopes = self._limits(*at_stages, solution.stage_times[:, None], given[None])
         nodes = self.state.rows(solution.states, 1)[places], at_stages[1][places]
-        ends, _ = self._limits(*nodes, solution.times[places][:, None], given[None])
-        free = np.max(np.abs(slopes[:, :, self.problem.manifold.dimension :]), axis=(0, 2), initial=0.0) == 0
+        ends, at_ends = self._limits(*nodes, solution.times[places][:, None], given[None])
+        depends = np.any(np.concatenate([slopes, at_ends]) != 0, axis=0)
+        free = np.concatenate([~fixed, np.ones((2, self.problem.controls.dimension), bool)], axis=1)
+        held = ~np.any(depends & free[:, None], axis=2)
         size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
-        over = np.where(free & (ends > OUTSIDE * size), ends, 0.0)
+        over = np.where(held & (ends > OUTSIDE * size), ends, 0.0)
         return self.problem.with_parameters(parameters).at_time(0.0).inequality_names, over
 
     @staticmethod

@@ -14,7 +14,7 @@ from ..free import Free, is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
 from .arguments import Method, fractions_of
-from .examination import Examination, given_ends
+from .examination import Examination
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
@@ -73,7 +73,8 @@ class Refinement:
 
     def solve(self, steps: Any) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
-        return Examination(self.problem)(self._solved(steps), is_free(self.asked.horizon), given_ends(self.asked))
+        given = self.asked.start, self.asked.end
+        return Examination(self.problem)(self._solved(steps), is_free(self.asked.horizon), given)
 
     def _solved(self, steps: Any) -> Solution:
         solution = self._first(fractions_of(steps))

@@ -24,7 +24,7 @@ from .engine.batches import taken
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
-from .examination import Examination, given_ends
+from .examination import Examination
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
 from .guess import Guess
@@ -185,7 +185,7 @@ class Solver:
 
     def examined(self, solution: Solution, asked: Asked) -> Solution:
         """The solution with what its conditions do not tell."""
-        examined = self._examination(solution, is_free(asked.horizon), given_ends(asked))
+        examined = self._examination(solution, is_free(asked.horizon), (asked.start, asked.end))
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]
