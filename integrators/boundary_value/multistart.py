@@ -1,5 +1,6 @@
 """Several extremals of one problem, found from drawn guesses."""
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -7,6 +8,7 @@ import numpy as np
 
 from ...manifolds import Euclidean, InvalidInputError, Manifold, Product
 from ...manifolds.numerics.ambient import Ambient
+from ..free import Free, is_free
 from ..functions import require_concrete
 from ..options import known_options
 from .end_points import EndReader
@@ -47,11 +49,17 @@ def multistart(
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
-    given = jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), parameters)
+    given = jax.tree.map(partial(_repeated, count), parameters, is_leaf=is_free)
     guesses = [_guess(solver, start, end, k, np.random.default_rng([seed, k])) for k in range(count)]
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     found = solver.solve_many(start, end, horizon, guesses, given, **options)
     return Solutions.of(sorted(found, key=lambda one: (not one.success, one.cost)))
+
+
+def _repeated(count: int, leaf: Any) -> Any:
+    if is_free(leaf):
+        return Free(*(_repeated(count, value) for value in (leaf.guess, leaf.lower, leaf.upper)))
+    return np.broadcast_to(leaf, (count, *np.shape(leaf)))
 
 
 def _guess(solver: Solver, start: Any, end: Any, k: int, draw: np.random.Generator) -> Guess:
@@ -71,6 +79,6 @@ def _point(manifold: Manifold, first: Any, last: Any, draw: np.random.Generator)
     if isinstance(manifold, Product):
         return tuple(_point(*parts, draw) for parts in zip(manifold.factors, first, last, strict=True))
     if isinstance(manifold, Euclidean):
-        size = np.max(np.abs(last - first), initial=0.0) + np.max(np.abs(first), initial=0.0)
+        size = np.max(np.abs(last - first), initial=0.0) + np.max(np.abs([first, last]), initial=0.0)
         return (first + last) / 2 + size * draw.standard_normal(np.shape(first))
     return jax.tree.map(np.asarray, manifold.random_point(jax.random.key(int(draw.integers(2**31)))))

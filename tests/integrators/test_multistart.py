@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver, multistart
+from retrax.integrators import Free, OptimalControlProblem, Solver, multistart
 from retrax.manifolds import SO, Euclidean, InvalidInputError, hat
 from retrax.retractions import Midpoint, default_retraction
 
@@ -34,6 +34,12 @@ def test_guesses_are_those_of_the_seed():
     one, same, other = (multistart(SOLVER, START, END, 1.0, count=6, seed=k, parameters=2.0) for k in (1, 1, 2))
     assert np.array_equal(one.states[0], same.states[0])
     assert [s.statistics.iterations for s in one] != [s.statistics.iterations for s in other]
+
+
+def test_a_parameter_may_be_free():
+    """The best one is at a bound: large steps cost nothing."""
+    found = multistart(SOLVER, START, END, 1.0, count=3, parameters=Free(2.0, lower=1.0, upper=4.0))
+    assert found[0].parameters == pytest.approx(4.0, rel=1e-6)
 
 
 @pytest.mark.parametrize(

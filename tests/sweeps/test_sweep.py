@@ -188,6 +188,24 @@ def test_chunks_that_keep_different_things_are_refused(tmp_path):
         _ = found.kept
 
 
+@pytest.mark.parametrize("chunks", [1, 2])
+def test_what_is_kept_since_a_sweep_went_on_is_not_mixed_with_nothing(chunks, tmp_path):
+    """Chunks without what is kept now, before those with it; files that are no chunks are left alone."""
+    begun = sweep(lambda: replace(base(), keep=None), COUNT, tmp_path, chunk=CHUNK)
+    for path in sorted(tmp_path.glob("chunks/*/*.npz"))[chunks:]:
+        path.unlink()
+    path.with_name("mine.npz").write_bytes(path.read_bytes() if path.exists() else b"")
+    found = sweep(base, COUNT, tmp_path, chunk=CHUNK)
+    np.testing.assert_array_equal(found.cost, begun.cost)
+    with pytest.raises(InvalidInputError, match="keep different arrays"):
+        _ = found.kept
+
+
+def test_a_head_that_was_not_finished_is_none(tmp_path):
+    (tmp_path / ".sweep.0123.part").write_text("{")
+    assert sweep(base, COUNT, tmp_path, chunk=CHUNK).complete
+
+
 def test_threads_find_the_same(whole, tmp_path):
     with ThreadPoolExecutor(3) as pool:
         found = sweep(study, COUNT, tmp_path, pool, chunk=CHUNK)

@@ -86,16 +86,20 @@ class Sweep:
     @cached_property
     def kept(self) -> dict[str, np.ndarray]:
         """What the study keeps, by name, shape ``(M, ...)``; raises ``InvalidInputError`` where chunks keep different things."""
-        shapes: dict[str, Any] = {}
+        known: dict[str, Any] | None = None
         for found in self._read:
+            if not found["has"].any():
+                continue
             own = {name: array.shape[1:] for name, array in found["kept"].items()}
-            shapes = shapes or own
-            if found["has"].any() and own != shapes:
+            known = own if known is None else known
+            if own != known:
                 raise InvalidInputError(
-                    f"chunks of {self.folder} keep different arrays: {own} beside {shapes}, expected the same; sweep into a new "
+                    f"chunks of {self.folder} keep different arrays: {own} beside {known}, expected the same; sweep into a new "
                     "folder"
                 )
-        return {name: np.concatenate([_rows(found, name, shape) for found in self._read]) for name, shape in shapes.items()}
+        return {
+            name: np.concatenate([_rows(found, name, shape) for found in self._read]) for name, shape in (known or {}).items()
+        }
 
     @property
     def converged(self) -> int:

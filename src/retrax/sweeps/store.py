@@ -9,8 +9,10 @@ import os
 import socket
 import uuid
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, final
+from typing import IO, Any, final
 
 import numpy as np
 
@@ -44,7 +46,8 @@ class Store:
 
     def finished(self) -> list[int]:
         """The chunks that are there, in their order; a file that is cut off does not count."""
-        found = [int(path.stem) for path in self.folder.glob("chunks/*/*.npz") if zipfile.is_zipfile(path)]
+        paths = [path for path in self.folder.glob("chunks/*/*.npz") if path.stem.isdigit()]
+        found = [int(path.stem) for path in paths if zipfile.is_zipfile(path)]
         return sorted(part for part in found if part < self.parts)
 
     def write(self, part: int, found: dict[str, Any], seconds: tuple[float, float]) -> None:
@@ -62,12 +65,8 @@ class Store:
         kept = {f"kept/{name}": array for name, array in found["kept"].items()}
         path = self.path(part)
         path.parent.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex}.part")
-        with unfinished.open("wb") as file:
+        with _finished(path) as file:
             np.savez(file, allow_pickle=False, **own, **kept)
-            file.flush()
-            os.fsync(file.fileno())  # before the name is there: a machine that loses power loses no finished member
-        unfinished.replace(path)
 
     def read(self, part: int) -> dict[str, Any]:
         """What was written of a chunk; raises ``InvalidInputError`` if the file is something else, or damaged."""
@@ -90,6 +89,17 @@ class Store:
         return found
 
 
+@contextmanager
+def _finished(path: Path) -> Iterator[IO[bytes]]:
+    """A file that has its name when it is whole, and on the disk: a machine that loses power loses nothing finished."""
+    unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex}.part")
+    with unfinished.open("wb") as file:
+        yield file
+        file.flush()
+        os.fsync(file.fileno())
+    unfinished.replace(path)
+
+
 def worker() -> str:
     """The name of this process."""
     return f"{socket.gethostname()}:{os.getpid()}"
@@ -100,11 +110,10 @@ def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store
     folder.mkdir(parents=True, exist_ok=True)
     head, wanted = folder / HEAD, {"schema": SCHEMA, "count": count, "chunk": chunk, **marks}
     if not head.exists():
-        if any(folder.iterdir()):
+        if any(not path.match(".*.part") for path in folder.iterdir()):
             raise InvalidInputError(f"{folder} has other files than those of a sweep; give a new folder, or an empty one")
-        unfinished = folder / f".{HEAD}.{os.getpid()}.part"
-        unfinished.write_text(json.dumps(wanted, indent=1))
-        unfinished.replace(head)
+        with _finished(head) as file:
+            file.write(json.dumps(wanted, indent=1).encode())
     there = _read_head(head)
     others = [name for name, value in wanted.items() if there.get(name) != value]
     if others:

@@ -125,7 +125,14 @@ def marks(study: Study, count: int) -> dict[str, str]:
 
 
 def _first(leaf: Any) -> Any:
-    return leaf.member(0).guess if is_free(leaf) else np.asarray(leaf)[0]
+    if is_free(leaf):
+        return leaf.member(0).guess
+    if not np.ndim(leaf):
+        raise InvalidInputError(
+            f"cases returned {leaf!r:.60} among the parameters, expected an array with an entry for each member; try "
+            "np.full(len(members), value)"
+        )
+    return np.asarray(leaf)[0]
 
 
 def _digest(content: bytes) -> str:
