@@ -151,10 +151,11 @@ class Formulation:
         given = {name: getattr(guess, name) for name in make}
         return guess._replace(**{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None})
 
+    @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result
     def solution(self, found: Solution, parameters: Any, interpolant: Interpolant) -> Solution:
         """The solution of the problem itself."""
         constants = found.states[1][0] if self.constants else np.zeros(0)
-        rate = float(np.exp(constants[-1])) if self.kind.horizon else 1.0
+        rate = np.exp(constants[-1]) if self.kind.horizon else np.float64(1.0)
         clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
         fixed = [np.array(leaf) for leaf in jax.tree.leaves(parameters, is_leaf=is_free) if not is_free(leaf)]
         states: Any = {name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")}
@@ -184,7 +185,7 @@ class Formulation:
     def _checks(checks: Checks, rate: float) -> Checks:
         """The checks in the time of the problem; the Hamiltonian that is constant has the clock's part."""
         names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
-        own: Any = {name: getattr(checks, name) / rate for name in names}
+        own: Any = {name: float(getattr(checks, name) / rate) for name in names}
         named: Any = {name: _named(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
         violations = {name.removeprefix("factor 0: "): value for name, value in checks.violations.items()}
         return replace(checks, violations=violations, **own, **named)

@@ -85,19 +85,23 @@ def newton(
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
     where the system is singular to rounding, residuals say nothing about the distance to a solution, and one is claimed only
-    if the trajectory has kept its size. A guess that was moved aside in vain is tried as it is.
+    if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the cheaper success counts.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
-    astray = np.flatnonzero(search.lost & ~found.claimed)
+    astray = np.flatnonzero(search.lost)
     if found.stopped or not astray.size:
         return found
     seen = callback and (lambda iteration: callback(iteration._replace(members=astray[iteration.members])))
     alone = _Search(conditions.of(astray), tolerance, max_iterations, seen, as_it_is=True)
     again = alone.ended(taken(guess, astray))
     again = again._replace(iterations=found.iterations[astray] + again.iterations)
-    both = {name: put(getattr(found, name), astray, getattr(again, name)) for name in OF_MEMBERS}
-    return found._replace(stopped=again.stopped, **both)
+    claimed, cost = found.claimed[astray], found.assembled.cost[astray]
+    better = np.flatnonzero(np.where(claimed & again.claimed, again.assembled.cost < cost, ~claimed))
+    first, chosen = astray[better], {}
+    if better.size:
+        chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
+    return found._replace(stopped=again.stopped, **chosen)
 
 
 class _Search:
