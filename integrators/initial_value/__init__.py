@@ -1,6 +1,7 @@
 """Initial-value problems on T*Q: one lifted step, the integrators made of it, and trajectories."""
 
 from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
+from .flow import Flow
 from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .many import integrate_many
@@ -15,6 +16,7 @@ __all__ = [
     "TRIPLE_JUMP",
     "YOSHIDA_6",
     "Composition",
+    "Flow",
     "GeodesicRetraction",
     "Integrator",
     "LiftedIntegrator",

@@ -7,10 +7,11 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
+from ...reading import one_reading
 from .integrator import Integrator
 
 if TYPE_CHECKING:
-    from .lanes import TapeSteps
+    from .lanes import TapeSteps, TracedSteps
 
 
 def tape_steps(
@@ -19,21 +20,38 @@ def tape_steps(
     """The steps on the tape, or in words why XLA computes them; raises if ``evaluator`` asks for a tape that cannot be."""
     if evaluator == "xla":
         return "it was asked for"
-    reason = _obstacle(system, integrator)
-    if not reason:
-        from ...tape import NotTraceableError
-        from ...tape.program import UnknownInstructionError
-        from .lanes import TapeSteps
+    found = traced_steps(system, integrator)
+    if isinstance(found, str):
+        if evaluator == "tape":
+            raise InvalidInputError(f"the steps cannot run on the tape: {found}; try evaluator=None")
+        return found
+    from .lanes import TapeSteps
 
-        try:
-            return TapeSteps(system, integrator, starts, step_sizes)
-        except (NotTraceableError, UnknownInstructionError) as error:
-            reason = str(error)
-        except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for what it compiles
-            reason = f"Numba is not available: {error}"
-    if evaluator == "tape":
-        raise InvalidInputError(f"the steps cannot run on the tape: {reason}; try evaluator=None")
-    return reason
+    return TapeSteps(found, starts, step_sizes)
+
+
+def traced_steps(system: Any, integrator: Integrator) -> "TracedSteps | str":
+    """The steps as programs, made once in a reading, or in words why they cannot be."""
+    key = "steps", id(system), id(integrator), str(working_precision())
+    with one_reading() as reading:  # which keeps both, so that no other objects get their numbers
+        return reading.once(key, lambda: (_traced(system, integrator), system, integrator))[0]
+
+
+def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
+    reason = _obstacle(system, integrator)
+    if reason:
+        return reason
+    from ...tape import NotTraceableError
+    from ...tape.program import UnknownInstructionError
+
+    try:
+        from .lanes import TracedSteps
+
+        return TracedSteps(system, integrator)
+    except (NotTraceableError, UnknownInstructionError) as error:
+        return str(error)
+    except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for what it compiles
+        return f"Numba is not available: {error}"
 
 
 def _obstacle(system: Any, integrator: Integrator) -> str:

@@ -14,6 +14,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.rank import is_regular, pivotal_values
+from ...reading import one_reading
 from ...retractions import CotangentLift, DiscretizationMap, Gauss
 from ..compilation import compiled
 from ..controls import resting_control
@@ -95,7 +96,13 @@ class LiftedIntegrator(Integrator):
 
 
 def check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
-    """Raise unless a function ``H(q, p)`` returns a real number."""
+    """Raise unless a function ``H(q, p)`` returns a real number; asked once in a reading."""
+    with one_reading() as reading:
+        key = "Hamiltonian", id(hamiltonian), str(jax.tree.map(jax.typeof, (q, p)))
+        reading.once(key, lambda: (_check_hamiltonian(hamiltonian, q, p), hamiltonian))
+
+
+def _check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
     require_arguments("the Hamiltonian", getattr(hamiltonian, "function", hamiltonian), "(q, p)")
     try:
         jax.eval_shape(lambda q, p: real_number("the Hamiltonian", hamiltonian(q, p)), q, p)

@@ -8,7 +8,6 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import NotTraceableError, Tape
 from ...threads import in_threads
@@ -16,34 +15,59 @@ from ..compilation import call_compiled
 from .integrator import Integrator
 from .loop import Nodes
 from .pieces import Steps
-from .programs import StepPrograms, packed, rows, step_programs, unpacked
+from .programs import packed, rows, step_programs, unpacked
 
 FEW = 6  # trajectories that are faster one after the other than on lanes side by side
 
 
 @final
-class TapeSteps(Steps):
-    """The steps of ``B`` trajectories: starts with a leading axis, step sizes of shape ``(B,)``.
+class TracedSteps:
+    """The steps of an integrator for a system, and what comes before the first of them, as programs.
 
     Raises ``NotTraceableError`` where a step cannot be written as scalar instructions.
     """
 
-    def __init__(self, system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray) -> None:
-        single, parts = integrator.substeps()
+    def __init__(self, system: Any, integrator: Integrator) -> None:
+        from . import kernels
+
+        self.kernels, self.system, (self.single, self.parts) = kernels, system, integrator.substeps()
+        ambient = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), integrator.manifold.ambient)
+        try:
+            self._first = Tape.trace(self._begun, (ambient, ambient))
+        except NotTraceableError:  # a control, say, that is found by iteration
+            self._first = None
+        begun = jax.eval_shape(self._begun, (ambient, ambient))
+        self.like = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), begun)
+        self.control = self.single.control(self.like[0])
+        self.programs = step_programs(self.single, system, *self.like, self.parts.size)
+        stage = self.single.stage(system, 1.0)
+        self.inverse = None if stage is None else stage.small_step_inverse()
+
+    def begin(self, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+        """The unknowns before the first step, points and covectors, with a leading axis."""
+        if self._first is None:
+            return jax.device_get(call_compiled(_all_begun, self.system, self.single, starts)[0])
+        last = self._first(jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), starts))
+        return jax.tree.map(lambda a: np.moveaxis(a, -1, 0), last)
+
+    def _begun(self, start: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+        return _begun(self.system, self.single, start)
+
+
+@final
+class TapeSteps(Steps):
+    """The steps of ``B`` trajectories: starts with a leading axis, step sizes of shape ``(B,)``."""
+
+    def __init__(self, traced: TracedSteps, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray) -> None:
         self.evaluator = "tape"
-        self._step_sizes, self._parts = np.array(step_sizes, float), parts
+        self._step_sizes, self._parts = np.array(step_sizes, float), traced.parts
+        self._like, self._control = traced.like, traced.control
+        unknowns, q, p = traced.begin(starts)
         count = len(step_sizes)
-        unknowns, q, p = _begin(system, single, starts)
-        self._like = vec.entries((unknowns, q, p), 0)
-        self._control = single.control(self._like[0])
-        y, q0, p0 = self._like
-        self._programs = step_programs(single, system, y, q0, p0, parts.size)
-        controls = packed(single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
-        self._carry = np.ascontiguousarray(np.concatenate([packed((unknowns, q, p)), *[controls] * parts.size]))
+        controls = packed(traced.single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
+        self._carry = np.ascontiguousarray(np.concatenate([packed((unknowns, q, p)), *[controls] * self._parts.size]))
         self._failed = np.full(count, -1)
-        stage = single.stage(system, 1.0)
-        inverse = None if stage is None else stage.small_step_inverse()
-        self._workspace = _Workspace(self._programs, count, parts.size, inverse)
+        self._workspace = _Workspace(traced, count)
 
     def kept(self) -> np.ndarray:
         return self._carry[rows(self._like[0]) :].copy()
@@ -67,16 +91,6 @@ class TapeSteps(Steps):
         return Nodes(points, covectors, each)
 
 
-def _begin(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
-    """The unknowns before the first step, points and covectors, with a leading axis."""
-    try:
-        tape = Tape.trace(partial(_begun, system, integrator), vec.entries(starts, 0))
-    except NotTraceableError:  # a control, say, that is found by iteration
-        return jax.device_get(call_compiled(_all_begun, system, integrator, starts)[0])
-    last = tape(jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), starts))
-    return jax.tree.map(lambda a: np.moveaxis(a, -1, 0), last)
-
-
 def _begun(system: Any, integrator: Integrator, start: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
     q, p = start[0], integrator.manifold.projection(*start)
     return integrator.begin(system, q, p), q, p
@@ -89,9 +103,8 @@ def _all_begun(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambie
 class _Workspace:
     """Programs and memory of the compiled loops."""
 
-    def __init__(self, programs: StepPrograms, count: int, substeps: int, inverse: np.ndarray | None) -> None:
-        from . import kernels
-
+    def __init__(self, traced: TracedSteps, count: int) -> None:
+        kernels, programs, substeps, inverse = traced.kernels, traced.programs, traced.parts.size, traced.inverse
         lanes = 1 if count <= FEW else kernels.LANES
         blocks, m = -(-count // lanes), programs.unknowns
         lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places

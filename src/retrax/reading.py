@@ -15,6 +15,7 @@ from jax._src.interpreters import partial_eval
 
 P = ParamSpec("P")
 R = TypeVar("R")
+T = TypeVar("T")
 
 _context = jax.make_user_context(None)  # a part of the keys of JAX's caches, of value None wherever a user traces
 
@@ -33,6 +34,12 @@ class Reading:
         with _context(self._mark):
             return jax.make_jaxpr(lambda *arguments: function(*arguments))(*examples)
 
+    def once(self, key: Hashable, find: Callable[[], T]) -> T:
+        """What is found out by ``find``, the first time in this reading."""
+        if key not in self.known:
+            self.known[key] = find()
+        return self.known[key]
+
     def end(self) -> None:
         """Release the traces: JAX keeps those of functions that live on, as its own under ``jit``, without bound.
 
@@ -50,6 +57,16 @@ _current: ContextVar[Reading | None] = ContextVar("retrax_reading", default=None
 
 
 @contextmanager
+def resumed(reading: Reading) -> Iterator[Reading]:
+    """A reading that somebody holds, and that goes on."""
+    token = _current.set(reading)
+    try:
+        yield reading
+    finally:
+        _current.reset(token)
+
+
+@contextmanager
 def one_reading() -> Iterator[Reading]:
     """The reading that goes on, or a new one."""
     current = _current.get()
@@ -57,11 +74,10 @@ def one_reading() -> Iterator[Reading]:
         yield current
         return
     current = Reading()
-    token = _current.set(current)
     try:
-        yield current
+        with resumed(current):
+            yield current
     finally:
-        _current.reset(token)
         current.end()
 
 

@@ -1,0 +1,72 @@
+"""A system with an integrator that its user holds: traced once, then integrated from many starts."""
+
+from typing import Any, final
+from weakref import finalize
+
+from jaxtyping import ArrayLike
+
+from ...manifolds.numerics.ambient import Ambient
+from ...reading import Reading, resumed
+from ..functions import require_concrete
+from .integrator import Integrator
+from .many import integrate_many
+from .trajectory import Trajectory, check_call, integrate
+
+
+@final
+class Flow:
+    """A system with an integrator, traced once; ``integrate`` then takes the time of its steps and a few milliseconds.
+
+    ``system``, ``integrator``, ``evaluator``: as in ``retrax.integrators.integrate``, to whose trajectories those of the flow
+    are equal. The first call traces the functions, and what they read then stays as it was: for other values make another flow.
+
+    Raises ``InvalidInputError`` for what cannot be integrated, and where JAX transforms the call.
+
+    >>> flow = Flow(lambda q, p: (p @ p + q @ q) / 2, SymplecticIntegrator(Gauss(2, Exponential(Euclidean(1)))))
+    >>> [float(flow.integrate((np.ones(1), np.zeros(1)), h, 10).q[-1, 0].round(6)) for h in (0.1, 0.2)]
+    [0.540302, -0.416144]
+    """
+
+    def __init__(self, system: Any, integrator: Integrator, evaluator: str | None = None) -> None:
+        check_call(integrator, 1, 1, evaluator)
+        require_concrete("Flow", system, integrator)
+        self.system, self.integrator = system, integrator
+        self._evaluator, self._reading = evaluator, Reading()
+        finalize(self, self._reading.end)
+
+    def __repr__(self) -> str:
+        return f"Flow({type(self.integrator).__name__} on {self.integrator.manifold})"
+
+    def integrate(
+        self,
+        start: tuple[Ambient, Ambient],
+        step_size: float,
+        steps: int,
+        save_every: int = 1,
+        throw: bool = True,
+        verbose: bool = False,
+    ) -> Trajectory:
+        """``retrax.integrators.integrate`` from ``start = (q0, p0)``: the same arguments, values and errors.
+
+        >>> str(Flow(lambda q, p: p @ p / 2, SymplecticIntegrator(Gauss(1, Cayley(SO(3))))))
+        'Flow(SymplecticIntegrator on SO(3))'
+        """
+        require_concrete("Flow.integrate", start, step_size)
+        with resumed(self._reading):
+            return integrate(self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose)
+
+    def integrate_many(
+        self,
+        starts: tuple[Ambient, Ambient],
+        step_sizes: ArrayLike,
+        steps: int,
+        save_every: int = 1,
+        verbose: bool = False,
+    ) -> Trajectory:
+        """``retrax.integrators.integrate_many`` from starts with a leading axis: the same arguments, values and errors.
+
+        >>> Flow.integrate_many.__name__
+        'integrate_many'
+        """
+        with resumed(self._reading):
+            return integrate_many(self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose)
