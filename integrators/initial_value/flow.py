@@ -23,8 +23,8 @@ class Flow:
     Raises ``InvalidInputError`` for what cannot be integrated, and where JAX transforms the call.
 
     >>> flow = Flow(lambda q, p: (p @ p + q @ q) / 2, SymplecticIntegrator(Gauss(2, Exponential(Euclidean(1)))))
-    >>> [float(flow.integrate((np.ones(1), np.zeros(1)), h, 10).q[-1, 0].round(6)) for h in (0.1, 0.2)]
-    [0.540302, -0.416144]
+    >>> [float(flow.integrate((np.ones(1), np.zeros(1)), h, 10).q[-1, 0].round(4)) for h in (0.1, 0.2)]
+    [0.5403, -0.4161]
     """
 
     def __init__(self, system: Any, integrator: Integrator, evaluator: str | None = None) -> None:

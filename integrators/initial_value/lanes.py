@@ -39,7 +39,8 @@ class TracedSteps:
         begun = jax.eval_shape(self._begun, (ambient, ambient))
         self.like = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), begun)
         self.control = self.single.control(self.like[0])
-        self.programs = step_programs(self.single, system, *self.like, self.parts.size)
+        y, q, p = self.like
+        self.programs = step_programs(self.single, system, y, q, p, self.parts.size)
         stage = self.single.stage(system, 1.0)
         self.inverse = None if stage is None else stage.small_step_inverse()
 
