@@ -21,11 +21,17 @@ WAVES = 3  # half periods in the horizon, and less
 
 
 def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
-    """Whether Newton's step leads a member far off, and all that the linearised constraints allow; or ends are opposite."""
+    """Whether Newton's step leads far off to no avail, and all that the linearised constraints allow; or ends are opposite.
+
+    Arrays of several units, a length and a speed, may be moved far in the unit of one of them where nothing is amiss.
+    """
     lost = _is_far(conditions, assembled, step)
     if lost.any():
         least, _, _ = conditions.eliminate(iterate, assembled, np.full(len(lost), STIFF))
         lost &= _is_far(conditions, assembled, least)
+        there = conditions.move(iterate, assembled, step, np.ones(len(lost)))
+        lacking = (conditions.infeasibility(i, a) for i, a in ((there, conditions.assemble(there)), (iterate, assembled)))
+        lost &= ~np.less(*lacking)
     asked, gap = (
         np.linalg.norm(found / conditions.measured.nodes[:, None], axis=2) for found in (assembled.asked, assembled.gap)
     )
