@@ -113,6 +113,7 @@ TURNING = OptimalControlProblem(SO3, lambda q, u: q @ hat(u), lambda q, u: u @ (
 
 
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_the_kinematic_control_problem_is_the_free_rigid_body(seed):
     """``R' = R hat(u)`` at the cost ``u . J u / 2``: its controls are the body's stage rates."""
     body, h = free_top(seed)

@@ -43,6 +43,7 @@ SEEDS = pytest.mark.parametrize("seeds", [(0,), pytest.param((1, 2), marks=pytes
 
 @SEEDS
 @pytest.mark.parametrize("name", REGULAR_EQUATIONS)
+@pytest.mark.usual("academic-seeds0", "gauge-seeds0")
 def test_known_answers_from_every_start_and_at_every_scale(name, seeds):
     answer = known(name)
     for factors, seed in product(SCALES, seeds):
@@ -59,6 +60,7 @@ def test_known_answers_from_every_start_and_at_every_scale(name, seeds):
 
 @SEEDS
 @pytest.mark.parametrize("name", EMPTY)
+@pytest.mark.usual("linear cost-seeds0")
 def test_contradictory_conditions_are_said_to_be_empty(name, seeds):
     for factors, seed in product(SCALES, seeds):
         c = classified(name, factors, seed)
@@ -205,6 +207,7 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         ("dummy control", (0, 0), (), (0, None)),
     ],
 )
+@pytest.mark.long("sphere-classes8-names8-determined_at8")
 def test_classes_levels_and_controls(name, classes, names, determined_at):
     c = classified(name)
     assert (c.first_class, c.second_class) == classes
