@@ -103,6 +103,7 @@ def test_the_free_rigid_body_conserves_spatial_momentum_and_its_size(seed):
 
 
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_the_free_rigid_body_turns_back_when_time_does(seed):
     there, h = free_top(seed)
     back = spin((there.q[-1], there.p[-1]), -h)
