@@ -32,6 +32,24 @@ def pytest_configure(config):
         jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir(KERNELS)))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
+    config.addinivalue_line("markers", "usual(*cases): of the cases of this test these are run by default, the others are slow")
+    config.addinivalue_line("markers", "long(*cases): of the cases of this test these are slow")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_pycollect_makeitem():
+    """Mark the cases of a test that are not its usual ones as slow."""
+    made = yield
+    for marker in made[0].iter_markers() if made and isinstance(made, list) else ():
+        if marker.name in ("usual", "long"):
+            named = [item for item in made if item.callspec.id in marker.args]
+            if len(named) != len(marker.args):
+                cases = [item.callspec.id for item in made]
+                raise pytest.UsageError(f"{made[0].originalname} has no cases {marker.args}; it has {cases}")
+            for item in [item for item in made if (item in named) == (marker.name == "long")]:
+                item.add_marker(pytest.mark.slow)
+    return made
+
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):

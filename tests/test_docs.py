@@ -14,6 +14,7 @@ from retrax import retractions
 ROOT = Path(__file__).parents[1]
 SLOW = (
     "README.md",
+    "conformance.md",
     "conventions.md",
     "dirac.md",
     "from_casadi.md",
@@ -24,6 +25,7 @@ SLOW = (
     "own_manifold.md",
     "paper.md",
     "pictures.md",
+    "problems.md",
     "singular.md",
     "sweeps.md",
 )

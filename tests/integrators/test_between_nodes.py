@@ -94,6 +94,7 @@ def fine():
 
 
 @pytest.mark.parametrize(("name", "method"), often(("S^2", "midpoint"), ("S^2", "3 stages"), ("SO(3) x R^3", "2 stages")))
+@pytest.mark.usual("S^2-3 stages", "S^2-midpoint")
 def test_orders_between_the_nodes(fine, name, method):
     make, steps, (order, of_controls) = METHODS[method]
     exact = fine(name)
@@ -105,6 +106,7 @@ def test_orders_between_the_nodes(fine, name, method):
 
 
 @pytest.mark.parametrize(("name", "method"), often(("S^2, controls on S^2", "3 stages"), ("SO(3) x R^3", "theta")))
+@pytest.mark.usual("S^2, controls on S^2-3 stages")
 def test_states_and_costates_meet_at_the_nodes_and_all_is_that_of_the_stages(name, method):
     """To rounding from both sides, also in steps of very unequal lengths; states are on the manifold everywhere."""
     subject = SUBJECTS[name]

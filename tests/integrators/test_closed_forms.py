@@ -103,6 +103,7 @@ def test_the_free_rigid_body_conserves_spatial_momentum_and_its_size(seed):
 
 
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_the_free_rigid_body_turns_back_when_time_does(seed):
     there, h = free_top(seed)
     back = spin((there.q[-1], there.p[-1]), -h)
@@ -113,6 +114,7 @@ TURNING = OptimalControlProblem(SO3, lambda q, u: q @ hat(u), lambda q, u: u @ (
 
 
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_the_kinematic_control_problem_is_the_free_rigid_body(seed):
     """``R' = R hat(u)`` at the cost ``u . J u / 2``: its controls are the body's stage rates."""
     body, h = free_top(seed)

@@ -65,6 +65,7 @@ def arc(angle):
     ],
     ids=["swing-up", "slew"],
 )
+@pytest.mark.slow
 def test_a_hard_problem_is_reached_from_an_easy_one(solver, path):
     solver, seen = solver(), []
     found = continuation(solver, path, callback=lambda place, solution: seen.append((place, solution)))

@@ -142,11 +142,13 @@ def runs(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.usual("nodes", "Suzuki")
 def test_order(name):
     assert slope(1 / COUNTS, runs(name)[0], 1e-13) == pytest.approx(METHODS[name][1], abs=0.05)
 
 
 @pytest.mark.parametrize("name", ["nodes", "Suzuki"])
+@pytest.mark.usual("nodes")
 def test_multipliers_are_of_order_two_at_their_times(name):
     """``lambda = p_z' = z''``, of each step, and of each substep of a composition at its own time."""
     errors = []
@@ -179,6 +181,7 @@ def test_steps_are_reversible():
     assert vec.size(vec.subtract(back, START)) <= 1e-13
 
 
+@pytest.mark.slow
 def test_the_form_changes_at_first_order_in_the_step():
     """The flow of a nonholonomic system is not symplectic: ``(F_h^* omega - omega) / h`` on the constraints has a limit."""
     bundle = CotangentBundle(R3)
@@ -237,6 +240,7 @@ class Pair(eqx.Module):
 
 
 @pytest.mark.parametrize("unit", 10.0 ** np.arange(-12, 13, 6))
+@pytest.mark.usual("1e-12", "1.0", "1000000000000.0")
 def test_forms_are_independent_whatever_their_units(unit):
     for angle in (np.pi / 2, 1.0, 1e-2, 1e-4, 1e-6, 0.0):
         system = DiracSystem(R3, kinetic_energy, Pair(jnp.asarray(angle), jnp.asarray(unit)).forms)

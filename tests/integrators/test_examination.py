@@ -44,6 +44,7 @@ def test_an_iteration_that_was_stopped_is_said_to_be_stopped(height):
 CART = LINE * LINE
 WALLS = {"wall": lambda q, u: -q[0], "speed": lambda q, u: q[1] - 9}
 WALL = OptimalControlProblem(CART, lambda q, u: (q[1], u), lambda q, u: u @ u / 2, 1, constraints=WALLS)
+BY_THE_WALL = Solver(WALL, Midpoint(default_retraction(CART)), 10)
 
 
 @pytest.mark.parametrize("place", [-0.1, -1e-3, -1e-6, 0.0, 1e-6, 1e-3, 0.1])
@@ -51,11 +52,10 @@ WALL = OptimalControlProblem(CART, lambda q, u: (q[1], u), lambda q, u: u @ u / 
 def test_what_is_prescribed_of_an_end_is_where_constraints_hold(place, velocity):
     """A start behind the wall with a free velocity too; one phase, and the end."""
     behind, ahead = (np.array([place]), velocity), (np.ones(1), np.array([0.5]))
-    method = Midpoint(default_retraction(CART))
-    found = Solver(WALL, method, 10).solve(behind, ahead, 1.0, throw=False)
+    found = BY_THE_WALL.solve(behind, ahead, 1.0, throw=False)
     assert found.success == (place >= 0)
     assert ("The start violates wall" in found.result) == (place < 0)
-    back = Solver(WALL, method, 10).solve(ahead, (behind[0], None if velocity is None else -velocity), 1.0, throw=False)
+    back = BY_THE_WALL.solve(ahead, (behind[0], None if velocity is None else -velocity), 1.0, throw=False)
     assert back.success == (place >= 0)
-    phases = solve_phases([Phase(WALL, method, 10, start=behind, end=ahead, duration=1.0)], throw=False)
+    phases = solve_phases([Phase(WALL, BY_THE_WALL.method, 10, start=behind, end=ahead, duration=1.0)], throw=False)
     assert phases.success == (place >= 0)

@@ -25,6 +25,7 @@ def timed_effort(q, u):
 
 
 QUICK = OptimalControlProblem(PLANE, cart, timed_effort, 1)
+QUICKLY = Solver(QUICK, GAUSS, 6)
 T_BEST = 18**0.25  # of T + 6 / T^3
 
 
@@ -38,7 +39,7 @@ def assert_same_extremal(found, other, tolerance=1e-9):
 
 def test_a_free_horizon_is_found_from_far_above_and_below():
     """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``; two points a step integrate it exactly."""
-    solver = Solver(QUICK, GAUSS, 6)
+    solver = QUICKLY
     for guess in (0.02 * T_BEST, 0.3 * T_BEST, T_BEST, 5 * T_BEST, 100 * T_BEST):
         found = solver.solve(REST, AHEAD, Free(guess))
         assert found.horizon == pytest.approx(T_BEST, rel=1e-11)
@@ -78,6 +79,7 @@ METHODS = {
 
 
 @pytest.mark.parametrize("name", METHODS)
+@pytest.mark.usual("Gauss", "midpoint")
 def test_the_record_is_that_of_the_problem_with_the_horizon_that_was_found(name):
     """By every method the steps are those of the problem itself, so that only the horizon is new."""
     slew = OptimalControlProblem(BODY, turning, lambda q, u: 1 + u @ u / 2, 3)
@@ -161,7 +163,7 @@ def test_the_time_of_a_free_horizon_ends_with_it():
 def test_a_guess_and_a_solution_are_taken():
     places = (np.repeat(np.arange(6), 2) + np.tile(GAUSS.nodes, 6)) / 6
     guess = Guess(np.stack([places, np.ones(12)], axis=1), np.zeros((12, 1)))
-    solver = Solver(QUICK, GAUSS, 6)
+    solver = QUICKLY
     found = solver.solve(REST, AHEAD, Free(1.0), guess=guess)
     assert found.horizon == pytest.approx(T_BEST, rel=1e-11)
     again = solver.solve(REST, AHEAD, Free(found.horizon), guess=found)
@@ -172,7 +174,7 @@ def test_a_guess_and_a_solution_are_taken():
 
 
 def test_a_batch_is_solved_at_once():
-    solver, ends = Solver(QUICK, GAUSS, 6), np.array([[0.5, 0.0], [1.0, 0.0], [3.0, 0.0]])
+    solver, ends = QUICKLY, np.array([[0.5, 0.0], [1.0, 0.0], [3.0, 0.0]])
     many = solver.solve_many(REST, ends, Free(np.array([1.0, 2.0, 3.0])))
     for k, found in enumerate(many):
         assert found.horizon == pytest.approx((18 * ends[k, 0] ** 2) ** 0.25, rel=1e-10)
@@ -187,7 +189,7 @@ def test_a_batch_is_solved_at_once():
 
 def test_derivatives_of_what_was_found():
     """``T^4 = 18 L^2``, so that the cost ``4 T / 3`` has the derivative ``2 T / (3 L)`` by the distance, minus the costate."""
-    solver = Solver(QUICK, GAUSS, 6)
+    solver = QUICKLY
     found = solver.solve(REST, AHEAD, Free(1.0))
     by = solver.sensitivity(found)
     assert by.horizon is None
@@ -310,7 +312,7 @@ def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, s
     bound, other = share * T_BEST, share < 1
     holds = other if side == "upper" else not other
     horizon = Free(0.8 * bound, upper=bound) if side == "upper" else Free(1.2 * bound, lower=bound)
-    found = solve(QUICK, GAUSS, REST, AHEAD, horizon, 6)
+    found = QUICKLY.solve(REST, AHEAD, horizon)
     assert found.horizon == pytest.approx(bound if holds else T_BEST, rel=1e-8)
     weight = (found.times[1] - found.times[0]) / 2
     expected = abs(1 - 18 / bound**4) if holds else 0.0

@@ -100,6 +100,7 @@ def spun(x: np.ndarray, v: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("name", ["sphere", "rotations", "symmetric top", "cone"])
 @settings(max_examples=4)
 @given(seed=SEEDS)
+@pytest.mark.usual("sphere", "cone")
 def test_geodesics_are_exponentials_to_order_four(name, seed):
     # Unit time in 4 steps of order 4: the error is proportional to the fifth power of the length.
     facts = facts_at(name, seed)
@@ -110,6 +111,7 @@ def test_geodesics_are_exponentials_to_order_four(name, seed):
     np.testing.assert_allclose(max(map(np.max, facts["violations"].values())), 0, atol=1e-14)
 
 
+@pytest.mark.slow
 def test_the_energy_of_geodesics_of_an_ellipsoid_is_conserved_to_order_four():
     """The worst of ten geodesics: on a single one a coefficient may vanish at or between two lengths."""
     facts = [facts_at("ellipsoid", seed) for seed in range(10)]

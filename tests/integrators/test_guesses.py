@@ -72,6 +72,7 @@ def hung(q, u):
 
 
 @pytest.mark.parametrize("rate", [0.0, 1e-300, *10.0 ** np.arange(-20, 1, 4)])
+@pytest.mark.usual("0.0", "1e-16", "1e-08")
 def test_rounding_of_a_guess_at_rest_measures_nothing(rate):
     """At ``sin(pi) = 1e-16`` a pendulum moves by rounding; so do those of guesses that hardly move."""
     plane = Euclidean(2)

@@ -39,6 +39,7 @@ def test_the_kinematic_slew_has_the_constant_body_covector_angle_times_axis(step
 
 
 @given(seed=SEEDS)
+@pytest.mark.slow
 def test_a_kinematic_slew_anywhere_costs_half_the_square_of_its_angle(seed):
     rng = np.random.default_rng(seed)
     start, axis, angle = rotation(rng.standard_normal(3)), rng.standard_normal(3), rng.uniform(0.1, 3.0)

@@ -121,6 +121,7 @@ def kernel(name: str) -> Callable:
 
 @on_every_problem
 @random_steps
+@pytest.mark.usual("heading on a sphere")
 def test_a_step_lies_in_the_lagrangian_submanifold_of_the_problem(name, seed, h):
     facts = kernel(name)(seed, h)
     assert facts["converged"]

@@ -108,6 +108,7 @@ def assert_derivative(found, place, solutions, what, tolerance=1e-8):
 
 
 @pytest.mark.parametrize("name", [n if n in OFTEN else pytest.param(n, marks=pytest.mark.slow) for n in SUBJECTS])
+@pytest.mark.usual("cart", "caught cart", "theta", "sphere by Gauss")
 def test_derivatives_are_those_of_differences(name):
     problem, method, steps, start, end = SUBJECTS[name]
     manifold, solver = problem.manifold, Solver(problem, method, steps)

@@ -251,6 +251,7 @@ EVALUATED = {
 @pytest.mark.parametrize(
     ("name", "stages"), [("S2", 1), ("SO3*R3", 1), ("S2", 2), pytest.param("SO3*R3", 2, marks=pytest.mark.slow)]
 )
+@pytest.mark.usual("S2-1", "S2-2")
 def test_both_evaluators_give_the_same_numbers(name, stages):
     problem, retraction, start, end = EVALUATED[name]
     method = Midpoint(retraction) if stages == 1 else Gauss(stages, retraction)

@@ -64,6 +64,7 @@ def start_of(method, size=0.5) -> tuple:
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES])
+@pytest.mark.usual("rotations", "optimal control", "plane, backward Euler")
 def test_the_tape_computes_the_numbers_of_xla(name):
     """Relative to the size of the numbers, over steps enough for each Jacobian to grow old."""
     system, method = CASES[name]
@@ -78,6 +79,7 @@ def test_the_tape_computes_the_numbers_of_xla(name):
 
 
 @pytest.mark.parametrize("name", ["sphere", "rotations", "optimal control"])
+@pytest.mark.usual("rotations", "optimal control")
 def test_both_fail_at_the_same_step_or_both_succeed(name):
     """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as another."""
     system, method = CASES[name]

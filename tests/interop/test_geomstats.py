@@ -206,6 +206,7 @@ def test_a_logarithm_without_a_value_is_refused():
             call(np.stack([x[1], -x[1]]), x)
 
 
+@pytest.mark.slow
 def test_the_mean_of_matrices_of_determinant_one():
     space, x = to_geomstats(SL(2)), np.array([[1.0, 0.5], [0.2, 1.1]])
     v = space.to_tangent(np.array([[0.7, -0.6], [0.3, 0.2]]), x)

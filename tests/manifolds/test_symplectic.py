@@ -82,6 +82,7 @@ def triple_facts(base: str, seed: int) -> dict:
 
 @every_base
 @given(seed=SEEDS)
+@pytest.mark.long("ellipsoid")
 def test_alpha_is_symplectic(base, seed):
     facts = triple_facts(base, seed)
     assert norm(facts["d_T omega"]) > 0.1

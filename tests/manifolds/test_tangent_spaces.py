@@ -49,6 +49,7 @@ def test_dimension(name: str, dimension: int) -> None:
 
 
 @pytest.mark.parametrize("name", MANIFOLDS)
+@pytest.mark.long("S4", "SO2", "SO4", "U3", "SU3", "SL2", "SL3", "SO3*R3", "TSO3", "St33", "Gr31", "rank1-3x3", "curve")
 def test_is_a_manifold(name, seeds):
     check = check_lie_group if isinstance(MANIFOLDS[name], MatrixLieGroup) else check_manifold
     check(MANIFOLDS[name], seeds=seeds, tolerance=1e-13)

@@ -80,6 +80,7 @@ def test_the_logarithm_of_the_hyperboloid_from_far_out_is_no_error(distance):
     assert float(size) == pytest.approx(distance, abs=1e-13 * np.exp(2 * distance))
 
 
+@pytest.mark.slow
 def test_the_canonical_logarithm_of_square_frames_is_that_of_rotations():
     frames = Stiefel(3, 3)
     exponential, x = StiefelCanonicalExponential(frames), frames.random_point(jax.random.key(0))

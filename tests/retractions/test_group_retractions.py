@@ -69,6 +69,7 @@ def facts_at(name: str, seed: int, length: float) -> dict:
 
 @pytest.mark.parametrize("name", GROUPS)
 @given(seed=SEEDS, length=LENGTHS)
+@pytest.mark.usual("SL2", "SE3", "SU3")
 def test_exponential_and_logarithm_are_those_of_scipy(name, seed, length):
     facts = facts_at(name, seed, length)
     np.testing.assert_allclose(facts["exp"], scipy.linalg.expm(facts["a"]), atol=1e-13)

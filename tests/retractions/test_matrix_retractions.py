@@ -213,6 +213,7 @@ def _inverse_along_curves(name):
 )
 @given(seed=SEEDS, fraction=FRACTIONS)
 @example(seed=0, fraction=0.0)
+@pytest.mark.usual("Stiefel polar")
 def test_inverses_have_their_derivatives_at_zero_too(name, seed, fraction):
     manifold, rng = INVERSES[name].manifold, np.random.default_rng(seed)
     x, _, basis = draw_point(manifold, seed)

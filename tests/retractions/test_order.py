@@ -69,6 +69,7 @@ ORDERS = {
 
 
 @pytest.mark.parametrize("name", ORDERS)
+@pytest.mark.long("correction of a product", "corrected softmax and projection")
 def test_the_order_is_measured(name):
     retraction, expected = ORDERS[name]
     measured = order(retraction)
@@ -78,12 +79,14 @@ def test_the_order_is_measured(name):
 
 
 @pytest.mark.parametrize("name", ["projection-H2", "quadratic-SPD2", "cayley-St42"])
+@pytest.mark.usual("projection-H2")
 def test_order_two_belongs_to_a_metric(name):
     assert order(RETRACTIONS[name]).order == 1
     measured = order(RETRACTIONS[name], METRICS[name])
     assert measured.order == 2, measured
 
 
+@pytest.mark.slow
 def test_a_retraction_is_corrected_for_any_metric():
     retraction, lorentz = Upright(Hyperbolic(2)), LorentzMetric(Hyperbolic(2))
     assert order(retraction, lorentz).order == 1

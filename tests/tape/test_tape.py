@@ -74,6 +74,7 @@ def test_without_numba_the_values_are_the_same_and_a_warning_says_why(monkeypatc
 
 
 @pytest.mark.parametrize("name", REMARKABLE)
+@pytest.mark.usual("projection of S2", "exponential of SO(3)", "Cayley of SE(3)")
 def test_retractions_of_closed_form(name):
     retraction = REMARKABLE[name]
     manifold = retraction.manifold

@@ -43,6 +43,7 @@ SEEDS = pytest.mark.parametrize("seeds", [(0,), pytest.param((1, 2), marks=pytes
 
 @SEEDS
 @pytest.mark.parametrize("name", REGULAR_EQUATIONS)
+@pytest.mark.usual("academic-seeds0")
 def test_known_answers_from_every_start_and_at_every_scale(name, seeds):
     answer = known(name)
     for factors, seed in product(SCALES, seeds):
@@ -59,6 +60,7 @@ def test_known_answers_from_every_start_and_at_every_scale(name, seeds):
 
 @SEEDS
 @pytest.mark.parametrize("name", EMPTY)
+@pytest.mark.slow
 def test_contradictory_conditions_are_said_to_be_empty(name, seeds):
     for factors, seed in product(SCALES, seeds):
         c = classified(name, factors, seed)
@@ -139,6 +141,7 @@ def test_one_of_several_pieces_is_chosen():
 
 
 @SEEDS
+@pytest.mark.slow
 def test_irregular_equations_are_flagged(seeds):
     for factors, seed in product(SCALES, seeds):
         c = classified("irregular", factors, seed)
@@ -165,6 +168,7 @@ def test_nothing_is_built_on_equations_that_are_irregular():
             build()
 
 
+@pytest.mark.slow
 def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
     """``x' = u1``, ``y' = x u2``, cost ``u1^2/2``: ``p2 x = 0``, of which the piece ``p2 = 0`` is primary from most starts."""
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), lambda q, u: u[0] ** 2 / 2, 2)
@@ -205,6 +209,7 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         ("dummy control", (0, 0), (), (0, None)),
     ],
 )
+@pytest.mark.long("sphere-classes8-names8-determined_at8")
 def test_classes_levels_and_controls(name, classes, names, determined_at):
     c = classified(name)
     assert (c.first_class, c.second_class) == classes

@@ -37,6 +37,7 @@ def _walk(manifold, key):
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.usual("academic")
 def test_the_final_manifold_has_points_tangents_and_a_retraction(name):
     manifold = classified(name).manifold
     x, v, ends, gaps, near, back = _walk(manifold, jax.random.key(5))
@@ -62,6 +63,7 @@ def _controls(classification, key):
 
 
 @pytest.mark.parametrize(("name", "derivative"), [("academic", [-1.0, 0, 1, 0]), ("aly-chan", [-1.0, 0, 0, 0])])
+@pytest.mark.usual("academic-derivative0")
 def test_determined_controls_are_functions_of_state_and_costate(name, derivative):
     c = classified(name)
     for seed in range(3):
@@ -86,6 +88,7 @@ def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
 
 @pytest.mark.parametrize("name", ["academic", "sphere"])
 @pytest.mark.parametrize("made", [L_H, S_H])
+@pytest.mark.usual("L_H-academic", "S_H-academic")
 def test_the_necessary_conditions_are_lagrangian(name, made):
     submanifold = made(known(name).problem)
     n = known(name).problem.manifold.dimension

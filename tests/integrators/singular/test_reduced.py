@@ -148,6 +148,7 @@ def chart_facts(name: str) -> Callable:
 
 
 @pytest.mark.parametrize("name", ["aly-chan", *LARGE])
+@pytest.mark.slow
 def test_the_final_manifold_is_a_cotangent_bundle_in_the_reduced_coordinates(name):
     assert len(chain_of(name).reductions) == PROBLEMS[name][2]
     for seed in range(5):

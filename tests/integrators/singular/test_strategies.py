@@ -161,6 +161,7 @@ def test_rattle_is_of_order_two_through_another_retraction():
     assert measured_order("sphere", (method,), 2) == pytest.approx(2, abs=0.05)
 
 
+@pytest.mark.slow
 def test_steps_of_the_paper_s_definition_do_not_compose_on_a_curved_final_manifold():
     """``(z, z') = R_d^{T*}(h V)`` with ``V`` in ``S_f``: its ends leave ``P_f`` by ``O(h^2)``, and no step begins at ``z'``.
 

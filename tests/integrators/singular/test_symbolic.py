@@ -54,6 +54,7 @@ def assert_same_levels(exact, numeric):
 
 
 @pytest.mark.parametrize("name", EUCLIDEAN)
+@pytest.mark.long("curved arc", "chain of 2", "brown")
 def test_exact_and_numeric_answers_agree(name):
     exact, numeric = symbolic(name), classified(name)
     assert exact.family == numeric.morse.family
@@ -69,6 +70,7 @@ def test_exact_and_numeric_answers_agree(name):
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5])
+@pytest.mark.usual("0.0")
 def test_exact_and_numeric_pieces_agree(bend):
     exact, numeric = classify(martinet(bend), symbolic=True), classify(martinet(bend))
     assert signatures(exact) == [(2, 0, 4), (3, 1, 2)]
