@@ -315,8 +315,6 @@ class OptimalControlProblem(eqx.Module):
                 f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
-        require_no_jumps(self, q, u, covectors)
-        require_true_derivatives(self, q, u)
         return self._is_regular(probed, q, u, directions, covectors)
 
     def require_no_kink(self, q: Ambient) -> None:
@@ -359,7 +357,9 @@ class OptimalControlProblem(eqx.Module):
             raise InvalidInputError(failure_words(self, error, q, u)) from error
 
     def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
-        """Whether a second derivative by the controls is invertible; raises if it is not because of a kink."""
+        """Whether a second derivative by the controls is invertible; raises if it is not because of a kink, and for jumps."""
+        require_no_jumps(self, q, u, covectors)
+        require_true_derivatives(self, q, u)
         found = flats(probed, directions)
         if not all(found):
             return True

@@ -17,6 +17,10 @@ class Result(eqx.Enumeration):
         "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or another "
         "retraction if the motion of one step leaves its domain."
     )
+    jump = (
+        "The Hamiltonian jumps where the trajectory passes, and no derivative tells of the jump: the momenta jump with it, and "
+        "those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of a step."
+    )
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
     too_many_iterations = (

@@ -33,7 +33,7 @@ SETTLED, LASTS = 0.1, 2  # difference quotients over neighbouring spans that cha
 BASES = 3
 
 
-class _Line(NamedTuple):
+class Line(NamedTuple):
     """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives there."""
 
     below: Array
@@ -46,8 +46,7 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
 
     Only functions that have rules of their own for derivatives, or stop some, are looked at.
     """
-    rules = (MADE_BY.get(equation.primitive.name) for equation in dependent(partial(_values, problem), q, u))
-    found = list(dict.fromkeys(filter(None, rules)))
+    found = own_rules(partial(_values, problem), q, u)
     if not found:
         return
     draw = np.random.default_rng(0).standard_normal
@@ -55,7 +54,7 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
     lines: Any = jax.tree.map(np.asarray, call_compiled(_lines, problem, q, u, *moves, SPANS.astype(working_precision()))[0])
     names = _names(problem, q)
     for about, line in zip(("states", "controls"), lines, strict=True):
-        wrong = np.median([_missed(*(part[k] for part in line)) for k in range(BASES)], axis=0)
+        wrong = usually_missed(line)
         worst = int(np.argmax(wrong))
         if wrong[worst] > 0:
             raise InvalidInputError(
@@ -64,6 +63,17 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
                 "values, because dH/du = 0 and the costates are made of them; try it without, or a rule that agrees with the "
                 "values"
             )
+
+
+def own_rules(function: Any, *arguments: Any) -> list[str]:
+    """What a function computes from its arguments that has a rule of its own for derivatives, or none, each once."""
+    rules = (MADE_BY.get(equation.primitive.name) for equation in dependent(function, *arguments))
+    return list(dict.fromkeys(filter(None, rules)))
+
+
+def usually_missed(line: Any) -> np.ndarray:
+    """Of each function the share of its change that is not in its derivative, the middle one of those along several lines."""
+    return np.median([_missed(*(part[k] for part in line)) for k in range(BASES)], axis=0)
 
 
 def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -88,30 +98,30 @@ def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndar
 
 def _lines(
     problem: "OptimalControlProblem", q: Ambient, u: Ambient, ways: Array, turns: Array, spans: Array
-) -> tuple[_Line, _Line]:
+) -> tuple[Line, Line]:
     """Lines through several points near a state and a control, along which the one and the other moves."""
 
-    def one(way: Array, turn: Array) -> tuple[_Line, _Line]:
+    def one(way: Array, turn: Array) -> tuple[Line, Line]:
         retraction, steered = default_retraction(problem.manifold), default_retraction(problem.controls)
-        base, control = _near(retraction, q, MOVE * way[0]), _near(steered, u, MOVE * turn[0])
+        base, control = near(retraction, q, MOVE * way[0]), near(steered, u, MOVE * turn[0])
 
         def by_state(s: Array) -> Array:
-            return _values(problem, _near(retraction, base, s * way[1]), control)
+            return _values(problem, near(retraction, base, s * way[1]), control)
 
         def by_control(s: Array) -> Array:
-            return _values(problem, base, _near(steered, control, s * turn[1]))
+            return _values(problem, base, near(steered, control, s * turn[1]))
 
-        return _along(by_state, spans), _along(by_control, spans)
+        return along_line(by_state, spans), along_line(by_control, spans)
 
     return jax.vmap(one)(ways, turns)
 
 
-def _along(value: Any, spans: Array) -> _Line:
+def along_line(value: Any, spans: Array) -> Line:
     slope = jax.jvp(value, (jnp.zeros_like(spans[0]),), (jnp.ones_like(spans[0]),))[1]
-    return _Line(jax.vmap(value)(-spans), jax.vmap(value)(spans), slope)
+    return Line(jax.vmap(value)(-spans), jax.vmap(value)(spans), slope)
 
 
-def _near(retraction: Any, x: Ambient, way: Array) -> Ambient:
+def near(retraction: Any, x: Ambient, way: Array) -> Ambient:
     """The point in a direction of the chart, in units of the sizes of the coordinates."""
     frame = retraction.manifold.basis(x)
     return retraction(x, vec.combine(frame, way * jnp.maximum(vec.coordinate_sizes(frame, x), MOVE)))

@@ -14,11 +14,13 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...manifolds.numerics.root import find_root
-from ...retractions import CotangentLift
+from ...retractions import CotangentLift, Retraction
 from ..compilation import compiled
+from ..functions import real_number
 from ..initial_value import Integrator, StepResult
 from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations
+from ..initial_value.true_hamiltonian import require_true_hamiltonian
 from ..stages import HamiltonianStage
 from .system import DiracSystem, Multipliers
 
@@ -63,6 +65,13 @@ class DiracIntegrator(Integrator):
         return self.lift.discretization.manifold
 
     @property
+    def retraction(self) -> Retraction:
+        return self.lift.discretization.retraction
+
+    def energy(self, system: DiracSystem, q: Ambient, p: Ambient, control: Multipliers) -> Array:
+        return real_number("the Hamiltonian", system.hamiltonian(q, p))
+
+    @property
     def control_times(self) -> np.ndarray:
         return np.asarray(0.5)
 
@@ -72,6 +81,7 @@ class DiracIntegrator(Integrator):
         if not same_manifold(system.manifold, self.manifold):
             raise InvalidInputError(f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold")
         _check_shapes(system, q, p)
+        require_true_hamiltonian(system.hamiltonian, self.retraction, q, p)
         residual, mobility, parts = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
         if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
             raise InvalidInputError(

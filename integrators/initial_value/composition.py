@@ -6,10 +6,11 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.ambient import Ambient
+from ...retractions import Retraction
 from .integrator import Integrator
 from .step import StepResult
 
@@ -68,6 +69,13 @@ class Composition(Integrator):
         weights, inner = np.asarray(self.weights), self.integrator.control_times
         begins = (np.cumsum(weights) - weights).reshape(-1, *(1,) * inner.ndim)
         return begins + np.multiply.outer(weights, inner)
+
+    @property
+    def retraction(self) -> Retraction:
+        return self.integrator.retraction
+
+    def energy(self, system: Any, q: Ambient, p: Ambient, control: Any) -> Array | None:
+        return self.integrator.energy(system, q, p, control)
 
     def substeps(self) -> tuple[Integrator, np.ndarray]:
         inner, parts = self.integrator.substeps()

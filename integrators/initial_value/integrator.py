@@ -15,7 +15,7 @@ from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...reading import one_reading
-from ...retractions import CotangentLift, DiscretizationMap, Gauss
+from ...retractions import CotangentLift, DiscretizationMap, Gauss, Retraction, default_retraction
 from ..compilation import compiled
 from ..controls import resting_control
 from ..extremal_controls import extremal_control
@@ -26,6 +26,7 @@ from ..problem import OptimalControlProblem
 from ..stages import ControlStage, GaussStage, GaussUnknowns, HamiltonianStage, Stage
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
+from .true_hamiltonian import require_true_hamiltonian
 
 
 class Integrator(eqx.Module):
@@ -69,6 +70,15 @@ class Integrator(eqx.Module):
         """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of ``control``."""
         return self, np.ones(())
 
+    @property
+    def retraction(self) -> Retraction:
+        """A retraction of Q, in whose charts what is between two states is looked at."""
+        return default_retraction(self.manifold)
+
+    def energy(self, system: Any, q: Ambient, p: Ambient, control: Any) -> Array | None:
+        """The Hamiltonian of ``system``, with a control where it has one, which must not jump; None where there is none."""
+        return None
+
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without an end."""
         return ""
@@ -89,6 +99,10 @@ class LiftedIntegrator(Integrator):
     @property
     def manifold(self) -> Manifold:
         return self.lift.discretization.manifold
+
+    @property
+    def retraction(self) -> Retraction:
+        return self.lift.discretization.retraction
 
     @property
     def control_times(self) -> np.ndarray:
@@ -138,6 +152,10 @@ class VariationalIntegrator(Integrator):
         return self.discretization.manifold
 
     @property
+    def retraction(self) -> Retraction:
+        return self.discretization.retraction
+
+    @property
     def control_times(self) -> np.ndarray:
         return self.method.nodes if isinstance(self.method, Gauss) else np.asarray(self.method.theta)
 
@@ -170,10 +188,14 @@ class SymplecticIntegrator(VariationalIntegrator):
     def control(self, unknowns: Any) -> None:
         return None
 
+    def energy(self, system: Hamiltonian, q: Ambient, p: Ambient, control: Any) -> Array:
+        return real_number("the Hamiltonian", system(q, p))
+
     def check(self, system: Hamiltonian, q: Ambient, p: Ambient) -> None:
         if not callable(system):
             raise InvalidInputError(f"SymplecticIntegrator integrates a Hamiltonian H(q, p), got {system!r}")
         check_hamiltonian(system, q, p)
+        require_true_hamiltonian(system, self.retraction, q, p)
 
 
 @final
@@ -194,6 +216,9 @@ class PresymplecticIntegrator(VariationalIntegrator):
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
         u, stage = extremal_control(system, q, p), self.stage(system, 0.0)
         return stage.begin(q, p, u) if isinstance(stage, GaussStage) else (q, u)
+
+    def energy(self, system: OptimalControlProblem, q: Ambient, p: Ambient, control: Any) -> Array:
+        return system.hamiltonian(q, p, control)
 
     def control(self, unknowns: Any) -> Ambient:
         return unknowns.controls if isinstance(unknowns, GaussUnknowns) else unknowns[1]

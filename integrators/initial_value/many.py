@@ -16,7 +16,7 @@ from ..compilation import call_compiled
 from ..functions import require_concrete
 from .choice import tape_steps
 from .integrator import Integrator
-from .trajectory import Trajectory, check_call, require_finite_step, run_on_tape, scanned
+from .trajectory import Trajectory, check_call, require_finite_step, run_on_tape, scanned, without_jumps
 
 
 @reads_once
@@ -33,10 +33,10 @@ def integrate_many(
     """Integrate ``system`` from many starts at once: ``integrate`` for each member of a leading axis.
 
     ``starts``: points and covectors with that axis, ``B`` long; ``step_sizes``: one number or ``B``. Every array of the
-    trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops is marked there, nothing
-    is raised for it. On the tape, which runs the trajectories side by side on all processors; where it cannot run, XLA compiles
-    one loop for this number of steps, which Ctrl-C does not stop, and whose progress is not known. ``verbose``: as in
-    ``integrate``.
+    trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops, or passes a jump of the
+    Hamiltonian, is marked there, nothing is raised for it. On the tape, which runs the trajectories side by side on all
+    processors; where it cannot run, XLA compiles one loop for this number of steps, which Ctrl-C does not stop, and whose
+    progress is not known. ``verbose``: as in ``integrate``.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and for calls under
     ``jit``, ``vmap`` and ``grad``: there take ``jax.vmap`` of ``integrate``. Ctrl-C as in ``integrate``.
@@ -50,8 +50,10 @@ def integrate_many(
     saves, every = int(steps) // int(save_every), int(save_every)
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):
-        return call_compiled(_scanned, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
-    return run_on_tape(found, integrator, sizes, saves, every, verbose)
+        batch = call_compiled(_scanned, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
+    else:
+        batch = run_on_tape(found, integrator, sizes, saves, every, verbose)
+    return without_jumps(system, integrator, batch, every)[0]
 
 
 def _scanned(

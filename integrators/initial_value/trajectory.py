@@ -19,6 +19,7 @@ from ..results import Result, warn_about_precision
 from .choice import tape_steps
 from .integrator import Integrator
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
+from .passed_jumps import Energy, Passed, Segments
 from .pieces import run
 
 if TYPE_CHECKING:
@@ -46,6 +47,7 @@ class Trajectory(eqx.Module):
     has one for each of its substeps, a Gauss method one for each of its ``s`` points, along an axis behind that of the steps:
     shape ``(steps, s, m)``.
     ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
+    Where ``result`` is ``Result.jump`` it is that of a step, or of the steps between two nodes, in which the Hamiltonian jumps.
     Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
     ``evaluator`` says in words what computed the steps, and why where that was not the tape.
     """
@@ -81,7 +83,7 @@ class Trajectory(eqx.Module):
         _FILE.write(path, {**values, "result": ends[0], "failed_step": int(self.failed_step)})
 
 
-_ENDS = ("successful", "step_not_solved", "interrupted")
+_ENDS = ("successful", "step_not_solved", "jump", "interrupted")
 
 
 def _disagreement(values: dict[str, Any]) -> str:
@@ -89,7 +91,7 @@ def _disagreement(values: dict[str, Any]) -> str:
     result, failed = values["result"], values["failed_step"]
     if result not in _ENDS:
         return f"the result is {result!r:.60}, expected one of {', '.join(_ENDS)}"
-    if failed < -1 or (failed >= 0) != (result == "step_not_solved"):
+    if failed < -1 or (failed >= 0) != (result in ("step_not_solved", "jump")):
         return f"the failed step is {failed} with the result {result}"
     return not_finite(values)
 
@@ -135,8 +137,9 @@ def integrate(
     installed, else lines of the logger ``retrax``.
 
     Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
-    ``ConvergenceError`` if a step cannot be solved. Ctrl-C is the usual ``KeyboardInterrupt``; its one argument is the
-    trajectory until then.
+    ``ConvergenceError`` if a step cannot be solved, or the Hamiltonian jumps between two nodes: momenta jump there too, by what
+    no derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual ``KeyboardInterrupt``; its one
+    argument is the trajectory until then.
     """
     check_call(integrator, steps, save_every, evaluator)
     if not is_traced(step_size):
@@ -149,12 +152,39 @@ def integrate(
         integrator.check(system, q0, p0)
     whole = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
     trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator, verbose)
+    jump = ""
+    if not transformed:
+        trajectory, jump = _examined(system, integrator, trajectory, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)
         first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
-        reason = f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
+        reason = jump or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
         raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {reason}")
     return trajectory
+
+
+def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
+    """The trajectory, with another result if it passes a jump, and words on that."""
+    batch, found = without_jumps(system, integrator, jax.tree.map(lambda a: a[None], trajectory), every)
+    return (jax.tree.map(lambda a: a[0], batch), found[0].words()) if found else (trajectory, "")
+
+
+def without_jumps(system: Any, integrator: Integrator, batch: Trajectory, every: int) -> tuple[Trajectory, dict[int, Passed]]:
+    """Trajectories along a leading axis, with another result where one passes a jump of the Hamiltonian; and these jumps."""
+    energy, axes = Energy(integrator.energy, system, integrator.retraction), integrator.control_times.ndim
+    controls = jax.tree.map(lambda a: np.asarray(a)[:, :, *axes * (0,)], batch.controls)
+    segments, count = Segments.between((batch.q, batch.p), controls), batch.times.shape[1] - 1
+    found, solved = dict[int, Passed](), np.broadcast_to(batch.failed_step < 0, len(batch.times))
+    for jump in energy.passed(segments, every > 1):
+        if solved[jump.segment // count]:
+            found.setdefault(jump.segment // count, jump)
+    if not found:
+        return batch, found
+    steps = np.full(len(batch.times), -1)
+    steps[[*found]] = [every * (jump.segment % count) for jump in found.values()]
+    result = jax.vmap(lambda step, old: Result.where(step < 0, old, Result.jump))(steps, batch.result)
+    failed = jnp.where(steps < 0, batch.failed_step, steps)
+    return eqx.tree_at(lambda t: (t.result, t.failed_step), batch, (result, failed)), found
 
 
 def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:

@@ -88,6 +88,10 @@ def sparse_words(missing: int, tried: int) -> str:
 
 
 CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
+ON_EACH_SIDE = (
+    "on each side P_f is that of another problem, and what follows holds near the points that were found; try near=(q, p), a "
+    "state on the side that is meant"
+)
 EXCLUDED = "p = 0 is excluded (exclude_zero_costate=False admits it)"
 UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
 UNDECIDED = (

@@ -16,6 +16,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import DiscretizationMap
 from ...compilation import compiled
+from ...initial_value.passed_jumps import Energy, Segments
 from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
@@ -229,6 +230,10 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
     stage_times = float(request.h) * (np.arange(request.steps) + request.discretization.theta)
     broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
+    energy = Energy(method.energy, request.problem, method.retraction)
+    jumps = [] if broken else energy.passed(Segments.between(*jax.tree.map(lambda a: a[None], (outcome.nodes, outcome.controls))))
+    if jumps:
+        return False, f"The conditions hold at the points, but {jumps[0].words()}."
     return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
 
 

@@ -91,13 +91,18 @@ class Stratum:
 
 @dataclass(frozen=True, eq=False)
 class Classification(IntegrabilityResult[Stratum]):
-    """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level."""
+    """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level.
+
+    ``jump``: words on a jump of the problem's functions between these points, on whose sides ``P_f`` may differ; empty if none
+    was found.
+    """
 
     morse: MorseTest | None
     levels: tuple[Level, ...]
     excluded: int
     zero_costate_excluded: bool
     digest: bytes | None = field(repr=False)
+    jump: str = field(default="", repr=False)
 
     @property
     def regular(self) -> bool:

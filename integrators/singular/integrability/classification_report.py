@@ -25,6 +25,9 @@ def _problem(c: Classification) -> Iterator[Line]:
     if c.zero_costate_excluded:
         yield "costate", words.EXCLUDED + (f": {c.excluded} of the points found had it" if c.excluded else "")
 
+    if c.jump:
+        yield "JUMP", f"{c.jump}; {words.ON_EACH_SIDE}"
+
 
 def _morse(c: Classification) -> Iterator[Line]:
     if c.morse is None:

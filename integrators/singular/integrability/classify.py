@@ -9,9 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
+from ....manifolds.numerics import ambient as vec
 from ....progress import Advance, progress
 from ....reading import reads_once
+from ....retractions import default_retraction
 from ...functions import require_concrete
+from ...initial_value.passed_jumps import Energy, Segments
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
 from ..integrability_result import Signature
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 VANISHING_COSTATE = 1e-6
 SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
+MOST_PAIRED = 22  # points between each two of which a jump is looked for
 APART = 1e-7  # larger differences are clear: between, a curved piece may be nearly flat
 
 
@@ -108,7 +112,24 @@ def _classify(
     with progress("classify", len(first.slow), "points", verbose) as advance:
         levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
-    return Classification(problem, _strata(kept), morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest())
+    strata = _strata(kept)
+    jump = _jump(problem, first, strata)
+    return Classification(problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump)
+
+
+def _jump(problem: OptimalControlProblem, first: Points, strata: tuple[Stratum, ...]) -> str:
+    """Words on a jump of the functions between points of ``P_f``, or starts where it has none; empty if there is none."""
+    states = [stratum.states[0] for stratum in strata] or [first.at.z[0]]
+    q = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *states)
+    count, u = len(jax.tree.leaves(q)[0]), vec.entries(first.at.control, 0)
+    i, j = np.triu_indices(min(count, MOST_PAIRED), 1)
+    # Costates of the starts: those on P_f may vanish, and hide a jump of the dynamics.
+    z = (q, vec.entries(first.at.z[1], np.arange(count) % len(first.slow)))
+    before, after = (jax.tree.map(lambda a, k=k: np.asarray(a)[k], z) for k in (i, j))
+    controls = jax.tree.map(lambda a: np.broadcast_to(a, (len(i), *np.shape(a))), u)
+    energy = Energy(OptimalControlProblem.hamiltonian, problem, default_retraction(problem.manifold))
+    jumps = energy.passed(Segments(before, after, controls))
+    return jumps[0].fact("between points that were looked at, near") if jumps else ""
 
 
 def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":

@@ -11,6 +11,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.attribute import attribute
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
+from ...problem import OptimalControlProblem
 from ..integrability import Classification
 
 Gauge = Callable[[Array, Any, Any], Any]
@@ -32,6 +33,9 @@ class SingularIntegrator(LiftedIntegrator):
     @abstractmethod
     def reason(self) -> str:
         """Why this strategy was chosen."""
+
+    def energy(self, system: OptimalControlProblem, q: Ambient, p: Ambient, control: Any) -> Array:
+        return system.hamiltonian(q, p, control)
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         return (
