@@ -22,6 +22,7 @@ from retrax.integrators import (
     solve,
     step_errors,
 )
+from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.evaluator import Automatic, TapeEvaluator, XlaEvaluator
 from retrax.integrators.boundary_value.engine.transcription import Data
@@ -186,6 +187,15 @@ def test_vanished_arcs_are_left_out(duration):
     structure = ControlStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
     assert structure.sides[:, 0].tolist() == ([1] if duration < 1e-6 else [1, 0, 1])
     assert structure.times[[0, -1]].tolist() == [0, 1]
+
+
+@pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
+def test_the_last_arc_lasts_what_the_others_leave_of_a_given_horizon(share):
+    durations = 3.0 * share * np.array([0.25, 0.75])
+    arcs = Arcs(BOUNDED, np.array([[1], [-1], [0]]), 3.0, 1.0)
+    found = np.asarray(arcs.durations(jnp.asarray(durations)))
+    np.testing.assert_array_equal(found[:2], durations)
+    assert found[2] == pytest.approx(3.0 * (1 - share), rel=1e-12)
 
 
 def test_errors_of_steps_do_not_depend_on_the_origin():

@@ -6,6 +6,7 @@ ENGINE = "integrators/boundary_value/engine"
 TESTS = "tests/integrators"
 CONDENSING = f"{TESTS}/engine/test_condensing.py"
 ELIMINATION = f"{TESTS}/engine/test_elimination.py"
+BARRIERS = f"{TESTS}/engine/test_barrier.py"
 LIMITS = f"{TESTS}/test_inequalities.py"
 FORCES = f"{LIMITS}::test_forces_are_those_of_the_conditions_as_a_bound_becomes_active"
 BARRIER = f"{LIMITS}::test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost"
@@ -446,10 +447,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/barrier.py",
         "cheap = self._is_cheap(slacks) & solved",
         "cheap = self._is_cheap(slacks) & ~solved",
-        (
-            f"{LIMITS}::test_bounds_that_barely_reach_the_end_do",
-            f"{LIMITS}::test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it",
-        ),
+        (BARRIERS,),
     ),
     "nothing is impossible": Planted(
         f"{ENGINE}/barrier.py",
@@ -462,7 +460,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/inequalities.py",
         "return nu / (slacks.slacks + np.where(slacks.elastic, nu * slacks.excess / slacks.rest, 0.0))",
         "return nu / (slacks.slacks + nu)",
-        (FORCES,),
+        (BARRIERS,),
     ),
     "multipliers at the end are those of hard inequalities": Planted(
         f"{ENGINE}/augmented.py",
@@ -499,7 +497,7 @@ PLANTED: dict[str, Planted] = {
         "integrators/boundary_value/arcs.py",
         "jnp.reshape(self.horizon - jnp.sum(found), (1,))",
         "jnp.reshape(self.horizon - 0.9 * jnp.sum(found), (1,))",
-        (f"{REFINED}::test_a_switch_is_found_wherever_it_is",),
+        (f"{PARTS}::test_the_last_arc_lasts_what_the_others_leave_of_a_given_horizon",),
     ),
     "the bounds of arcs are exchanged": Planted(
         "integrators/boundary_value/arcs.py",

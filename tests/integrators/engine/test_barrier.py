@@ -1,0 +1,39 @@
+"""Slacks of inequalities: their stiffness, and which members of a batch get a lower barrier or a higher price of excesses."""
+
+import numpy as np
+import pytest
+from retrax.integrators.boundary_value.engine.barrier import NEAR, PRICE, SOLVED, Barrier
+from retrax.integrators.boundary_value.engine.inequalities import Held, central, stiffness
+
+MU = np.array([1e-2])
+VALUES = np.linspace(-1.0, 1.0, 41)
+
+
+def held(values: np.ndarray) -> Held:
+    """One inequality with these values along the points of a step."""
+    values = values[None, None, :, None]
+    return Held(values, np.ones((*values.shape, 1)), np.ones(values.shape))
+
+
+@pytest.mark.parametrize("price", [0.01, 1.0, 10.0, np.inf])
+def test_the_stiffness_is_what_a_multiplier_changes_by(price):
+    """Of central slacks the multiplier is a function of the value alone, from where it holds to where it is violated."""
+    values = VALUES[VALUES < -0.01] if np.isinf(price) else VALUES
+    step = 1e-6
+    ahead, behind = (central(held(values + d), MU, np.full((1, 1, values.size, 1), price)) for d in (step, -step))
+    slope = (ahead.multipliers - behind.multipliers) / (2 * step)
+    at = central(held(values), MU, np.full((1, 1, values.size, 1), price))
+    np.testing.assert_allclose(stiffness(at), slope, rtol=1e-5, atol=1e-8)
+
+
+@pytest.mark.parametrize("error", [0.0, 0.5, 0.999, 1.001, 2.0, 1e3])
+@pytest.mark.parametrize("value", [-0.5, -1e-3, 1e-3, 0.5])
+def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_their_price(value, error):
+    """Central slacks leave nothing but the error, which is in units of what counts as solved."""
+    barrier, given = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([value]))
+    slacks = central(given, MU, np.full((1, 1, 1, 1), PRICE))
+    lower, cheap = barrier.lowered(given, slacks, error * SOLVED * MU, 1e-8)
+    solved, near = error < 1, float(slacks.multipliers[0, 0, 0, 0]) > NEAR * PRICE
+    assert near == (value > 0)
+    assert cheap.tolist() == [solved and near]
+    assert (lower.barrier < MU).tolist() == [solved and not near]
