@@ -22,9 +22,10 @@ from .batches import merged, put, taken
 from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
+from .widening import widened
 
 RECORD = 0.9
-SHORTEST = 2.0**-4
+SHORTEST, SHORTER = 2.0**-4, 0.5  # a share of a step; what a shift has to shorten it to
 FAST = 1e-2
 SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
@@ -174,7 +175,9 @@ class _Search:
         trial = conditions.move(state.iterate, state.assembled, state.step, state.fraction)
         assembled = conditions.assemble(trial)
         found = conditions.residuals(trial, assembled)
+        before = state
         state, good, again = self.judged(conditions, state, trial, assembled, found)
+        state, wider = self.widened(conditions, before, state, assembled, again & ~good)
         self.trials += 1
         state, lowered = self.lowered(conditions, state)
         again |= lowered
@@ -186,9 +189,37 @@ class _Search:
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
         shift = np.where(arrived, 0.0, state.shift)
         step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
+        # No shift shortens what the constraints ask for: there the same step is cut further.
+        vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
+        vain &= (before.fraction / 2 < SHORTEST) & (conditions.length(step) > SHORTER * conditions.length(state.step))
+        if vain.any():
+            step, shift, descends = merged(vain, (before.step, before.shift, before.descends), (step, shift, descends))
+            state = state._replace(fraction=np.where(vain, before.fraction / 2, state.fraction))
         promise, turned = conditions.promise(state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
+
+    def widened(self, conditions: Conditions, before: State, state: State, trial: Assembled, refused: np.ndarray) -> tuple[State, np.ndarray]:
+        """The state in wider units where these are what the step is refused for; and where that is."""
+        none = np.zeros(len(refused), bool)
+        if not refused.any() or isinstance(conditions, JointConditions):
+            return state, none
+        units, wider = widened(conditions, before.assembled, trial, before.step, before.fraction * before.step.reach)
+        wider &= refused
+        if not wider.any():
+            return state, none
+        conditions.units = merged(wider, units, conditions.measured)
+        if conditions is not self.conditions:
+            self.conditions.units = put(self.conditions.measured, state.member, conditions.units)
+        residuals = conditions.residuals(state.iterate, state.assembled)
+        merit = Merit.of(conditions, state.iterate, state.assembled)
+        return state._replace(
+            residuals=residuals,
+            merit=merit,
+            funnel=np.where(wider, np.maximum(merit.infeasibility, 1.0), state.funnel),
+            best=np.where(wider, residuals.largest, state.best),
+            shift=np.where(wider, before.shift, state.shift),
+        ), wider
 
     def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
         """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are short.
