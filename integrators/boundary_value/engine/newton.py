@@ -199,7 +199,9 @@ class _Search:
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
 
-    def widened(self, conditions: Conditions, before: State, state: State, trial: Assembled, refused: np.ndarray) -> tuple[State, np.ndarray]:
+    def widened(
+        self, conditions: Conditions, before: State, state: State, trial: Assembled, refused: np.ndarray
+    ) -> tuple[State, np.ndarray]:
         """The state in wider units where these are what the step is refused for; and where that is."""
         none = np.zeros(len(refused), bool)
         if not refused.any() or isinstance(conditions, JointConditions):
