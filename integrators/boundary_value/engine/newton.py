@@ -22,7 +22,7 @@ from .batches import merged, put, taken
 from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
-from .widening import widened
+from .widening import rewritten
 
 RECORD = 0.9
 SHORTEST, SHORTER = 2.0**-4, 0.5  # a share of a step; what a shift has to shorten it to
@@ -177,7 +177,7 @@ class _Search:
         found = conditions.residuals(trial, assembled)
         before = state
         state, good, again = self.judged(conditions, state, trial, assembled, found)
-        state, wider = self.widened(conditions, before, state, assembled, again & ~good)
+        state, wider = rewritten((self.conditions, conditions), before, state, assembled, again & ~good)
         self.trials += 1
         state, lowered = self.lowered(conditions, state)
         again |= lowered
@@ -198,30 +198,6 @@ class _Search:
         promise, turned = conditions.promise(state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
-
-    def widened(
-        self, conditions: Conditions, before: State, state: State, trial: Assembled, refused: np.ndarray
-    ) -> tuple[State, np.ndarray]:
-        """The state in wider units where these are what the step is refused for; and where that is."""
-        none = np.zeros(len(refused), bool)
-        if not refused.any() or isinstance(conditions, JointConditions):
-            return state, none
-        units, wider = widened(conditions, before.assembled, trial, before.step, before.fraction * before.step.reach)
-        wider &= refused
-        if not wider.any():
-            return state, none
-        conditions.units = merged(wider, units, conditions.measured)
-        if conditions is not self.conditions:
-            self.conditions.units = put(self.conditions.measured, state.member, conditions.units)
-        residuals = conditions.residuals(state.iterate, state.assembled)
-        merit = Merit.of(conditions, state.iterate, state.assembled)
-        return state._replace(
-            residuals=residuals,
-            merit=merit,
-            funnel=np.where(wider, np.maximum(merit.infeasibility, 1.0), state.funnel),
-            best=np.where(wider, residuals.largest, state.best),
-            shift=np.where(wider, before.shift, state.shift),
-        ), wider
 
     def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
         """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are short.
