@@ -1,8 +1,11 @@
 """Guesses from which Newton's first step is too long, or has no direction: at rest without drift, or opposite to the end."""
 
+from functools import cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax import problems
 from retrax.integrators import Guess, OptimalControlProblem, Solver
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Midpoint, default_retraction
@@ -48,3 +51,52 @@ def test_ends_that_are_opposite_come_together(angle, rate):
     guess = Guess(states, np.zeros((N, 3)))
     found = SLEW.solve((np.eye(3), np.zeros(3)), end, 1.0, guess=guess, throw=False)
     assert found.success
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-16, 1e-12, 1e-4, 1e-2])
+@pytest.mark.parametrize("angle", [0.3, 1.2, 2.5, 3.1])
+def test_a_turn_that_no_control_gives_to_first_order_is_found(angle, tilt):
+    """About the third axis the constraints of the default guess are dependent, and next to it nearly."""
+    end = np.asarray(default_retraction(Q)(np.eye(3), hat(jnp.array([tilt, 0.0, angle]))))
+    found = SOLVER.solve(np.eye(3), end, 1.0, throw=False)
+    assert found.success
+    # The shortest curve is sqrt(angle (4 pi - angle)) long.
+    assert found.cost == pytest.approx(angle * (4 * np.pi - angle) / 2, rel=0.02 + 5 * tilt / angle)
+
+
+def spun(q, u):
+    """Angles and rates of which products alone move the third; angles in units of their own."""
+    angles, rates = q[:3], q[3:]
+    return jnp.concatenate([LONG * rates, jnp.stack([*u, rates[0] * rates[1]]) + 0 * angles])
+
+
+LONG = 1e3
+SPUN = Solver(OptimalControlProblem(Euclidean(6), spun, half_square, 2), Midpoint(default_retraction(Euclidean(6))), N)
+
+
+@pytest.mark.parametrize("size", [0.0, *10.0 ** np.arange(-12, 2.0, 2), 3.0])
+def test_a_rate_that_only_products_change_is_no_obstacle(size):
+    end = np.array([1.0, 0.5, 0.3, 0, 0, 0]) * np.array([LONG, LONG, LONG, 1, 1, 1])
+    guess = Guess.from_waypoints(SPUN.problem, SPUN.method, [np.zeros(6), end], N)
+    guess = guess._replace(controls=size * np.random.default_rng(0).standard_normal((N, 2)))
+    found = SPUN.solve(np.zeros(6), end, 3.0, guess=guess, throw=False)
+    assert found.success
+    assert found.cost == pytest.approx(1.910, abs=1e-3)
+
+
+@cache
+def weakened():
+    """A spacecraft without the torque about its third axis."""
+    entry = problems.get("failed-actuator")
+    return entry, Solver(entry.problem, entry.discretization, N)
+
+
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-4, 1.5))
+def test_a_guess_near_to_rest_hides_no_unit(size):
+    """Beside a rate that 1e-4 N m hardly move, no step would come near to the constraints in the unit of that."""
+    entry, solver = weakened()
+    guess = Guess.from_waypoints(entry.problem, entry.discretization, [entry.start, entry.end], N)
+    guess = guess._replace(controls=size * np.random.default_rng(1).standard_normal(guess.controls.shape))
+    found = solver.solve(entry.start, entry.end, entry.horizon, guess=guess, throw=False)
+    assert found.success
+    assert found.cost >= entry.optimum

@@ -16,22 +16,20 @@ from .system import Assembled, Iterate, Step
 FAR = 30.0  # times its spread: a trajectory is not asked to move by more
 HALF = 0.5  # of its spread: what it is moved aside by
 OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
+UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
 STIFF = 1e6  # the shift with which Newton's step is the least that the constraints ask for
 WAVES = 3  # half periods in the horizon, and less
 
 
 def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
-    """Whether Newton's step leads far off to no avail, and all that the linearised constraints allow; or ends are opposite.
-
-    Arrays of several units, a length and a speed, may be moved far in the unit of one of them where nothing is amiss.
+    """Whether Newton's step leads a member far off, and all that the linearised constraints allow, or leaves what these ask
+    for; or ends are opposite.
     """
     lost = _is_far(conditions, assembled, step)
     if lost.any():
         least, _, _ = conditions.eliminate(iterate, assembled, np.full(len(lost), STIFF))
         lost &= _is_far(conditions, assembled, least)
-        there = conditions.move(iterate, assembled, step, np.ones(len(lost)))
-        lacking = (conditions.infeasibility(i, a) for i, a in ((there, conditions.assemble(there)), (iterate, assembled)))
-        lost &= ~np.less(*lacking)
+    lost |= _is_unmet(conditions, iterate, assembled, step)
     asked, gap = (
         np.linalg.norm(found / conditions.measured.nodes[:, None], axis=2) for found in (assembled.asked, assembled.gap)
     )
@@ -40,7 +38,7 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
 
 
 def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Iterate:
-    """The iterates moved aside, each until one of its arrays has moved by half its spread."""
+    """The iterates moved aside, each until half of what the controls move has moved by half its spread."""
     blocks = assembled.blocks
     n, (batch, count, z) = assembled.gap.shape[2], blocks.slope.shape
     times, draw = (np.arange(count) + 0.5) / count, np.random.default_rng(0)
@@ -56,25 +54,46 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Ite
     every = np.ones(batch, bool)
     step = Step(found.steps[..., 0], np.zeros(found.multipliers.shape[:3]), every, every, every)
     far = _moves(conditions, assembled, step)
-    longest = np.min(far, axis=0, initial=np.inf)
-    size = np.where(np.isfinite(longest) & (longest > 0), HALF / np.where(longest > 0, longest, 1.0), 0.0)
+    # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
+    far = np.sort(np.where(far > 0, far, np.inf), axis=0)
+    middle = far[np.maximum(np.isfinite(far).sum(axis=0) - 1, 0) // 2, range(batch)]
+    size = np.where(np.isfinite(middle), HALF / middle, 0.0)
     step = step._replace(unknowns=np.where(found.finite[:, :1, None], size[:, None, None] * step.unknowns, 0.0))
     completed = conditions.completed(iterate._replace(slacks=None), assembled, step)
     return conditions.move(iterate._replace(slacks=None), assembled, completed, np.ones(batch))
 
 
+def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
+    """Whether a step leaves much of what the linearised constraints ask for, as where these are dependent, shape (B,)."""
+    system, d = conditions.system(iterate, assembled), step.unknowns
+    left = np.array(system.gap[..., 0])
+    left[:, :-1] += np.einsum("bknz,bkz->bkn", system.left, d)
+    left[:, 1:] -= np.einsum("bknz,bkz->bkn", system.right, d)
+    left[:, 0] *= system.fixed_start
+    left[:, -1] *= system.fixed_end
+    left, asked = (np.abs(found / conditions.measured.nodes[:, None]).max(axis=(1, 2)) for found in (left, system.gap[..., 0]))
+    return ~(left <= UNMET * asked)
+
+
 def _is_far(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
-    """Whether every array of the states that is spread along the trajectory is moved by many times that, shape (B,)."""
+    """Whether all of the states that is spread along the trajectory is moved by many times that, shape (B,)."""
     least = np.min(_moves(conditions, assembled, step), axis=0, initial=np.inf)
     return ~step.finite | (np.isfinite(least) & (least > FAR))
 
 
 def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
-    """How far the arrays of the states are moved, in their spreads, infinite where these are zero: (arrays, B)."""
-    extent, n, moves = assembled.extent, assembled.gap.shape[2], []
+    """How far the states are moved, in their spreads, infinite where these are zero: (pieces, B).
+
+    Pieces are the arrays, but for the entries that a coordinate of their own moves: they may have other units.
+    """
+    extent, n = assembled.extent, assembled.gap.shape[2]
     along = np.abs(step.unknowns[..., :n]).max(axis=1)
-    for place in conditions.at_nodes.layout.places:
-        spread = extent.spreads[:, place].max(axis=1, initial=0.0)
-        moved = (along[:, :, None] * extent.support[:, :, place]).max(axis=(1, 2), initial=0.0)
-        moves.append(np.where(spread > 0, moved / np.where(spread > 0, spread, 1.0), np.inf))
-    return np.array(moves)
+    moved = (along[:, :, None] * extent.support).max(axis=1)
+    touches = np.any(extent.support > 0, axis=0)
+    alone = np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)
+    entries = np.arange(len(alone))
+    arrays = (entries[place] for place in conditions.at_nodes.layout.places)
+    pieces = [piece for own in arrays for piece in (own[~alone[own]], *own[alone[own], None]) if piece.size]
+    spread = np.array([extent.spreads[:, piece].max(axis=1) for piece in pieces])
+    far = np.array([moved[:, piece].max(axis=1) for piece in pieces])
+    return np.where(spread > 0, far / np.where(spread > 0, spread, 1.0), np.inf)

@@ -288,6 +288,10 @@ class Conditions:
             turned[:, 0] += np.einsum("bnj,bj->bn", assembled.initial.curvature, begun)
         return turned
 
+    def length(self, step: Step) -> np.ndarray:
+        """The largest entry of a step in its unit, shape (B,)."""
+        return (np.abs(step.unknowns).max(axis=1) / self.measured.unknowns).max(axis=1)
+
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.
 

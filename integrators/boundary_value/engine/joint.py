@@ -309,6 +309,10 @@ class JointConditions:
         finite = np.all([step.finite for step in steps], axis=0) & np.all(np.isfinite(solved.multipliers), axis=1)
         return JointStep(tuple(same), moves, solved.multipliers, convex & clear, convex, finite, reach, followed)
 
+    def length(self, step: JointStep) -> np.ndarray:
+        """The largest entry of a step in its unit, shape (B,)."""
+        return np.max([phase.length(own) for phase, own in zip(self.phases, step.parts, strict=True)], axis=0)
+
     def wanted(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units."""
         both = zip(self._each(iterate, assembled), step.parts, strict=True)

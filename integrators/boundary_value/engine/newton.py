@@ -22,9 +22,10 @@ from .batches import merged, put, taken
 from .conditions import Conditions
 from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
+from .widening import rewritten
 
 RECORD = 0.9
-SHORTEST = 2.0**-4
+SHORTEST, SHORTER = 2.0**-4, 0.5  # a share of a step; what a shift has to shorten it to
 FAST = 1e-2
 SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
@@ -174,7 +175,9 @@ class _Search:
         trial = conditions.move(state.iterate, state.assembled, state.step, state.fraction)
         assembled = conditions.assemble(trial)
         found = conditions.residuals(trial, assembled)
+        before = state
         state, good, again = self.judged(conditions, state, trial, assembled, found)
+        state, wider = rewritten((self.conditions, conditions), before, state, assembled, again & ~good)
         self.trials += 1
         state, lowered = self.lowered(conditions, state)
         again |= lowered
@@ -186,6 +189,12 @@ class _Search:
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
         shift = np.where(arrived, 0.0, state.shift)
         step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
+        # No shift shortens what the constraints ask for: there the same step is cut further.
+        vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
+        vain &= (before.fraction / 2 < SHORTEST) & (conditions.length(step) > SHORTER * conditions.length(state.step))
+        if vain.any():
+            step, shift, descends = merged(vain, (before.step, before.shift, before.descends), (step, shift, descends))
+            state = state._replace(fraction=np.where(vain, before.fraction / 2, state.fraction))
         promise, turned = conditions.promise(state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)

@@ -60,6 +60,16 @@ def rest_to_rest_slew() -> KnownProblem:
     )
 
 
+def three_turns(s: np.ndarray) -> tuple[Any, Any]:
+    """Turns about axes 1, 2 and 1 one after another, from rest to rest: those that the torques left give by themselves."""
+    angles, horizon = Rotation.from_matrix(TARGET).as_euler("XYX"), 120.0
+    done = np.clip(3 * s[:, None] - np.arange(3), 0, 1)
+    speeds = 6 * done * (1 - done) * 3 * angles / horizon
+    turns = Rotation.from_euler("XYX", done**2 * (3 - 2 * done) * angles).as_matrix()
+    rates = np.stack([speeds[:, 0] + speeds[:, 2], speeds[:, 1], 0 * s], axis=1)
+    return (turns, rates), np.zeros((len(s), 2))
+
+
 @known
 def failed_actuator() -> KnownProblem:
     """The same slew in 120 s without torque about the third axis."""
@@ -83,6 +93,7 @@ def failed_actuator() -> KnownProblem:
         digits=9,
         origin="limit of the discrete optima here as the steps shrink",
         error=1e-8,
+        path=three_turns,
     )
 
 
