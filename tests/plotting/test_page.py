@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 NO_BROWSER = CHROMIUM is None or importlib.util.find_spec("playwright") is None
+IN_A_BROWSER = pytest.mark.skipif(NO_BROWSER, reason="needs chromium of the system and the package playwright")
 TURNS = Rotation.from_rotvec(np.linspace(0, 3, 31)[:, None] * [0.0, 0.6, 0.8]).as_matrix()
 
 
@@ -132,7 +133,7 @@ def difference(one, other):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(NO_BROWSER, reason="needs chromium of the system and the package playwright")
+@IN_A_BROWSER
 @pytest.mark.parametrize("space", ["SO(3)", "SE(3)", "S^2", "R^5"])
 def test_in_a_browser_the_slider_moves_the_body_and_play_goes_on(space, browser, tmp_path):
     values, manifold, _ = PAGES[space]
@@ -168,4 +169,20 @@ def test_in_a_browser_the_slider_moves_the_body_and_play_goes_on(space, browser,
     page.wait_for_timeout(300)
     assert page.evaluate("document.body.dataset.time") == paused
     assert wrong == []
+    page.close()
+
+
+@pytest.mark.slow
+@IN_A_BROWSER
+def test_a_page_of_a_solution_is_ready_within_two_seconds(browser, tmp_path):
+    """Of the processor, and without a graphics card: a clock on the wall would measure the neighbours too."""
+    problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
+    solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[8], 2.0, 50).to_html(tmp_path / "page.html")
+    page = browser.new_page()
+    session = page.context.new_cdp_session(page)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    measured = {entry["name"]: entry["value"] for entry in session.send("Performance.getMetrics")["metrics"]}
+    assert 0.1 < measured["ThreadTime"] < 2
     page.close()

@@ -71,6 +71,7 @@ def poses(n, count=9):
 def test_histories_are_the_numbers_with_names_and_units(solved):
     solution, _ = solved
     attitude, beside, control = plotting.histories(solution)
+    assert all(axis.xaxis.get_tick_params()["labelbottom"] for axis in (attitude, beside, control))
     vectors = Rotation.from_matrix(solution.states[0]).as_rotvec()
     for axis, times, values in (
         (attitude, solution.times, vectors),

@@ -26,15 +26,17 @@ def one(ax: Any, projection: str | None = None) -> Any:
     return ax
 
 
-def several(ax: Any, count: int) -> np.ndarray:
+def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float, float] = PANEL) -> np.ndarray:
     """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by row."""
     if ax is None:
         from matplotlib import pyplot
 
-        columns = 1 if count < 3 else 2
+        columns = columns or (1 if count < 3 else 2)
         rows = -(-count // columns)
-        size = (PANEL[0] * columns, PANEL[1] * rows)
+        size = (panel[0] * columns, panel[1] * rows)
         figure, made = pyplot.subplots(rows, columns, figsize=size, sharex=True, squeeze=False, layout="constrained")
+        for each in made.flat:  # every panel names its time, and there may be none below it
+            each.tick_params(labelbottom=True)
         for spare in made.flat[count:]:
             figure.delaxes(spare)
         return made.flat[:count]

@@ -107,7 +107,7 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     """
     found = view(_checked(solution), problem)
     rows = 1 + (problem is not None) + bool(solution.stage_multipliers)
-    axes = _stacked(rows) if ax is None else several(ax, rows)
+    axes = several(ax, rows, columns=1, panel=(6.4, 2.6))
     for channel in control_channels(found):
         draw(axes[0], found.stage_times, channel, found)
         _bounds(axes[0], problem, channel)
@@ -116,14 +116,6 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     if solution.stage_multipliers:
         multipliers(solution, axes[-1])
     return axes
-
-
-def _stacked(rows: int) -> np.ndarray:
-    """Panels under each other."""
-    from matplotlib import pyplot
-
-    _, axes = pyplot.subplots(rows, 1, figsize=(6.4, 2.6 * rows), sharex=True, squeeze=False, layout="constrained")
-    return axes[:, 0]
 
 
 def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) -> None:

@@ -39,9 +39,10 @@ def sweep(
     worker (in each thread, if workers are threads); only its name travels to them, so it stands at the top level of a module.
     ``executor``: any ``concurrent.futures.Executor``, such as a ``ProcessPoolExecutor`` that spawns, ``client.get_executor()`` of
     ``dask.distributed``, or ``mpi4py.futures.MPIPoolExecutor``; None solves here, on all processors. Workers of an executor use
-    one processor each. ``folder``: where the results are written, by the workers themselves: all must see it. ``chunk``: members
-    that are written together; ``solver.solve_many`` solves at most 100 at once. ``verbose`` shows the progress: a bar in a
-    terminal where tqdm is installed, else lines of the logger ``retrax``.
+    one processor each for problems on the tape; functions that XLA compiled use threads of its own. ``folder``: where the
+    results are written, by the workers themselves: all must see it. ``chunk``: members that are written together;
+    ``solver.solve_many`` solves at most 100 at once. ``verbose`` shows the progress: a bar in a terminal where tqdm is
+    installed, else lines of the logger ``retrax``.
 
     A chunk is in the folder whole or not at all, and one that is there is not solved again: after a crash, or Ctrl-C, call
     ``sweep`` with the same arguments. A member that is not solved, or is refused by the solver, has its reason as its
