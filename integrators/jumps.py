@@ -1,60 +1,29 @@
-"""Jumps in the controls: values that change where no derivative does, as those of rounding and of whole numbers."""
+"""Steps that functions compute, as of signs and whole numbers: what they are, and numbers that change sign where they jump."""
 
 from collections.abc import Callable, Iterator
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
+from jaxtyping import Array
 
-from ..manifolds import InvalidInputError
-from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import working_precision
-from .compilation import call_compiled
-from .kinks import is_jump, rounded, zoomed
-from .probing import PARTS
+from .programs import CALLS, outputs_of, value_of
 
-if TYPE_CHECKING:
-    from .problem import OptimalControlProblem
-
-SCALES = 10.0 ** np.arange(-4, 7, 2)  # sizes of controls between which a jump is looked for
 WHOLE = "a whole number"
 STEPS = {
     **{name: f"jnp.{name}" for name in ("round", "floor", "ceil", "sign", "argmax", "argmin")},
     **dict.fromkeys(("gt", "ge", "lt", "le", "eq", "ne"), "a comparison"),
     "rem": "the remainder of a division",
+    "atan2": "jnp.arctan2",
     "convert_element_type": WHOLE,
 }
 
 
-def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covectors: Ambient) -> None:
-    """Raise if a function of the problem jumps in the controls, along a coordinate of these from ``u``.
+class Margins(NamedTuple):
+    """Of each step a number that changes sign where it jumps, and the size of what that is the difference of."""
 
-    Only functions that compute steps of the controls are looked at.
-    """
-    found = steps_in(lambda u: (problem.velocity(q, u), problem.cost_rate(q, u)), u)
-    if not found:
-        return
-    m = problem.controls.dimension
-    ways = (SCALES[:, None, None] * np.eye(m)).reshape(1, -1, m).astype(working_precision())
-    state, control = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], point) for point in (q, u))
-    costate = jax.tree.map(lambda leaf: np.asarray(leaf)[:1], covectors)
-    given = problem, state, costate, control, ways, np.ones((), ways.dtype)
-    seen: Any = jax.tree.map(np.asarray, call_compiled(partial(zoomed, on_values=True), *given)[0])
-    zoom, controls = seen
-    for at in np.ndindex(zoom.size.shape):
-        if is_jump(zoom.widths[at], zoom.changes[at], float(zoom.size[at])):
-            place = jax.tree.map(lambda leaf, at=at: rounded(leaf[at], float(SCALES[at[1] // m])), controls)
-            raise InvalidInputError(_words(PARTS[at[-1]], found, place))
-
-
-def _words(name: str, found: list[str], control: Ambient) -> str:
-    return (
-        f"{name} jumps in the controls at u = {control}: it computes {' and '.join(found)} from them, and no derivative tells of "
-        "the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a jump; try jnp.tanh(u / a) with "
-        "a small a in place of a step, or, for controls from a finite set, a problem for each of them"
-    )
+    values: Array  # (G,)
+    sizes: Array
 
 
 def steps_in(function: Callable, *arguments: Any) -> list[str]:
@@ -84,3 +53,70 @@ def _is_cut(equation: Any) -> bool:
     """Whether real numbers become whole ones."""
     before, after = (v.aval.dtype for v in (equation.invars[0], equation.outvars[0]))
     return jnp.issubdtype(before, jnp.inexact) and not jnp.issubdtype(after, jnp.inexact)
+
+
+def with_margins(function: Callable[..., Array], *arguments: Any) -> tuple[Array, Margins]:
+    """The value of a function, and the margins of the steps that it computes; none of those in loops of unknown length."""
+    closed = jax.make_jaxpr(function)(*arguments)
+    found: list[Margins] = []
+    value = _run(closed, jax.tree.leaves(arguments), found)[0]
+    none = jnp.zeros(0, value.dtype)
+    parts = [[jnp.ravel(part).astype(value.dtype) for part in margin] for margin in found]
+    return value, Margins(*(jnp.concatenate([none, *side]) for side in (zip(*parts, strict=True) if parts else ((), ()))))
+
+
+def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
+    """The outputs of a program; what it ``found`` of margins is added."""
+    jaxpr = closed.jaxpr
+    known = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*closed.consts, *arguments], strict=True))
+
+    for equation in jaxpr.eqns:
+        inputs, name = [value_of(known, v) for v in equation.invars], equation.primitive.name
+        if name in STEPS and jnp.issubdtype(jnp.result_type(inputs[0]), jnp.floating):
+            found.extend(_margin(equation, inputs))
+        if name in CALLS:
+            outputs = _run(equation.params[CALLS[name]], inputs, found)
+        elif name == "scan":
+            outputs = _scanned(equation.params, inputs, found)
+        else:
+            outputs = outputs_of(jaxpr, equation, known)
+        for branch in equation.params["branches"] if name == "cond" else ():  # of those that are not taken no output is used
+            _run(branch, inputs[1:], found)
+        known.update(zip(equation.outvars, outputs, strict=True))
+    return [value_of(known, v) for v in jaxpr.outvars]
+
+
+def _scanned(params: dict[str, Any], inputs: list[Any], found: list[Margins]) -> list[Any]:
+    """The outputs of a loop, and the margins of all rounds."""
+    held, first = params["num_consts"], params["num_carry"]
+
+    def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], Any]:
+        own: list[Margins] = []
+        outputs = _run(params["jaxpr"], [*inputs[:held], *carry, *x], own)
+        return outputs[:first], (outputs[first:], own)
+
+    begin, each = inputs[held : held + first], inputs[held + first :]
+    carry, (rows, own) = jax.lax.scan(body, begin, each, params["length"], params["reverse"])
+    found.extend(own)
+    return [*carry, *rows]
+
+
+def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:
+    """The margins of a step of real numbers."""
+    name, x = equation.primitive.name, inputs[0]
+    if name in ("sign", "atan2"):
+        return [Margins(x, jnp.abs(x))]
+    if name in ("floor", "ceil", "round") or (name == "convert_element_type" and _is_cut(equation)):
+        # Of whole numbers, and of those halfway between; their sizes are of the distance between two of them.
+        wave = jnp.cos if name == "round" else jnp.sin
+        return [Margins(wave(jnp.pi * x), jnp.ones_like(x))]
+    if name == "rem":
+        return [Margins(jnp.sin(jnp.pi * x / inputs[1]), jnp.ones_like(x))]
+    if name in ("argmax", "argmin"):
+        rows = jnp.moveaxis(x, equation.params["axes"][0], -1)
+        rows = rows if name == "argmax" else -rows
+        others = jnp.where(jnp.eye(rows.shape[-1], dtype=bool), -jnp.inf, rows[..., None, :])
+        return [Margins(rows - jnp.max(others, axis=-1), jnp.abs(rows))] if rows.shape[-1] > 1 else []
+    if name == "convert_element_type":
+        return []
+    return [Margins(x - inputs[1], jnp.maximum(jnp.abs(x), jnp.abs(inputs[1])))]

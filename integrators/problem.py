@@ -20,10 +20,10 @@ from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import call_compiled, digest
 from .constraints import Constraint, Inequalities, constraint_words
+from .control_jumps import require_no_jumps
 from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number
-from .jumps import require_no_jumps
 from .options import known_options, require_arguments, takes_more
 from .probing import (
     CURVATURES,
@@ -358,7 +358,7 @@ class OptimalControlProblem(eqx.Module):
 
     def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
         """Whether a second derivative by the controls is invertible; raises if it is not because of a kink, and for jumps."""
-        require_no_jumps(self, q, u, covectors)
+        require_no_jumps(self, q, u)
         require_true_derivatives(self, q, u)
         found = flats(probed, directions)
         if not all(found):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import ShapedArray
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
+from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
 # Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every trace.
 UNUSED = {
@@ -17,6 +17,7 @@ UNUSED = {
     "custom_vjp_call": {"fwd_jaxpr_thunk", "bwd"},
     "custom_vjp_call_jaxpr": {"fwd_jaxpr_thunk", "bwd"},
 }
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # of a program each
 PLAIN = bool | int | float | complex | str | bytes | None
 NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"  # no device is asked for
 _serial = itertools.count()
@@ -35,6 +36,18 @@ def content_key(closed: ClosedJaxpr) -> bytes | None:
     writer = _Writer()
     key = _digest(writer.value(closed))
     return None if writer.foreign else key
+
+
+def value_of(known: dict[Any, Any], variable: Any) -> Any:
+    """The value of a variable of a program that is evaluated, or of a number in it."""
+    return variable.val if isinstance(variable, Literal) else known[variable]
+
+
+def outputs_of(jaxpr: Jaxpr, equation: Any, known: dict[Any, Any]) -> list[Any]:
+    """What one equation of a program gives."""
+    variables = list({v: None for v in equation.invars if not isinstance(v, Literal)})
+    alone = Jaxpr([], variables, equation.outvars, [equation], equation.effects, jaxpr.debug_info)
+    return jaxpr_as_fun(ClosedJaxpr(alone, []))(*(known[v] for v in variables))
 
 
 class _Writer:

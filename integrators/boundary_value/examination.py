@@ -15,8 +15,8 @@ from .arguments import structure_of
 from .control_curvature import ControlCurvature
 from .end_points import EndReader
 from .qualification import Qualification
-from .solution import Solution
-from .state_jumps import StateJumps
+from .solution import RegularChecks, Solution
+from .state_jumps import Jumps
 
 T = TypeVar("T")
 
@@ -41,13 +41,14 @@ class Examination:
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
         with one_reading(), np.errstate(all="ignore"):
-            jump = self._looked(free_horizon, solution.parameters)(solution)
+            looked = self._looked(free_horizon, solution.parameters)
+            jump = looked(solution, self._fixed(given)) if looked else ""
             if jump:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
-                return replace(solution, success=False, result=f"The conditions {how} {jump}.")
+                return _failed(solution, f"The conditions {how} {jump}.")
             outside = self._outside(solution, given) if solution.success else ""
             if outside:
-                return replace(solution, success=False, result=outside)
+                return _failed(solution, outside)
             notes = [self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
             said = " ".join(filter(None, notes))
             return replace(solution, result=f"{solution.result} {said}") if said else solution
@@ -56,7 +57,7 @@ class Examination:
         """An examiner of this kind for parameters of their structure."""
         key = kind, structure_of(parameters), which
         if key not in self._traced:
-            self._traced[key] = kind(self.problem, *(which or (parameters,)))
+            self._traced[key] = kind(self.problem, parameters, *which)
         return self._traced[key]
 
     def _unqualified(self, solution: Solution) -> str:
@@ -67,9 +68,7 @@ class Examination:
         """A sentence on a constraint of the states that an end violates."""
         if not self.problem.limits.functions or all(end is None for end in given):
             return ""
-        first, last = EndReader(self.problem.manifold).ends(*given, batched=True).prescribed
-        fixed = np.stack([first.coordinates, last.coordinates]) > 0
-        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, fixed)
+        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, self._fixed(given))
         for end, over in zip(("start", "end"), excess, strict=True):
             if np.max(over, initial=0.0) > 0:
                 worst = int(np.argmax(over))
@@ -80,12 +79,16 @@ class Examination:
                 )
         return ""
 
+    def _fixed(self, given: tuple[Any, Any]) -> np.ndarray:
+        """Which coordinates of both ends are prescribed, shape ``(2, n)``."""
+        return np.stack([part.coordinates for part in EndReader(self.problem.manifold).ends(*given, batched=True).prescribed]) > 0
+
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self.problem.limits.along or bool(self._looked(free_horizon, parameters).steps(parameters))
+        return self.problem.limits.along or bool(self._looked(free_horizon, parameters))
 
-    def _looked(self, free_horizon: bool, parameters: Any) -> StateJumps:
-        return self._once(StateJumps, parameters, free_horizon and self.problem.time_dependent)
+    def _looked(self, free_horizon: bool, parameters: Any) -> Jumps:
+        return self._once(Jumps, parameters, free_horizon and self.problem.time_dependent)
 
     def undetermined(self, solution: Solution) -> str:
         """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""
@@ -134,6 +137,13 @@ class Examination:
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative
         return flat
+
+
+def _failed(solution: Solution, words: str) -> Solution:
+    """The solution without success, and without what is claimed of one."""
+    checks = solution.checks
+    checks = replace(checks, strict_minimum=False) if isinstance(checks, RegularChecks) else checks
+    return replace(solution, success=False, result=words, checks=checks)
 
 
 def _longest(flat: np.ndarray) -> tuple[int, int]:

@@ -57,7 +57,7 @@ class Recording:
         if self.problem.limits.functions:  # they may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
-        known = _known(found)
+        known = _known(found, success)
 
         def member(k: int) -> Solution:
             own: Any = vec.entries(diagnostics, k)
@@ -89,13 +89,13 @@ class Recording:
         }
 
 
-def _known(found: Found) -> dict[str, list[Any]]:
+def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
     """What the iteration knows of the checks of each member."""
     residuals, limits = found.residuals, found.residuals.limits
     values = {
         "gap": residuals.gap,
         "stationarity": residuals.stationarity,
-        "strict_minimum": found.strict_minimum,
+        "strict_minimum": found.strict_minimum & success,
         "violation": np.maximum(limits.violation, limits.excess),
         "complementarity": limits.complementarity,
     }

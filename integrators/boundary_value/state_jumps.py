@@ -1,181 +1,202 @@
-"""Jumps in the states, and in a time that is not given: whether a trajectory passes one, which no costate tells of."""
+"""Jumps along a trajectory: whether it passes one, lies on one, or has controls beside one, of which no costate tells."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...manifolds.numerics import ambient as vec
+from ...manifolds import Euclidean
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction
-from ..compilation import call_compiled
-from ..constraints import constraint_words
+from ..control_jumps import control_jump, control_lines, control_words
+from ..crossings import DEGREE, NEAR, ROUNDING, Crossings, Given, Jump, Lines, largest, rate_names, rates, some
 from ..jumps import steps_in
-from ..kinks import JUMP, Zoom, closing_in, is_jump
+from ..kinks import JUMP
 from ..problem import OptimalControlProblem
 from .engine.layout import Layout
 from .solution import Solution
 
-POINTS = 4  # for each stage: between which the functions are looked at
+POINTS = 4  # for each stage: between which a step changes its sign once, or comes near to it once
 EDGE = 1e-3  # of a step: not where it begins and ends, so that an end on a jump is none that is passed
-MOST = 256  # segments and entries in which a jump is looked for more closely
-ROUNDING = 1e4  # times the machine epsilon, of the largest entry of an array: a smaller change may be rounding of its terms
-
-
-class _Segments(NamedTuple):
-    """From K points of a trajectory to the next ones: coordinates of these in charts there; and the controls there."""
-
-    states: Ambient
-    controls: Ambient
-    ways: np.ndarray  # (K, n)
-    times: np.ndarray  # (K,)
-    spans: np.ndarray  # (K,)
+ENDS = 0.1  # of a trajectory, at its beginning and its end, where it may come to an end that is on a jump
+STAGES = 64  # from whose controls is looked
+REACHES = 4.0 ** np.arange(-6, 2)  # times the largest control: how far, in pieces
+WIDER = 4.0  # times what counts as near: how far a line is that has both sides of a jump
 
 
 @final
-class StateJumps:
+class Jumps:
     """Looks for jumps of the functions of a problem along its solutions.
 
     ``timed``: whether jumps in an explicit time count, as they do where the horizon is free and shifts them.
     """
 
-    def __init__(self, problem: OptimalControlProblem, timed: bool) -> None:
+    def __init__(self, problem: OptimalControlProblem, parameters: Any, timed: bool) -> None:
         self.problem, self.timed = problem, timed
         self.state = Layout.of(problem.manifold)
-        self._steps: list[str] | None = None
+        bound = problem.with_parameters(parameters)
+        q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (bound.manifold, bound.controls))
+        given = (q, 0.0) if timed else (q,)
+        self.of_states = steps_in(lambda q, t=0.0: rates(bound.at_time(t), q, u), *given)
+        self.of_controls = steps_in(lambda u: rates(bound.at_time(0.0), q, u), u)
+        self._crossings: dict[Any, Crossings] = {}
+        self.of_ends = [steps_in(lambda q, f=f: f(bound.at_time(0.0), q, u, q), q) for f in (_at_start, _at_end)]
 
-    def steps(self, parameters: Any) -> list[str]:
-        """What the functions compute from states that may jump; looked at once."""
-        if self._steps is None:
-            bound = self.problem.with_parameters(parameters)
-            q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (bound.manifold, bound.controls))
-            given = (q, 0.0) if self.timed else (q,)
-            self._steps = steps_in(lambda q, t=0.0: _values(bound.at_time(t), q, u), *given)
-        return self._steps
+    def __bool__(self) -> bool:
+        """Whether there is a step that may jump."""
+        return bool(self.of_states or self.of_controls or any(self.of_ends))
 
-    def __call__(self, solution: Solution) -> str:
-        """Words on the largest jump that a trajectory passes; empty if it passes none."""
-        steps = self.steps(solution.parameters)
-        if not steps or solution.interpolant is None:
+    def __call__(self, solution: Solution, fixed: np.ndarray) -> str:
+        """Words on the largest jump; empty if there is none. ``fixed``: 1 for coordinates that an end prescribes, ``(2, n)``."""
+        if solution.interpolant is None or not self:
             return ""
-        given = self.problem, solution.interpolant.retraction, solution.parameters
-        segments = self._segments(solution)
+        retraction = solution.interpolant.retraction
+        words = self._along(retraction, solution) if self.of_states else ""
+        words = words or (self._beside(retraction, solution) if self.of_controls else "")
+        return words or (self._at_ends(retraction, solution, fixed) if any(self.of_ends) else "")
+
+    def _traced(self, function: Callable, retraction: Retraction) -> Crossings:
+        """What looks for jumps of a function; the same for solutions with one retraction."""
+        known = self._crossings.setdefault(function, Crossings(function, self.problem, retraction))
+        if known.retraction is not retraction:
+            known = self._crossings[function] = Crossings(function, self.problem, retraction)
+        return known
+
+    def _along(self, retraction: Retraction, solution: Solution) -> str:
+        """Words on a jump that the trajectory passes, or on which it lies."""
+        segments, given = self._segments(solution), (solution.parameters, None)
         if not len(segments.times):
             return ""
-        seen: Any = jax.tree.map(np.asarray, call_compiled(_ends, *given, *segments)[0])
-        sizes, rounding = self._sizes(seen[0])
-        with np.errstate(all="ignore"):
-            missing = np.abs(seen[0][:, 1] - seen[0][:, 0] - seen[1].mean(axis=1))
-            share = np.nan_to_num(np.where(missing > rounding, missing / sizes, 0.0))
-        order = np.argsort(share, axis=None)[::-1][:MOST]
-        where, entry = np.unravel_index(order[share.ravel()[order] > JUMP], share.shape)
-        if not len(where):
-            return ""
-        own = jax.tree.map(lambda leaf: leaf[where], segments)
-        zoom: Any = jax.tree.map(np.asarray, call_compiled(_closer, *given, *own, entry)[0])
-        return self._words(given, own, zoom, (entry, sizes, rounding), steps)
+        crossings, names = self._traced(rates, retraction), rate_names(self.problem.with_parameters(solution.parameters))
+        seen = crossings.seen(given, segments)
+        sizes = self._sizes(seen.values)
+        located, step = crossings.located(given, segments, seen)
+        jump = largest(crossings.jumps(located, sizes))
+        if jump:
+            return self._words(jump, names[jump.entry], self.of_states, "where the trajectory passes")
+        size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
+        after = (segments.times - solution.times[0]) / np.ptp(solution.times)
+        inner = (after > ENDS) & (after < 1 - ENDS)
+        k, steps = some((np.abs(seen.margins[:, 0]) <= NEAR * size) & inner[:, None])
+        near = segments[k]
+        if located is not None:  # between two points it comes near to a jump
+            touches = np.abs(located.margins) <= NEAR * size[step]
+            steps = np.concatenate([steps, step[touches]])
+            at = jax.tree.map(lambda a: a[touches], (located.states, located.controls, located.times))
+            near = jax.tree.map(lambda a, b: np.concatenate([a, b]), near, self._resting(*at))
+        jump = self._on(crossings, given, near, steps, (size, sizes))
+        return self._words(jump, names[jump.entry], self.of_states, "beside the trajectory, at") if jump else ""
 
-    def _words(
-        self, given: tuple[Any, Retraction, Any], own: _Segments, zoom: Any, known: tuple[np.ndarray, ...], steps: list[str]
-    ) -> str:
-        entry, sizes, rounding = known
-        worst, found = 0.0, None
-        for k, i in enumerate(entry):
-            change = abs(float(zoom.changes[k, -1]))
-            large = change > max(JUMP * sizes[i], rounding[i])
-            if large and is_jump(zoom.widths[k], zoom.changes[k], float(sizes[i])) and change / sizes[i] > worst:
-                worst, found = change / sizes[i], k
-        if found is None:
-            return ""
-        name = _names(self.problem.with_parameters(given[2]), self.state.size)[entry[found]]
-        base, place = (jax.tree.map(lambda leaf: leaf[found], part) for part in (own.states, own.ways * zoom.places[:, -1:]))
-        q = jax.tree.map(lambda a: np.array2string(np.asarray(a), precision=6), _moved(given[1], base, jnp.asarray(place)))
-        time = own.times[found] + own.spans[found] * zoom.places[found, -1]
+    def _on(
+        self, crossings: Crossings, given: Given, points: Lines, step: np.ndarray, sizes: tuple[np.ndarray, Any], free: Any = 1.0
+    ) -> Jump | None:
+        """The largest jump at points that are near to one, looked for on lines that go through it; ``sizes`` of the steps."""
+        if not len(step):
+            return None
+        slope = crossings.slopes(given, points)[np.arange(len(step)), step] * free
+        with np.errstate(all="ignore"):
+            length = WIDER * NEAR * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
+            ways = slope / np.sum(slope**2, axis=1, keepdims=True) * length
+        known = np.flatnonzero(np.all(np.isfinite(ways), axis=1))
+        if not len(known):
+            return None
+        at = points[known]
+        lines = Lines.through(at.states, at.controls, at.times, ways[known], 0 * at.turns)
+        located, _ = crossings.located(given, lines, crossings.seen(given, lines), step[known])
+        return largest(crossings.jumps(located, sizes[1]))
+
+    def _beside(self, retraction: Retraction, solution: Solution) -> str:
+        """Words on a jump in the controls, from those of some stages."""
+        count, given = len(solution.stage_times), (solution.parameters, None)
+        stages = np.unique(np.linspace(0, count - 1, min(count, STAGES)).round().astype(int))
+        q, u = (jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (solution.stage_states, solution.controls))
+        reach = 1.0
+        if isinstance(self.problem.controls, Euclidean):
+            reach = float(np.max(np.abs(np.asarray(u)), initial=0.0)) or 1.0
+        lines = control_lines(self.problem, q, u, solution.stage_times[stages], reach * REACHES)
+        crossings = self._traced(rates, retraction)
+        sizes = self._sizes(crossings.seen(given, lines[lines.low == 0]).values[:, :1])
+        jump = control_jump(crossings, given, lines, sizes)
+        bound = self.problem.with_parameters(solution.parameters)
+        return control_words(bound, jump, self.of_controls, f" (q as at t = {jump.time:.6g})") if jump else ""
+
+    def _at_ends(self, retraction: Retraction, solution: Solution, fixed: np.ndarray) -> str:
+        """Words on a jump of what is asked of an end, where that is free and on it."""
+        for end, (steps, name) in enumerate(zip(self.of_ends, ("initial_cost", "terminal_cost"), strict=True)):
+            if not steps or np.all(fixed[end] > 0):
+                continue
+            one, other = (jax.tree.map(lambda a, k=k: np.asarray(a)[[k]], solution.states) for k in (-end, end - 1))
+            u, t = (jax.tree.map(lambda a, k=-end: np.asarray(a)[[k]], part) for part in (solution.controls, solution.times))
+            given = solution.parameters, jax.tree.map(lambda a: a[0], other)
+            crossings, point = self._traced((_at_start, _at_end)[end], retraction), self._resting(one, u, t)
+            seen = crossings.seen(given, point)
+            size = seen.sizes[0, 0]
+            near = np.flatnonzero(np.abs(seen.margins[0, 0]) <= NEAR * size)
+            jump = self._on(crossings, given, point[np.zeros(len(near), int)], near, (size, None), fixed[end] == 0)
+            if jump:
+                where = f"where the trajectory {('begins', 'ends')[end]}, at"
+                return self._words(jump, name if jump.entry == 0 else "boundary_constraints", steps, where)
+        return ""
+
+    def _words(self, jump: Jump, name: str, steps: list[str], where: str) -> str:
+        q = jax.tree.map(lambda a: np.array2string(np.asarray(a), precision=6), jump.state)
         return (
-            f"{name} jumps by {zoom.changes[found, -1]:.3g} where the trajectory passes q = {_joined(q)}"
-            f"{f' near t = {time:.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
+            f"{name} jumps by {jump.change:.3g} {where} q = {_joined(q)}"
+            f"{f' near t = {jump.time:.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
             f"{'states and times' if self.timed else 'states'}, and no derivative tells of the jump; expected functions without "
             "jumps along the trajectory, because the costates jump there too, and these do not; try jnp.tanh(x / a) with a small "
             "a in place of a step, or solve_phases, with one phase on each side that ends where the jump is"
         )
 
-    def _segments(self, solution: Solution) -> _Segments:
+    def _segments(self, solution: Solution) -> Lines:
         """The segments between points of the trajectory where they are known."""
         interpolant: Any = solution.interpolant
         count = POINTS * len(solution.stage_times) // solution.steps
-        found = interpolant.within(solution, np.linspace(EDGE, 1 - EDGE, count + 1))
-        times = found.times.ravel()
-        q, u = (jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), part) for part in (found.states, found.controls))
-        rows = self.state.rows(q, 1)
-        ways = interpolant.chart.coordinates(rows[:-1], rows[1:])
-        leaves = [np.asarray(leaf)[:-1].reshape(len(ways), -1) for leaf in jax.tree.leaves((q, u))]
-        known = np.all([np.all(np.isfinite(a), axis=1) for a in (*leaves, ways)], axis=0)
-        spans = np.diff(times) if self.timed else 0 * times[1:]
-        whole = _Segments(jax.tree.map(lambda a: a[:-1], q), jax.tree.map(lambda a: a[:-1], u), ways, times[:-1], spans)
-        return jax.tree.map(lambda leaf: leaf[known], whole)
+        found = interpolant.within(solution, np.linspace(EDGE, 1 - EDGE, DEGREE * count + 1))
+        rows, of_controls = self.state.rows(found.states, 2), interpolant.control.rows(found.controls, 2)
+        # Within the steps, polynomials through points; from each step to the next one, all points are the last one.
+        inner = np.arange(count)[:, None] * DEGREE + np.arange(DEGREE + 1)
+        last = np.concatenate([rows[:-1, -1:], *DEGREE * [rows[1:, :1]]], axis=1)
+        through = np.concatenate([rows[:, inner].reshape(-1, DEGREE + 1, rows.shape[2]), last])
+        places = np.arange(1, DEGREE + 1) / DEGREE
+        coordinates = interpolant.chart.coordinates(through[:, :1], through[:, 1:])
+        ways = np.einsum("jd,kdn->kjn", np.linalg.inv(places[:, None] ** np.arange(1, DEGREE + 1)), coordinates)
+        ways[len(rows) * count :] = coordinates[len(rows) * count :, -1:] * np.eye(DEGREE)[0][:, None]
+        begin, end = inner[:, 0], inner[:, -1]
+        times = np.concatenate([found.times[:, begin].ravel(), found.times[:-1, -1]])
+        ends = np.concatenate([found.times[:, end].ravel(), found.times[1:, 0]])
+        u = np.concatenate([of_controls[:, begin].reshape(len(rows) * count, -1), of_controls[:-1, -1]])
+        parts = through[:, 0], ways.reshape(len(ways), -1), u
+        known = np.all([np.all(np.isfinite(part), axis=1) for part in parts], axis=0)
+        spans = ends - times if self.timed else 0 * times
+        lines = self._resting(self.state.points(through[:, 0]), interpolant.control.points(u), times)
+        return lines._replace(ways=ways, spans=spans, low=0 * times)[known]
 
-    def _sizes(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Of each entry of the functions the size along the trajectory, and that of the rounding in it."""
-        sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1))
-        largest = sizes.copy()
+    def _resting(self, states: Ambient, controls: Ambient, times: np.ndarray) -> Lines:
+        """Lines that stay at points."""
+        n, m = self.problem.manifold.dimension, self.problem.controls.dimension
+        return Lines.through(states, controls, times, np.zeros((len(times), n)), np.zeros((len(times), m)))
+
+    def _sizes(self, values: np.ndarray) -> np.ndarray:
+        """Of each entry of the functions the size along the trajectory; of small ones that which is rounding in their array."""
+        sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1), initial=0.0)
         for place in self.state.places:
-            largest[place] = np.max(sizes[place], initial=0.0)
-        return np.where(sizes > 0, sizes, 1.0), ROUNDING * np.finfo(values.dtype).eps * largest
+            least = ROUNDING / JUMP * np.finfo(values.dtype).eps * np.max(sizes[place], initial=0.0)
+            sizes[place] = np.maximum(sizes[place], least)
+        return sizes
 
 
-def _values(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> Array:
-    """The entries of the velocity, the running cost, and the constraints."""
-    velocity = Layout.of(problem.manifold).flat(problem.velocity(q, u))
-    return jnp.concatenate([velocity, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem.limits.of_functions(q, u)])
+def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:
+    """What is asked of the start, with the last state as it is."""
+    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem.boundary.values(q, last)])
 
 
-def _names(problem: OptimalControlProblem, count: int) -> list[str]:
-    """Of each of these entries the name of its function."""
-    limits = [constraint_words(name) for name, size in problem.at_time(0.0).inequality_sizes.items() for _ in range(size or 1)]
-    return [*count * ["dynamics"], "running_cost", *limits]
-
-
-def _moved(retraction: Retraction, q: Ambient, way: Array) -> Ambient:
-    return retraction(q, vec.combine(retraction.manifold.basis(q), way))
-
-
-def _ends(problem: OptimalControlProblem, retraction: Retraction, parameters: Any, *segments: Any) -> tuple[Array, Array]:
-    """The values at both ends of segments, and their slopes there, shape ``(K, 2, entries)``."""
-
-    def one(*segment: Any) -> tuple[Array, Array]:
-        value = _along(problem, retraction, parameters, *segment)
-        return jax.vmap(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),)))(jnp.array([0.0, 1.0]))
-
-    return jax.vmap(one)(*segments)
-
-
-def _closer(problem: OptimalControlProblem, retraction: Retraction, parameters: Any, *given: Any) -> Zoom:
-    """Intervals that close in on where an entry of the values changes, of a segment each."""
-
-    def one(*given: Any) -> Zoom:
-        *segment, entry = given
-        value = _along(problem, retraction, parameters, *segment)
-        return closing_in(lambda s: jax.jvp(lambda s: value(s)[entry], (s,), (jnp.ones_like(s),)), jnp.zeros(()), jnp.ones(()))
-
-    return jax.vmap(one)(*given)
-
-
-def _along(
-    problem: OptimalControlProblem,
-    retraction: Retraction,
-    parameters: Any,
-    q: Ambient,
-    u: Ambient,
-    way: Array,
-    t: Array,
-    span: Array,
-) -> Callable[[Array], Array]:
-    """The values along a segment, with the control of where it begins."""
-    bound = problem.with_parameters(parameters)
-    return lambda s: _values(bound.at_time(t + s * span), _moved(retraction, q, s * way), u)
+def _at_end(problem: OptimalControlProblem, q: Ambient, _: Ambient, first: Ambient) -> Array:
+    """What is asked of the end, with the first state as it is."""
+    return jnp.concatenate([jnp.reshape(problem.final_cost(q), (1,)), problem.boundary.values(first, q)])
 
 
 def _joined(words: Any) -> str:

@@ -86,6 +86,90 @@ def test_a_jump_that_is_not_passed_is_none(solver):
         assert solution.success == (end <= PLACE), end
 
 
+def free(q: Array, u: Array, *_: Any) -> Array:
+    return u
+
+
+def placed(q: Array, u: Array, weights: Array) -> Array:
+    """Steps of several kinds at places that are data: of controls, of states, and a window of states."""
+    of_control, aslant, of_state, width, place = weights
+    steps = of_control * (u[0] > place), aslant * (u[0] > place + q[1]), of_state * (q[0] >= place)
+    return u @ u / 2 + sum(steps) + jnp.where(jnp.abs(q[0] - PLACE) < width, 1.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def with_places() -> Solver:
+    return solver_of(placed)
+
+
+def succeeds(solver: Solver, start: Any, end: Any, weights: Any) -> tuple[bool, str]:
+    """Whether it is solved, and what is said where it is not."""
+    try:
+        solution = solver.solve(np.array(start), np.array(end), 1.0, parameters=np.array(weights), throw=False)
+    except InvalidInputError as error:
+        return False, str(error)
+    return solution.success, solution.result
+
+
+def test_a_jump_in_the_controls_is_none_that_depends_on_where_it_is(with_places):
+    """Beside strong curvature, through all controls of the trajectory, which are between -6 and 6, and beyond them."""
+    for place in (-20.0, -5.9, -1e-3, 1e-7, 2.77, 5.999, 9.0):
+        for steps in ((0.1, 0.0), (0.0, 0.1)):
+            solved, said = succeeds(with_places, (0.0, 0.0), (1.0, 0.0), (*steps, 0.0, 0.0, place))
+            assert not solved, place
+            assert "running_cost jumps in the controls at u = [" in said, place
+
+
+def test_a_jump_beyond_the_bounds_is_none():
+    bounded = solver_of(lambda q, u: u @ u / 2 + jnp.where(u[0] > 7.0, 1.0, 0.0), control_bounds=(-6.5, 6.5))
+    assert bounded.solve(0 * END, END, 1.0).success
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-9, 1e-7, 1e-4, 1e-2])
+def test_a_narrow_window_is_seen(with_places, width):
+    solved, said = succeeds(with_places, (0.0, 0.0), (1.0, 0.0), (0.0, 0.0, 0.0, width, 0.0))
+    assert solved == (width == 0), said
+    assert solved or "passes q = [0.3" in said
+
+
+def test_a_trajectory_that_lies_on_a_jump_is_no_minimum():
+    """It is at 0.3 throughout; the place of the jump moves through it."""
+    solver = Solver(OptimalControlProblem(PLANE, free, lambda q, u, place: u @ u / 2 + (q[0] >= place), 2), METHOD, 5)
+    for away in (0.0, 1e-15, 1e-12, 1e-6, 1e-3):
+        for place in {0.3 - away, 0.3 + away}:
+            solved, said = succeeds(solver, (0.3, 0.0), (0.3, 1.0), place)
+            assert solved == (away > 1e-9), place
+            assert solved or "beside the trajectory, at q = [0.3" in said
+
+
+def test_a_jump_that_a_trajectory_touches_is_seen(with_places):
+    """It goes out and back; the place moves through the farthest point, which is that of a parabola between two nodes."""
+    smooth = with_places.solve(np.array([0.0, 1.0]), np.zeros(2), 1.0, parameters=np.array([0, 0, 0, 0, 0.0]))
+    at = np.array([0.31, 0.35, 0.39])
+    a, b, c = np.polyfit(at, smooth(at).states[:, 0], 2)
+    for away in (-1e-2, -1e-6, -1e-10, 0.0, 1e-10, 1e-6, 1e-2):
+        solved, said = succeeds(with_places, (0.0, 1.0), (0.0, 0.0), (0.0, 0.0, 1.0, 0.0, c - b * b / (4 * a) + away))
+        assert solved == (away > 1e-9), (away, said)
+
+
+def test_a_terminal_cost_that_jumps_where_the_trajectory_ends_has_no_minimum():
+    """The place moves through the end, which is free; an end that is prescribed may be on it."""
+
+    def final(q: Array, place: Array) -> Array:
+        return q @ q / 2 + jnp.where(q[0] >= place, 0.0, 0.1)
+
+    problem = OptimalControlProblem(PLANE, free, lambda q, u, place: u @ u / 2 + 0 * place, 2, terminal_cost=final)
+    solver = Solver(problem, METHOD, 5)
+    reached = 0.5  # u = -q_N, from 1
+    for away in (0.0, 1e-14, 1e-10, 1e-5, 1e-2):
+        for place in {reached - away, reached + away}:
+            solution = solver.solve(np.array([1.0, 0.0]), None, 1.0, parameters=np.array(place), throw=False)
+            assert solution.success == (away > 1e-9), place
+            assert solution.success or "terminal_cost jumps by" in solution.result
+            assert not (solution.checks.strict_minimum and not solution.success)
+    assert solver.solve(np.array([1.0, 0.0]), np.array([reached, 0.0]), 1.0, parameters=np.array(reached)).success
+
+
 @pytest.mark.slow
 def test_jumps_of_dynamics_and_constraints_are_named_on_manifolds_too():
     group = SO(3)

@@ -5,10 +5,9 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 from jaxtyping import Array, Bool
 
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+from ...programs import CALLS, outputs_of, value_of
 
 
 def _vanishes(out: Array, *_: Array) -> Array:
@@ -53,20 +52,14 @@ def _evaluate(jaxpr: Any, constants: Any, arguments: list[Any]) -> tuple[list[An
     known = dict(zip(jaxpr.constvars, constants, strict=True)) | dict(zip(jaxpr.invars, arguments, strict=True))
     lost = jnp.zeros((), bool)
     for equation in jaxpr.eqns:
-        values, name = [_read(known, v) for v in equation.invars], equation.primitive.name
+        values, name = [value_of(known, v) for v in equation.invars], equation.primitive.name
         if name in CALLS:
             inner = equation.params[CALLS[name]]
             results, within = _evaluate(inner.jaxpr, inner.consts, values)
             lost |= within
         else:
-            variables = list({v: None for v in equation.invars if not isinstance(v, Literal)})
-            alone = Jaxpr([], variables, equation.outvars, [equation], equation.effects, jaxpr.debug_info)
-            results = jaxpr_as_fun(ClosedJaxpr(alone, []))(*(known[v] for v in variables))
+            results = outputs_of(jaxpr, equation, known)
         if name in LOST and jnp.issubdtype(results[0].dtype, jnp.floating):
             lost |= jnp.any(LOST[name](results[0], *map(jnp.asarray, values)))
         known.update(zip(equation.outvars, results, strict=True))
-    return [_read(known, v) for v in jaxpr.outvars], lost
-
-
-def _read(known: dict[Any, Any], variable: Any) -> Any:
-    return variable.val if isinstance(variable, Literal) else known[variable]
+    return [value_of(known, v) for v in jaxpr.outvars], lost

@@ -1,0 +1,69 @@
+"""Jumps in the controls: values that change where no derivative does, as those of rounding and of whole numbers."""
+
+from typing import TYPE_CHECKING
+
+import jax
+import numpy as np
+
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
+from .crossings import Crossings, Given, Jump, Lines, largest, rate_names, rates
+from .jumps import steps_in
+from .kinks import rounded
+
+if TYPE_CHECKING:
+    from .problem import OptimalControlProblem
+
+SCALES = 10.0 ** np.arange(-4, 7)  # sizes of controls between which a jump is looked for
+BOUND = 1e-9  # of a bound: a control beyond it by more is not admitted
+
+
+def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+    """Raise if a function of the problem jumps in the controls, along a coordinate of these from ``u``.
+
+    Only functions that compute steps of the controls are looked at.
+    """
+    found = steps_in(lambda u: rates(problem, q, u), u)
+    if not found:
+        return
+    states, controls = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], point) for point in (q, u))
+    lines = control_lines(problem, states, controls, np.zeros(1, working_precision()), SCALES)
+    jump = control_jump(Crossings(rates, problem, None), (None, None), lines)
+    if jump:
+        raise InvalidInputError(control_words(problem, jump, found))
+
+
+def control_lines(
+    problem: "OptimalControlProblem", states: Ambient, controls: Ambient, times: np.ndarray, scales: np.ndarray
+) -> Lines:
+    """Lines from each of some controls along every coordinate to both sides, in pieces between these distances."""
+    count, n, m = len(times), problem.manifold.dimension, problem.controls.dimension
+    grid = np.concatenate([-scales[::-1], [0.0], scales]).astype(working_precision())
+    k, entry, piece = (part.ravel() for part in np.meshgrid(range(count), range(m), range(len(grid) - 1), indexing="ij"))
+    q, u = (jax.tree.map(lambda leaf: np.asarray(leaf)[k], part) for part in (states, controls))
+    turns, none = np.eye(m, dtype=grid.dtype)[entry], np.zeros((len(k), n), grid.dtype)
+    return Lines.through(q, u, times[k], none, turns)._replace(low=grid[piece], high=grid[piece + 1])
+
+
+def control_jump(crossings: Crossings, given: Given, lines: Lines, sizes: np.ndarray | None = None) -> Jump | None:
+    """The largest jump on these lines at controls that the bounds admit."""
+    located, _ = crossings.located(given, lines, crossings.seen(given, lines))
+    bounds = crossings.problem.control_bounds
+    return largest([jump for jump in crossings.jumps(located, sizes) if bounds is None or _admitted(jump.control, *bounds)])
+
+
+def _admitted(u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
+    slack = BOUND * np.maximum(1.0, np.abs(u))
+    return bool(np.all(u >= lower - slack) and np.all(u <= upper + slack))
+
+
+def control_words(problem: "OptimalControlProblem", jump: Jump, steps: list[str], at: str = "") -> str:
+    """What is said of a jump; ``at``: of which state."""
+    name = rate_names(problem)[jump.entry]
+    place = jax.tree.map(lambda leaf: rounded(leaf, float(np.max(np.abs(leaf), initial=0.0))), jump.control)
+    return (
+        f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no derivative tells "
+        "of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a jump; try "
+        "jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of them"
+    )
