@@ -51,20 +51,15 @@ def zoomed(
     u: Ambient,
     ways: Float[Array, "k d m"],
     reach: Array,
-    on_values: bool = False,
 ) -> tuple[Zoom, Ambient]:
-    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls found.
-
-    ``on_values``: on the values of the parts, whose first derivatives are the ``curvatures``, in place of their slopes.
-    """
+    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls found."""
 
     def one(q: Ambient, p: Ambient, u: Ambient, way: Array, part: Array) -> tuple[Zoom, Ambient]:
         def value(s: Array) -> Array:
             return jnp.stack(problem.parts(q, p, problem.steer(u, s * way)))[part]
 
         def derivatives(s: Array) -> tuple[Array, Array]:
-            slope = value if on_values else lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1]
-            return jax.jvp(slope, (s,), (jnp.ones_like(s),))
+            return jax.jvp(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1], (s,), (jnp.ones_like(s),))
 
         zoom = closing_in(derivatives, -0.93 * reach, 1.01 * reach)
         return zoom, problem.steer(u, zoom.places[-1] * way)

@@ -1,7 +1,7 @@
 """Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a control."""
 
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
 from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
-from .compilation import call_compiled
+from .compilation import call_compiled, held
 from .constraints import constraint_words
 from .jumps import dependent
 
@@ -31,6 +31,7 @@ MOVE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
 ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SETTLED, LASTS = 0.1, 2  # difference quotients over neighbouring spans that change by less of what the derivative misses
 BASES = 3
+PLACES = 8  # along a trajectory
 
 
 class Line(NamedTuple):
@@ -47,22 +48,65 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
     Only functions that have rules of their own for derivatives, or stop some, are looked at.
     """
     found = own_rules(partial(_values, problem), q, u)
-    if not found:
-        return
+    if found:
+        lines = call_compiled(_lines, problem, q, u, *_moves(problem, (BASES,)), SPANS.astype(working_precision()))[0]
+        words = _words(problem, q, jax.tree.map(lambda part: np.asarray(part)[None], lines), found, [""])
+        if words:
+            raise InvalidInputError(words)
+
+
+@final
+class TrueDerivatives:
+    """Looks at some points of trajectories whether the derivatives of a problem's functions tell of their values; traced once."""
+
+    def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
+        self.problem, bound = problem, problem.with_parameters(parameters).at_time(0.0)
+        points = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls))
+        self.rules = own_rules(partial(_values, bound), *points)
+        self._traced = held(self._lines)
+
+    def __bool__(self) -> bool:
+        """Whether a function has rules of its own, or stops derivatives."""
+        return bool(self.rules)
+
+    def __call__(self, states: Ambient, controls: Ambient, times: np.ndarray, parameters: Any) -> str:
+        """Words on the function whose derivative is off by most; empty if none is."""
+        known = np.all(
+            [np.isfinite(leaf.reshape(len(times), -1)).all(axis=1) for leaf in jax.tree.leaves((states, controls))], axis=0
+        )
+        stages = np.flatnonzero(known)
+        if not (self.rules and len(stages)):
+            return ""
+        stages = stages[np.linspace(0, len(stages) - 1, PLACES).round().astype(int)]
+        q, u, t = (jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (states, controls, times))
+        lines: Any = jax.tree.map(np.asarray, self._traced(parameters, q, u, t, *_moves(self.problem, (PLACES, BASES))))
+        bound, first = self.problem.with_parameters(parameters).at_time(0.0), jax.tree.map(lambda a: a[0], q)
+        return _words(bound, first, lines, self.rules, [f" near t = {time:.6g}" for time in t])
+
+    def _lines(self, parameters: Any, *points: Any) -> tuple[Line, Line]:
+        bound, spans = self.problem.with_parameters(parameters), jnp.asarray(SPANS, working_precision())
+        return jax.vmap(lambda q, u, t, ways, turns: _lines(bound.at_time(t), q, u, ways, turns, spans))(*points)
+
+
+def _moves(problem: "OptimalControlProblem", count: tuple[int, ...]) -> list[np.ndarray]:
+    """Random directions of states and of controls, two for each line."""
     draw = np.random.default_rng(0).standard_normal
-    moves = [draw((BASES, 2, m.dimension)).astype(working_precision()) for m in (problem.manifold, problem.controls)]
-    lines: Any = jax.tree.map(np.asarray, call_compiled(_lines, problem, q, u, *moves, SPANS.astype(working_precision()))[0])
-    names = _names(problem, q)
+    return [draw((*count, 2, m.dimension)).astype(working_precision()) for m in (problem.manifold, problem.controls)]
+
+
+def _words(problem: "OptimalControlProblem", q: Ambient, lines: Any, found: list[str], places: list[str]) -> str:
+    """What is said of the lines near some places, along which states and along which controls move."""
     for about, line in zip(("states", "controls"), lines, strict=True):
         wrong = usually_missed(line)
-        worst = int(np.argmax(wrong))
-        if wrong[worst] > 0:
-            raise InvalidInputError(
-                f"{names[worst]} changes with the {about} at another rate than its derivative, which is off by "
-                f"{wrong[worst]:.1e} of it, where the functions use {' and '.join(found)}; expected the derivatives of the "
-                "values, because dH/du = 0 and the costates are made of them; try it without, or a rule that agrees with the "
-                "values"
+        place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
+        if wrong[place, entry] > 0:
+            return (
+                f"{_names(problem, q)[entry]} changes with the {about} at another rate than its derivative{places[place]}, "
+                f"which is off by {wrong[place, entry]:.1e} of it, where the functions use {' and '.join(found)}; expected the "
+                "derivatives of the values, because dH/du = 0 and the costates are made of them; try it without, or a rule that "
+                "agrees with the values"
             )
+    return ""
 
 
 def own_rules(function: Any, *arguments: Any) -> list[str]:
@@ -73,7 +117,8 @@ def own_rules(function: Any, *arguments: Any) -> list[str]:
 
 def usually_missed(line: Any) -> np.ndarray:
     """Of each function the share of its change that is not in its derivative, the middle one of those along several lines."""
-    return np.median([_missed(*(part[k] for part in line)) for k in range(BASES)], axis=0)
+    below, above = (np.moveaxis(part, -2, 0).reshape(len(SPANS), -1) for part in (line.below, line.above))
+    return np.median(_missed(below, above, np.ravel(line.slopes)).reshape(line.slopes.shape), axis=-2)
 
 
 def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:

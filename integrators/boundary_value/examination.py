@@ -11,6 +11,7 @@ from ...reading import one_reading
 from ..constraints import LOWER, UPPER
 from ..problem import OptimalControlProblem
 from ..results import sentence
+from ..stopped import TrueDerivatives
 from .arguments import structure_of
 from .control_curvature import ControlCurvature
 from .end_points import EndReader
@@ -41,17 +42,23 @@ class Examination:
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
         with one_reading(), np.errstate(all="ignore"):
-            looked = self._looked(free_horizon, solution.parameters)
-            jump = looked(solution, self._fixed(given)) if looked else ""
-            if jump:
+            wrong = self._wrong(solution, free_horizon, given)
+            if wrong:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
-                return _failed(solution, f"The conditions {how} {jump}.")
+                return _failed(solution, f"The conditions {how} {wrong}.")
             outside = self._outside(solution, given) if solution.success else ""
             if outside:
                 return _failed(solution, outside)
             notes = [self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
             said = " ".join(filter(None, notes))
             return replace(solution, result=f"{solution.result} {said}") if said else solution
+
+    def _wrong(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any]) -> str:
+        """Words on a jump, or on a derivative, of which the conditions do not tell."""
+        looked, rules = self._looked(free_horizon, solution.parameters), self._once(TrueDerivatives, solution.parameters)
+        jump = looked(solution, self._fixed(given)) if looked else ""
+        points = solution.stage_states, solution.controls, solution.stage_times
+        return jump or (rules(*points, solution.parameters) if rules else "")
 
     def _once(self, kind: Callable[..., T], parameters: Any, *which: Any) -> T:
         """An examiner of this kind for parameters of their structure."""
@@ -85,7 +92,8 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self.problem.limits.along or bool(self._looked(free_horizon, parameters))
+        looked = self._looked(free_horizon, parameters), self._once(TrueDerivatives, parameters)
+        return self.problem.limits.along or any(looked)
 
     def _looked(self, free_horizon: bool, parameters: Any) -> Jumps:
         return self._once(Jumps, parameters, free_horizon and self.problem.time_dependent)

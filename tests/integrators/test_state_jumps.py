@@ -256,6 +256,22 @@ class Hidden(eqx.Module):
         return u @ u / 2 + q[0] ** 2 + self.weight * jax.lax.stop_gradient(q[0]) ** 2
 
 
+def test_what_is_hidden_along_a_trajectory_is_seen_where_the_start_shows_nothing():
+    """The share is zero up to a place, which moves through the trajectory, and from there on a cube."""
+
+    def price(q: Array, u: Array, given: tuple[Array, Array]) -> Array:
+        place, hidden = given
+        beyond = jnp.maximum(q[0] - place, 0.0) ** 3
+        return u @ u / 2 + (1 - hidden) * beyond + hidden * jax.lax.stop_gradient(beyond)
+
+    solver = solver_of(price)
+    for hidden in (0.0, 1e-12, 1e-2, 1.0):
+        for place in (-0.1, 0.1, 0.6, 1.5):
+            solution = solver.solve(0 * END, END, 1.0, parameters=(np.array(place), np.array(hidden)), throw=False)
+            assert solution.success == (hidden < 1e-9 or place > 1), (place, hidden, solution.result)
+            assert solution.success or "running_cost changes with the states at another rate" in solution.result
+
+
 def is_refused(share: float, unit: float) -> bool:
     try:
         return not OptimalControlProblem(PLANE, cart, Hidden(jnp.asarray(share)), 1).check(unit * AT, np.zeros(1))
