@@ -5,7 +5,7 @@
 ``P_f = {y = 0}`` carries a presymplectic form of rank 2 with kernel d/dp_y; ``u1 = p_x - x`` is determined and ``u2`` is
 gauge. For ``f = 0``, ``f = x/2`` and ``f = sin`` the solutions are known in closed form or to seven digits, and the scheme
 that the paper prints is the general machinery to rounding.
-[Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, section 4.1]
+[Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, section 5.1]
 
     python examples/academic_singular.py [--output examples/output]
 """

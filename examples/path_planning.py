@@ -126,15 +126,16 @@ def plot(solution, paths, path):
     polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
     ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
     space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
-    for name, poses in paths.items():
+    for (name, poses), style in zip(paths.items(), ("-", "-", "--"), strict=True):  # the last two are nearly the same
         if poses is not solution.states:
             space.plot(*positions(poses).T)
         away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
-        axis.plot(np.linspace(0, 1, len(poses)), away, label=name)
+        axis.plot(np.linspace(0, 1, len(poses)), away, style, label=name)
     plotting.path(solution, ax=space)
     space.view_init(50, -70)
     space.set_zlabel("")
-    axis.axhline(RADIUS, color="0.3", linestyle="--", label="the ball")
+    space.set_zticks([-1, 0, 1])
+    axis.axhline(RADIUS, color="0.3", linestyle=":", label="the ball")
     axis.set_xlabel("time")
     axis.set_ylabel("distance to the centre")
     axis.legend()

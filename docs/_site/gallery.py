@@ -12,8 +12,8 @@ HEAD = """Examples
 ========
 
 Each script states its equation, solves it, checks the result against a known value, and draws it. They run as they are:
-``python examples/attitude_slew.py``. Pages with pictures were made by running their scripts. Each page has its script as a
-notebook too.
+``python examples/attitude_slew.py``. What a page shows, its script has printed and drawn when the site was built. Each page has
+its script as a notebook too.
 """
 shown: set[Path] = set()
 

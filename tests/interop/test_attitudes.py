@@ -5,9 +5,10 @@ from datetime import datetime
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Result, Trajectory
+from retrax.integrators import OptimalControlProblem, Result, Trajectory, solve
 from retrax.interop import from_aem, from_quaternions, to_aem, to_quaternions, to_rotation_spline
-from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
+from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, hat
+from retrax.retractions import Cayley, Midpoint
 from scipy.spatial.transform import Rotation
 
 ANGLES = np.linspace(-7.0, 7.0, 57)
@@ -103,6 +104,19 @@ def test_other_files_are_refused(tmp_path, change):
     path.write_text(path.read_text().replace(change, "X"))
     with pytest.raises(InvalidInputError, match=r"slew\.aem has"):
         from_aem(path)
+
+
+def test_an_ephemeris_at_times_is_the_solution_there(tmp_path):
+    problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
+    solution = solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[30], 2.0, 3)
+    for times in (solution.times, np.linspace(0.5, 1.5, 9)):
+        to_aem(solution, tmp_path / "slew.aem", **NAMES, at=times)
+        found = from_aem(tmp_path / "slew.aem")
+        np.testing.assert_allclose(found.times, times - times[0], atol=1e-6)
+        np.testing.assert_allclose(found.attitudes, solution(times).states, atol=1e-14)
+    for given, at in ((record(TURNS), [0.0, 1.0]), (solution, "stages")):
+        with pytest.raises(InvalidInputError, match='at must be "nodes"'):
+            to_aem(given, tmp_path / "slew.aem", **NAMES, at=at, problem=SO(3) if given is not solution else None)
 
 
 def test_what_is_no_ephemeris_is_not_written(tmp_path):

@@ -11,10 +11,12 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, final
 
+import jax
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..channels import About, rotations, view
+from ..channels import About, View, rotations, view
+from ..integrators import Solution
 from ..manifolds import InvalidInputError
 
 Scalar = Literal["first", "last"]
@@ -67,6 +69,16 @@ def to_rotation_spline(record: Any, array: int | None = None, problem: About = N
     return RotationSpline(found.times, Rotation.from_matrix(rotations(found, array)))
 
 
+def _sampled(record: Any, found: View, at: Any) -> View:
+    """The arrays at the nodes, or at times."""
+    if isinstance(at, str) and at == "nodes":
+        return found
+    if isinstance(at, str) or not isinstance(record, Solution):
+        raise InvalidInputError(f'at must be "nodes", or times if the record is a Solution, got {at!r:.80}')
+    sample = record(np.ravel(at))
+    return found._replace(times=sample.times, states=[np.asarray(leaf) for leaf in jax.tree.leaves(sample.states)])
+
+
 @final
 @dataclass(frozen=True)
 class AttitudeEphemeris:
@@ -98,15 +110,17 @@ def to_aem(
     originator: str = "RETRAX",
     array: int | None = None,
     problem: About = None,
+    at: Any = "nodes",
 ) -> None:
-    """Write the attitudes at the nodes as a CCSDS attitude ephemeris message, keyword-value notation [CCSDS 504.0-B-2, 2024].
+    """Write the attitudes as a CCSDS attitude ephemeris message, keyword-value notation [CCSDS 504.0-B-2, 2024].
 
     Times are those of the record, in seconds, after ``epoch``, a ``datetime`` in ``time_system``; they are written to the
-    microsecond. The rotation from ``reference`` to ``body`` takes the frame to the one of the body, so that its quaternion,
-    with the scalar last as that version prescribes, is that of the attitude. Raises ``InvalidInputError`` for a record without
-    an attitude, one that does not go forward in time, and words with line breaks.
+    microsecond. ``at``: ``"nodes"``, or, for a solution, times at which it is interpolated. The rotation from ``reference``
+    to ``body`` takes the frame to the one of the body, so that its quaternion, with the scalar last as that version
+    prescribes, is that of the attitude. Raises ``InvalidInputError`` for a record without an attitude, one that does not go
+    forward in time, words with line breaks, and times where the record is not a solution.
     """
-    found = view(record, problem)
+    found = _sampled(record, view(record, problem), at)
     quaternions = to_quaternions(rotations(found, array), "last")
     words = {"OBJECT_NAME": object_name, "OBJECT_ID": object_id, "REF_FRAME_A": reference, "REF_FRAME_B": body}
     words["TIME_SYSTEM"] = time_system

@@ -14,7 +14,7 @@ from ..manifolds import SO, Euclidean, Sphere, hat
 
 PAPER = (
     "M. Barbero-Linan, D. Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, "
-    "section 4.1"
+    "section 5.1"
 )
 ALY_CHAN = (
     "G. M. Aly, W. C. Chan, Application of a modified quasilinearization technique to totally singular optimal control "
