@@ -200,10 +200,6 @@ class OptimalControlProblem(eqx.Module):
         """A name for each of the inequalities, as ``cone[1]``; of a problem whose functions have their parameters."""
         return self.limits.words(self.inequality_sizes, self._shape)
 
-    def inequality_mask(self, steps: int, stages: int) -> np.ndarray:
-        """At which points of a trajectory the inequalities hold, shape ``(steps, stages, k)``."""
-        return self.limits.mask(self.inequality_sizes, steps, stages)
-
     @property
     def inequality_sizes(self) -> dict[str, int | None]:
         """How many entries each of the constraints has, None for a number."""

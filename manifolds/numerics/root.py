@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .implicit import implicit_root
+from .levenberg import Damping, levenberg
 from .newton import Vector
 
-MAX_APPROACHES = 60
-DAMPING, DAMPING_FACTOR, NEAR = 0.1, 4.0, 1e-3  # of Levenberg-Marquardt; the residual that Newton's method takes over at
+APPROACH = Damping(first=0.1, factor=4.0, largest=float("inf"), solved=1e-3)  # where Newton's method takes over
 
 
 def solve_small(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Float[Array, " m"]:
@@ -47,23 +47,9 @@ def known_root(residual: Callable[[Vector], Vector], root: Vector) -> Vector:
 
 
 def approach_root(residual: Callable[[Vector], Float[Array, " m"]], start: Vector) -> Vector:
-    """Levenberg-Marquardt steps towards a root of ``m >= k`` equations, to where Newton's method converges.
+    """Levenberg's steps towards a root of ``m >= k`` equations, to where Newton's method converges."""
 
-    A step that makes the residual grow is not taken and raises the damping.
-    """
+    def step(j: Float[Array, "m k"], r: Float[Array, " m"], damping: Array) -> Vector:
+        return -jnp.linalg.solve(j.T @ j + damping * jnp.eye(start.size, dtype=start.dtype), j.T @ r)
 
-    def step(state: tuple[Vector, Array, Array, Array]) -> tuple[Vector, Array, Array, Array]:
-        c, r, damping, count = state
-        j = jax.jacfwd(residual)(c)
-        tried = c - jnp.linalg.solve(j.T @ j + damping * jnp.eye(c.size, dtype=c.dtype), j.T @ r)
-        missed = residual(tried)
-        better = missed @ missed < r @ r
-        damping = damping * jnp.where(better, 1 / DAMPING_FACTOR, DAMPING_FACTOR)
-        return jnp.where(better, tried, c), jnp.where(better, missed, r), damping, count + 1
-
-    def far(state: tuple[Vector, Array, Array, Array]) -> Array:
-        _, r, _, count = state
-        return (r @ r > NEAR**2) & (count < MAX_APPROACHES)
-
-    first = (start, residual(start), jnp.asarray(DAMPING, start.dtype), jnp.zeros((), int))
-    return jax.lax.while_loop(far, step, first)[0]
+    return levenberg(residual, start, step, APPROACH)[0]

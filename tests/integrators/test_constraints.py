@@ -64,8 +64,9 @@ def test_numbers_of_the_inequalities_come_back_under_their_names():
     np.testing.assert_array_equal(found["control_bounds lower"], [[0, 0, 1], [9, 0, 10]])
     np.testing.assert_array_equal(found["cone"], [[6, 7], [15, 16]])
     assert found["any"].shape == (2, 1)
-    assert LIMITED.inequality_mask(4, 3).shape == (4, 3, 9)
-    assert np.all(LIMITED.inequality_mask(4, 3))
+    mask = LIMITED.limits.mask(LIMITED.inequality_sizes, 4, 3)
+    assert mask.shape == (4, 3, 9)
+    assert np.all(mask)
 
 
 def test_a_problem_without_inequalities_has_none():

@@ -227,7 +227,7 @@ def test_bounds_are_inequalities_at_the_first_point():
     y = np.ones(1), np.array([0.5, 0.25])
     expected = [-2 - 4, 1 - 3, np.log(0.5) - 0.25, 0.25 - np.log(4), 0.5 - 0.75]
     np.testing.assert_allclose(inner.inequalities(y, np.full(1, 4.0)), expected)
-    mask = inner.inequality_mask(3, 2)
+    mask = inner.limits.mask(inner.inequality_sizes, 3, 2)
     assert np.all(mask[:, :, :2])
     assert np.all(mask[0, 0])
     assert not np.any(mask[1:, :, 2:])

@@ -38,7 +38,7 @@ BEFORE = (
     "scipy.optimize",
     "hypothesis",
 )
-LONGEST = 600  # seconds of the tests of one error: an endless loop is noticed too
+LONGEST = 300  # seconds of the tests of one error: an endless loop is noticed too
 COMPILED = re.compile(r"import numba|from \.(factors|lu|arrays) import")
 PASSED, FAILED, BROKEN = 0, 1, 70  # of pytest; other numbers say that no test was run
 

@@ -2,17 +2,14 @@
 
 from collections.abc import Callable
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.levenberg import Damping, levenberg
 
 NEGLIGIBLE = 1e-11  # singular values below this fraction of the largest are taken for zero
-FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-3, 1e4, 10.0  # in units of the largest singular value
-MAX_STEPS = 60
-SOLVED = 1e-13
+DAMPING = Damping(first=1e-3, factor=10.0, largest=1e4, solved=1e-13)  # in units of the largest singular value
 
 
 def least_squares(
@@ -23,27 +20,13 @@ def least_squares(
     Levenberg's method [Nocedal, Wright 2006, 10.3] with steps of least norm; ``m`` and ``n`` are any, the rank too.
     """
 
-    def step(state: tuple[Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array]:
-        x, r, damping, count = state
-        u, s, vt = jnp.linalg.svd(jax.jacfwd(residual)(x), full_matrices=False)
+    def step(jacobian: Float[Array, "m n"], r: Float[Array, " m"], damping: Array) -> Float[Array, " n"]:
+        u, s, vt = jnp.linalg.svd(jacobian, full_matrices=False)
         kept = s > NEGLIGIBLE * s[0]
         scales = jnp.where(kept, s / jnp.where(kept, s * s + (damping * s[0]) ** 2, 1.0), 0.0)
-        tried = x - vt.T @ (scales * (u.T @ r))
-        missed = residual(tried)
-        better = missed @ missed < r @ r
-        damping = damping * jnp.where(better, 1 / FACTOR, FACTOR)
-        return jnp.where(better, tried, x), jnp.where(better, missed, r), damping, count + 1
+        return -vt.T @ (scales * (u.T @ r))
 
-    def going(state: tuple[Array, Array, Array, Array]) -> Array:
-        _, r, damping, count = state
-        return (vec.largest(r) > SOLVED) & (damping < LARGEST_DAMPING) & (count < MAX_STEPS)
-
-    first = residual(start)
-    if not first.size:
-        return start, first
-    state = start, first, jnp.asarray(FIRST_DAMPING, start.dtype), jnp.zeros((), int)
-    x, r, _, _ = jax.lax.while_loop(going, step, state)
-    return x, r
+    return levenberg(residual, start, step, DAMPING)
 
 
 def shortest_step(matrix: np.ndarray, residual: np.ndarray, excess: np.ndarray, damping: float) -> tuple[np.ndarray, int]:
