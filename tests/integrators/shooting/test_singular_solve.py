@@ -355,5 +355,7 @@ def test_an_extremal_that_is_a_point_rests():
 @pytest.mark.slow
 def test_an_iterate_that_overflows_leaves_no_warning():
     """``log(cosh(100 u))`` is infinite from ``u = 8`` on, and flat before that."""
-    problem = cascade(lambda q, u: jnp.log(jnp.cosh(100 * u[0])))
-    assert not solve(problem, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), 1.0, 6, throw=False).success
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: jnp.log(jnp.cosh(100 * u[0])), 1)
+    ends = np.zeros(2), np.array([1.0, 0.0])
+    assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success
