@@ -62,7 +62,8 @@ def in_precision(name: str, value: Any, dtype: Any) -> Array:
     # What is no tracer is a constant, and has no more digits.
     if is_traced(value) and jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > jnp.finfo(dtype).eps:
         warn_of_coarse_values(name, str(kind), str(dtype))
-    return jnp.asarray(value, dtype)
+    # A manifold may have been made, or its arrays described, in double precision.
+    return jnp.asarray(value, jax.dtypes.canonicalize_dtype(dtype))
 
 
 def _stacked(value: Any) -> Any:

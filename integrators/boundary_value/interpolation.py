@@ -97,6 +97,9 @@ class Interpolant:
             expected, got = jax.tree.map(lambda s: s.shape, manifold.ambient), jax.tree.map(lambda a: np.shape(a)[1:], given)
             if expected != got:
                 raise InvalidInputError(f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}")
+            for s, a in zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(given), strict=True):
+                if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
+                    raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
 
     def __call__(self, record: "Solution", t: Any) -> Sample:
         """The extremal at a time, or at an array of times.

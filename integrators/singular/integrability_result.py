@@ -45,8 +45,13 @@ class IntegrabilityResult(Generic[P]):
 
     @property
     def empty(self) -> bool:
-        """Whether ``P_f`` is empty: no extremal of the kind that was asked for, with controls in the interior, exists."""
+        """Whether no piece of ``P_f`` was found: no extremal that was asked for, with controls in the interior, is known."""
         return not self.strata
+
+    @property
+    def contradictory(self) -> bool:
+        """Whether ``P_f``, of which no piece was found, is empty: its conditions contradict each other."""
+        return self.empty
 
     @property
     def stratified(self) -> bool:
@@ -64,9 +69,10 @@ class IntegrabilityResult(Generic[P]):
 
     @property
     def stratum(self) -> P:
-        """The piece of largest dimension. Raises ``InvalidInputError`` if ``P_f`` is empty."""
+        """The piece of largest dimension. Raises ``InvalidInputError`` if none was found."""
         if self.empty:
-            raise InvalidInputError(f"P_f is empty, so it has no dimension, form or controls\n{self}")
+            why = "P_f is empty" if self.contradictory else "no point of P_f was found"
+            raise InvalidInputError(f"{why}, so it has no dimension, form or controls to tell of\n{self}")
         return self.strata[0]
 
     @property

@@ -37,7 +37,12 @@ def is_finite_number(x: object) -> bool:
     """Whether ``x`` is one finite real number; True and False are none."""
     if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray | jax.Array):
         return False
-    return np.ndim(x) == 0 and np.isrealobj(x) and bool(np.isfinite(x))
+    if np.ndim(x) or not np.isrealobj(x):
+        return False
+    try:
+        return math.isfinite(x)
+    except OverflowError:  # a whole number that is larger than any of them
+        return False
 
 
 def pairing(a: Ambient, b: Ambient) -> Array:

@@ -75,7 +75,7 @@ def complement(x: Frame) -> Float[Array, "n n-p"]:
     """
     p = x.shape[1]
     s = _reflection_signs(jax.lax.stop_gradient(x[:p]))
-    w = x.at[:p].add(-jnp.diag(s))
+    w = jnp.asarray(x).at[:p].add(-jnp.diag(s))
     z = w @ jnp.linalg.solve(w[:p].T * s, w[p:].T)
     return z.at[p:].add(jnp.eye(z.shape[1], dtype=x.dtype))
 

@@ -22,7 +22,7 @@ class Sphere(Hypersurface, HomogeneousSpace):
         # The reflection that takes the first axis to -sign(x_0) x takes the other axes to the tangent space. Beside the sphere it
         # is that of x / |x|: the span must not jump with the sign.
         x = x / jnp.linalg.norm(x)
-        w = x.at[0].add(jnp.where(x[0] < 0, -1.0, 1.0))
+        w = jnp.asarray(x).at[0].add(jnp.where(x[0] < 0, -1.0, 1.0))
         return (jnp.eye(self.n + 1, dtype=x.dtype) - 2 * jnp.outer(w, w) / (w @ w))[1:]
 
     def restore(self, x: Array) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from retrax.integrators import SymplecticIntegrator, compilation, integrate
 from retrax.integrators.compilation import call_compiled, digest
-from retrax.integrators.functions import is_transformed, require_concrete
+from retrax.integrators.functions import in_precision, is_transformed, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.reading import one_reading, reads_once
 from retrax.retractions import CotangentLift, Exponential, Midpoint
@@ -14,6 +14,12 @@ from retrax.retractions import CotangentLift, Exponential, Midpoint
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Exponential(LINE))
 THREE = jnp.arange(3.0)
+
+
+def test_a_manifold_described_in_double_precision_brings_no_warning_in_single(recwarn):
+    with jax.enable_x64(False):
+        assert in_precision("dynamics", np.ones(2), np.dtype(np.float64)).dtype == np.float32
+    assert not recwarn.list
 
 
 def test_a_changed_parameter_changes_the_trajectory_and_is_differentiated():

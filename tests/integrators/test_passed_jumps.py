@@ -71,9 +71,7 @@ def test_jumps_on_the_sphere_are_seen():
 
 
 def test_the_error_names_the_place_and_the_record_keeps_the_result(tmp_path):
-    with pytest.raises(
-        ConvergenceError, match=r"(?s)step 10, from t = 0.5: the Hamiltonian jumps by 0.5 .*\[0.3\].*a comparison"
-    ):
+    with pytest.raises(ConvergenceError, match=r"(?s)step 10, from t = 0.5: the Hamiltonian jumps by 0.5 .*a comparison"):
         integrate(step(0.5), METHOD, START, 0.05, 40)
     path = integrate(step(0.5), METHOD, START, 0.05, 40, save_every=4, throw=False)
     assert path.failed_step == 8  # the first of the four between two nodes

@@ -261,6 +261,15 @@ def test_an_unfinished_solution_may_have_entries_that_are_not_numbers(tmp_path):
     assert np.isnan(load_solution(tmp_path / "unfinished.npz").controls).all()
 
 
+def test_complex_controls_of_a_real_manifold_are_refused(tmp_path):
+    replace(SOLUTION, interpolant=BETWEEN).save(tmp_path / "solution.npz")
+    values = dict(np.load(tmp_path / "solution.npz"))
+    for name, unit in (("controls", 1j), ("controls", 1 + 0j)):
+        np.savez(tmp_path / "complex.npz", **{**values, name: unit * values[name]})
+        with pytest.raises(InvalidInputError, match=f"{name} are complex, expected real numbers"):
+            load_solution(tmp_path / "complex.npz")
+
+
 @pytest.mark.parametrize(("result", "failed"), [("successful", 3), ("step_not_solved", -1), ("interrupted", 0), ("singular", -1)])
 def test_a_trajectory_and_its_result_agree(result, failed, tmp_path):
     path, _ = saved(TRAJECTORY, tmp_path)

@@ -236,7 +236,7 @@ def test_a_solver_in_other_steps_is_the_same_solver():
 
 def test_what_accuracy_cannot_be():
     given = REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4
-    for wrong in (0.0, -1e-8, np.nan, np.inf, True, np.ones(2), "fine"):
+    for wrong in (0.0, -1e-8, np.nan, np.inf, 10**400, True, np.ones(2), "fine"):
         with pytest.raises(InvalidInputError, match="accuracy must be"):
             solve(*given, accuracy=wrong)
     with pytest.raises(InvalidInputError, match="without control_bounds"):

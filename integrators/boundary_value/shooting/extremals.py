@@ -94,7 +94,8 @@ def _on_piece(request: Request, c: Classification, integrator: SingularIntegrato
     found = meet_conditions(shooting, request.conditions, guess, float(request.tolerance), request.max_iterations)
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
-    return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
+    with np.errstate(all="ignore"):  # what is not finite is judged
+        return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
 
 
 def _require_choice(request: Request, c: Classification) -> None:

@@ -22,6 +22,7 @@ from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
 from .lagrangian import immersed_dynamics
 from .levels import Level
+from .points import APPROACHED
 
 
 @dataclass(frozen=True)
@@ -120,6 +121,13 @@ class Classification(IntegrabilityResult[Stratum]):
         return not any(level.unknown for level in self.levels)
 
     @property
+    def contradictory(self) -> bool:
+        """Whether no piece was found because the conditions contradict each other, not for want of a point that meets them."""
+        if not self.empty or self.excluded:
+            return self.empty
+        return self.levels[-1].residual > APPROACHED and self.levels[-1].opposed
+
+    @property
     def sparse(self) -> bool:
         """Whether half of the points or more are missing: not found, or left out for irregular equations or unclear ranks."""
         return self.reliable and not self.empty and any(2 * level.missing >= level.tried for level in self.levels)
@@ -193,5 +201,6 @@ class Classification(IntegrabilityResult[Stratum]):
         return report_text(self)
 
     def __repr__(self) -> str:
-        kind = "empty" if self.empty else f"dim P_f = {self.dimension}, k_f = {self.k_f}"
+        nothing = "empty" if self.contradictory else "no point found"
+        kind = nothing if self.empty else f"dim P_f = {self.dimension}, k_f = {self.k_f}"
         return f"Classification({kind})"

@@ -10,7 +10,6 @@ from ...text import Line, many, table
 from .. import words
 from .classification import Classification, Stratum
 from .levels import Level
-from .points import APPROACHED
 
 
 def report_text(classification: Classification) -> str:
@@ -75,8 +74,7 @@ def _empty(c: Classification) -> Iterator[Line]:
         yield "P_f", words.EMPTY_WITHOUT_IT
     else:
         level = c.levels[-1]
-        met = level.residual <= APPROACHED
-        text = words.approached_words(level.residual) if met or not level.opposed else words.unmet_words(level.index)
+        text = words.unmet_words(level.index) if c.contradictory else words.approached_words(level.residual)
         yield "P_f", text + (words.WITH_IT if c.zero_costate_excluded else "")
 
 

@@ -350,3 +350,12 @@ def test_an_extremal_that_is_a_point_rests():
     assert (solution.singular.dimension, solution.singular.independent) == (0, 0)
     with pytest.raises(InvalidInputError, match=r"secondary equation = 0\.5 \(relative\)"):
         solve(problem, Midpoint(Exponential(LINE)), start=ONE, end=None, **options)
+
+
+@pytest.mark.slow
+def test_an_iterate_that_overflows_leaves_no_warning():
+    """``log(cosh(100 u))`` is infinite from ``u = 8`` on, and flat before that."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: jnp.log(jnp.cosh(100 * u[0])), 1)
+    ends = np.zeros(2), np.array([1.0, 0.0])
+    assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success

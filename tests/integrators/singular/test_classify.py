@@ -192,6 +192,9 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         c = classify(problem)
         assert c.empty
         assert "not shown to be empty" in str(c)
+        assert repr(c) == "Classification(no point found)"
+        with pytest.raises(InvalidInputError, match="no point of P_f was found, so"):
+            _ = c.dimension
 
 
 @pytest.mark.parametrize(
