@@ -165,8 +165,8 @@ def integrate(
 
 def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
     """The trajectory, with another result if it passes a jump, and words on that."""
-    batch, found = without_jumps(system, integrator, jax.tree.map(lambda a: a[None], trajectory), every)
-    return (jax.tree.map(lambda a: a[0], batch), found[0].words()) if found else (trajectory, "")
+    batch, found = without_jumps(system, integrator, jax.tree.map(lambda a: np.asarray(a)[None], trajectory), every)
+    return (jax.tree.map(lambda a: jnp.asarray(a[0]), batch), found[0].words()) if found else (trajectory, "")
 
 
 def without_jumps(system: Any, integrator: Integrator, batch: Trajectory, every: int) -> tuple[Trajectory, dict[int, Passed]]:

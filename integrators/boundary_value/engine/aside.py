@@ -17,6 +17,7 @@ FAR = 30.0  # times its spread: a trajectory is not asked to move by more
 HALF = 0.5  # of its spread: what it is moved aside by
 OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
 UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
+MET = 1e-8  # of the size of the nodes: of a guess that lacks less, what a step leaves is rounding
 STIFF = 1e6  # the shift with which Newton's step is the least that the constraints ask for
 WAVES = 3  # half periods in the horizon, and less
 
@@ -72,7 +73,7 @@ def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, st
     left[:, 0] *= system.fixed_start
     left[:, -1] *= system.fixed_end
     left, asked = (np.abs(found / conditions.measured.nodes[:, None]).max(axis=(1, 2)) for found in (left, system.gap[..., 0]))
-    return ~(left <= UNMET * asked)
+    return (asked > MET) & ~(left <= UNMET * asked)
 
 
 def _is_far(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
