@@ -27,7 +27,7 @@ def require_cost(
     directions = np.concatenate([size * near for size in (1, 1e2, 1e4)])
     moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, problem.manifold.dimension)).astype(directions.dtype)
     moves[0] = 0.0
-    costs, slopes = call_compiled(_cost_rates, problem, q, moves, u, directions)[0]
+    costs, slopes = jax.device_get(call_compiled(_cost_rates, problem, q, moves, u, directions)[0])
     if problem.abnormal or problem.initial_cost is not None or not _is_one_number(costs, np.max(slopes)):
         return
     terminal = "no terminal cost of a free end is given"

@@ -82,8 +82,8 @@ class TapeEvaluator(Evaluator):
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         from ....tape import Tape
 
-        d = [] if first is None else [jnp.zeros(first)]
-        tape = Tape.trace(function, *d, *(jnp.zeros(size) for size in sizes))
+        d = [] if first is None else [np.zeros(first)]
+        tape = Tape.trace(function, *d, *(np.zeros(size) for size in sizes))
         return _OnTape(tape if first is None else tape.expansion())
 
 
@@ -169,7 +169,7 @@ class XlaEvaluator(Evaluator):
             curvature, jacobians = jax.vmap(push, out_axes=-1)(jnp.eye(first))
             return curvature, scalar_slope[0], *jax.tree.leaves((jacobians, function(zero, *arguments)[1:]))
 
-        return _Compiled(traced(at_point, *(jnp.zeros(size) for size in sizes)))
+        return _Compiled(traced(at_point, *(np.zeros(size) for size in sizes)))
 
 
 @final
