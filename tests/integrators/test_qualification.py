@@ -121,3 +121,27 @@ def test_a_constraint_without_entries_is_none():
     found = solved(solver_of({"none": lambda q, u: jnp.zeros(0)}))
     assert found.success
     assert found.cost == pytest.approx(6.0, rel=1e-9)
+
+
+def test_the_stages_at_which_a_limit_holds_are_counted():
+    """A limit of the speed through the largest one without it, 1.5, in units of any size."""
+
+    def limit(q: Array, u: Array, given: Array) -> Array:
+        return given[1] * (q[1] - given[0])
+
+    solver = solver_of({"speed": limit}, control_bounds=(-50.0, 50.0))
+    for unit in (1e-9, 1.0, 1e9):
+        for largest in (1.2, 1.4, 1.49, 1.51, 1.7, 9.0):
+            found = solved(solver, np.array([largest, unit]))
+            speeds = found.stage_states[:, 1]
+            held = int(np.sum(speeds > largest - 1e-7))
+            assert found.success
+            assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 0, "speed": held}
+            assert (held > 0) == (largest < 1.5)
+
+
+def test_a_bound_that_holds_all_along_is_counted_at_all_stages():
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: (u[0] - 2) ** 2 / 2, 1, control_bounds=(-1.0, 1.0))
+    found = Solver(problem, Gauss(2, Addition(line)), 5).solve(np.zeros(1), None, 1.0)
+    assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 10}
