@@ -22,6 +22,13 @@ TOLERANCE = 1e-10  # relative, of every solver: the errors compared reach it
 HERE = Path(__file__).parent
 SIZES = {1: (25, 50, 100, 200, 400, 800), 2: (12, 25, 50, 100, 200), 3: (6, 8, 12, 16, 25, 50), 4: (4, 6, 8, 12, 16)}
 SWEEP = (12, 25, 50, 100, 200)
+PANELS = (
+    ("order 2, and a torque constant on a step", ("midpoint", "RK4")),
+    ("order 4", ("Gauss 2", "RK4 linear", "Hermite-Simpson", "solve_bvp")),
+    ("order 6", ("Gauss 3",)),
+    ("order 8", ("Gauss 4",)),
+)
+LOOKS = ("o-", "s--", "^:")  # of the lines of one solver in a panel
 
 
 def cases():
@@ -86,33 +93,35 @@ def checked(rows):
     return rows
 
 
+def panel_of(method):
+    """The panel of a method: that of the collocation with its stages, or of what is compared with it."""
+    return next((place for place, (_, schemes) in enumerate(PANELS) if method.split(", ", 1)[1] in schemes))
+
+
 def draw(rows, path):
-    """The picture: attitude error against warm time."""
+    """The picture: attitude error against warm time, a panel for methods of about one order."""
     import matplotlib as mpl
 
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
-    styles = {"retrax": ("C3", "o", "-"), "IPOPT": ("C0", "s", "--"), "FATROP": ("C2", "^", "--")}
-    styles |= {"SciPy": ("C4", "D", "-."), "crocoddyl": ("C5", "v", "-.")}
-    figure, axes = plt.subplots(figsize=(9, 6.2), layout="constrained")
-    counts = {}
+    colors = {"retrax": "C3", "IPOPT": "C0", "FATROP": "C2", "SciPy": "C4", "crocoddyl": "C5"}
+    figure, axes = plt.subplots(2, 2, figsize=(10, 8), sharex=True, sharey=True, layout="constrained")
+    lines = [dict.fromkeys(colors, 0) for _ in PANELS]
     for method in dict.fromkeys(row["method"] for row in rows):
-        family = method.split(",")[0]
-        color, marker, line = styles[family]
-        shade = 1 - 0.17 * counts.setdefault(family, 0)
-        counts[family] += 1
+        place, family = panel_of(method), method.split(", ")[0]
         mine = [row for row in rows if row["method"] == method]
         x, y = ([row[key] for row in mine] for key in ("median_ms", "attitude_error"))
-        axes.loglog(x, y, line, color=color, marker=marker, alpha=max(shade, 0.25), markersize=5, label=method)
-        axes.annotate(
-            method.split(", ", 1)[1], (x[-1], y[-1]), fontsize=7, color=color, xytext=(4, -3), textcoords="offset points"
-        )
-    axes.set(
-        xlabel="warm solve, ms", ylabel="attitude error of the propagated torque, rad", title="A 150 degree slew, rest to rest"
-    )
-    axes.grid(alpha=0.3, which="major")
-    axes.legend(fontsize=7, ncols=2, loc="lower left")
+        look = LOOKS[lines[place][family]]
+        lines[place][family] += 1
+        axes.flat[place].loglog(x, y, look, color=colors[family], markersize=5, label=method)
+    for axis, (title, _) in zip(axes.flat, PANELS, strict=True):
+        axis.set_title(title, fontsize="medium")
+        axis.grid(alpha=0.3, which="major")
+        axis.legend(fontsize="small")
+    figure.supxlabel("warm solve, ms")
+    figure.supylabel("attitude error of the propagated torque, rad")
+    figure.suptitle("A 150 degree slew, rest to rest: each line from few steps to many")
     figure.savefig(path, dpi=130)
 
 

@@ -57,4 +57,5 @@ reference.write(HERE / "api")
 def setup(app):
     """What is done to docstrings on their way into a page, and to the links of the finished site."""
     app.connect("autodoc-process-docstring", docstrings.process)
+    app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)

@@ -93,7 +93,7 @@ def plot(found, nominal, deviation, path):
     costs = np.linspace(*panels[0].get_xlim(), 200)
     normal = np.exp(-(((costs - nominal) / deviation) ** 2) / 2) / (deviation * np.sqrt(2 * np.pi))
     panels[0].plot(costs, normal, color="black", linewidth=1, label="to first order")
-    panels[0].legend(loc="upper left")
+    panels[0].legend(loc="upper left", framealpha=1)
     figure.suptitle(f"{len(found)} optimal slews with dispersed inertia and target")
     figure.savefig(path, dpi=150)
     plt.close(figure)

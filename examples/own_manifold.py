@@ -113,14 +113,15 @@ def heisenberg(steps):
 
 
 def plot(solutions, path):
-    """The three extremals."""
+    """The three extremals, those in space as seen from above."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
+    titles = {"torus": "geodesic of a torus", "ellipsoid": "geodesic of an ellipsoid", "Heisenberg group": "isoperimetric loop"}
     labels = {"torus": ("x", "y"), "ellipsoid": ("x", "y"), "Heisenberg group": ("a", "b")}
     for axis, (name, solution) in zip(axes, solutions.items(), strict=True):
         x = solution.states
         curve = (x[:, 0, 1], x[:, 1, 2]) if x.ndim == 3 else (x[:, 0], x[:, 1])
         axis.plot(*curve, color="C3", linewidth=2)
-        axis.set(title=name, xlabel=labels[name][0], ylabel=labels[name][1], aspect="equal")
+        axis.set(title=titles[name], xlabel=labels[name][0], ylabel=labels[name][1], aspect="equal")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

@@ -89,6 +89,15 @@ def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
     ]
 
 
+def test_the_pages_that_use_a_name_are_found(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    uses = importlib.import_module("uses")
+    code = "from retrax import plotting as p\nfrom retrax.manifolds import SO as G, hat\np.path(G(3)); p.path(x); other.path(G)"
+    assert uses.count(code) == {("plotting", "path"): 2, ("manifolds", "SO"): 2}
+    assert "/singular" in uses.used("integrators", "classify")
+    assert uses.used("integrators", "SO") == []
+
+
 def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     tables = importlib.import_module("tables")

@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 LITERAL = re.compile(r"(``.*?``)")
+ARRAY = re.compile(r"\b(jax\.)?jaxlib\.\w+\.Array\b")
 MARKUP = re.compile(r"([|*\\]|(?<=\w)_(?!\w))")
 
 
@@ -27,6 +28,11 @@ def process(app: Any, what: str, name: str, thing: Any, options: Any, lines: lis
         shown = shown or line.startswith(">>>")  # with what it prints, up to an empty line
         found.append(line if shown else escaped(line))
     lines[:] = found
+
+
+def sign(app: Any, what: str, name: str, thing: Any, options: Any, signature: str | None, value: str | None) -> Any:
+    """The signature with the name under which JAX gives its arrays to its users."""
+    return tuple(text and ARRAY.sub("Array", text) for text in (signature, value))
 
 
 def escaped(line: str) -> str:

@@ -10,6 +10,7 @@ from types import ModuleType
 import tables
 from docstrings import escaped
 from retrax.retractions import RetractionFamily
+from uses import used
 
 ROOMS = {
     "manifolds": "Manifolds",
@@ -49,12 +50,22 @@ def own(module: ModuleType) -> set[str]:
 def entry(module: ModuleType, name: str) -> list[str]:
     """What documents a public name."""
     thing, path = getattr(module, name), f"{module.__name__}.{name}"
+    places = [link(place) for place in used(module.__name__.partition(".")[2], name)]
+    where = [f"   Used in {', '.join(places)}.", ""] if places else []
     if inspect.isclass(thing) or inspect.isroutine(thing):
-        return [f".. auto{'class' if inspect.isclass(thing) else 'function'}:: {path}", ""]
+        return [f".. auto{'class' if inspect.isclass(thing) else 'function'}:: {path}", "", *where]
     if isinstance(thing, RetractionFamily):
         kinds = ", ".join(kind.__name__ for kind in thing._members)
-        return [f".. data:: {path}", "", f"   The ``RetractionFamily`` of this name, for {kinds}, and products and powers.", ""]
-    return [f".. data:: {path}", "", f"   {escaped(comment(module, name))}", ""]
+        words = f"The ``RetractionFamily`` of this name, for {kinds}, and products and powers."
+    else:
+        words = escaped(comment(module, name))
+    return [f".. data:: {name}", "", f"   {words}", "", *where]
+
+
+def link(document: str) -> str:
+    """A link to a page by its title, to an example by its file: titles of examples are sentences."""
+    folder, _, name = document.rpartition("/")
+    return f":doc:`{name}.py <{document}>`" if folder == "/examples" else f":doc:`{document}`"
 
 
 def comment(module: ModuleType, name: str) -> str:

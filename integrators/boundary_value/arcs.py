@@ -98,7 +98,7 @@ class Arcs:
         ends = np.concatenate([[0.0], np.cumsum(durations)])
         arc, rates = self.arc(found.stage_times), durations[self.arc(found.stage_times)]
         flat = np.where(self.fixed[arc] > 0, self.values[arc], np.asarray(found.controls).reshape(len(arc), -1))
-        checks, size = found.checks, np.max(durations)
+        checks: Any = found.checks
         hamiltonians = found.hamiltonians / rates
         own = found.parameters[OWN] if self.own.takes_parameters else None
         multipliers = {name: rows for name, rows in found.multipliers.items() if name != LAST}
@@ -119,18 +119,19 @@ class Arcs:
                 checks,
                 hamiltonian=float(hamiltonians[0]),
                 hamiltonian_spread=float(np.ptp(hamiltonians)),
-                hamiltonian_size=checks.hamiltonian_size / size,
+                hamiltonian_size=checks.hamiltonian_size / np.max(durations),
             ),
         )
         along = solution.stage_states, solution.stage_costates, solution.controls, solution.stage_times
         slopes = self._slopes(along, multipliers, own)
+        active = {name: count for name, count in checks.active.items() if name in multipliers}
         for name, sign in ((LOWER, -1), (UPPER, 1)):
             if name in multipliers:
                 held = np.maximum(sign * slopes, 0.0)
-                multipliers[name] = np.where(
-                    self.sides[arc] == sign, held, np.where(self.sides[arc] == 0, multipliers[name], 0.0)
-                )
-        return replace(solution, multipliers=multipliers)
+                at = self.sides[arc]
+                multipliers[name] = np.where(at == sign, held, np.where(at == 0, multipliers[name], 0.0))
+                active[name] = int(np.sum(np.any(at == sign, axis=1)))
+        return replace(solution, multipliers=multipliers, checks=replace(solution.checks, active=active))
 
     def lack(self, solution: Solution, arcs: np.ndarray) -> float:
         """By how much the cost falls, to first order and relative to it, if controls leave bounds to which nothing pulls them.

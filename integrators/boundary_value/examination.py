@@ -46,10 +46,10 @@ class Examination:
             if wrong:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
                 return _failed(solution, f"The conditions {how} {wrong}.")
-            outside = self._outside(solution, given) if solution.success else ""
-            if outside:
+            outside = self._outside(solution, given)
+            if outside and solution.success:
                 return _failed(solution, outside)
-            notes = [self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+            notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
             said = " ".join(filter(None, notes))
             return replace(solution, result=f"{solution.result} {said}") if said else solution
 

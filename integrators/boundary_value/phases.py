@@ -21,6 +21,7 @@ from .coupled import Own, coupling_of
 from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
+from .engine.stopwatch import Stopwatch
 from .formulated import AGAIN, FAR, TOO_FAR
 from .independence import equation_words, require_independent
 from .phase_guess import guessed_phases
@@ -120,9 +121,10 @@ class _Task:
         names = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
         require_independent(joint, first, [*equation_words(owns), *names])
         tracing = time.perf_counter() - began
-        with np.errstate(all="ignore"):  # what is not finite is judged
+        with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
             found = newton(joint, first, *options)  # pyright: ignore[reportArgumentType]
-            seconds = tracing, time.perf_counter() - began - tracing
+            compiling, running = watch.seconds()
+            seconds = tracing + compiling, running
             solutions = [part.recorded(phase_of(found, k, owns), options, seconds) for k, part in enumerate(parts)]
         free = any(is_free(phase.duration) for phase in phases)
         solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]

@@ -42,7 +42,7 @@ class Qualification:
         if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
         felt = np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * solution.checks.hamiltonian_size
-        active = felt & (own > ACTIVE * np.max(own, axis=0))
+        active = felt & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         lengths = np.linalg.norm(slopes, axis=2)
@@ -75,6 +75,20 @@ class Qualification:
         size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
         over = np.where(held & (ends > OUTSIDE * size), ends, 0.0)
         return self.problem.with_parameters(parameters).at_time(0.0).inequality_names, over
+
+    def _nearer(self, values: np.ndarray) -> np.ndarray:
+        """Which inequalities may hold the trajectory: of two bounds of a control, which are apart, the nearer one.
+
+        Where the iteration has ended without success both may have large multipliers.
+        """
+        nearer = np.ones(values.shape, bool)
+        lower, upper = (list(side) for side in self.problem.limits.bounded.values())
+        for i, control in enumerate(lower):
+            if control in upper:
+                j = len(lower) + upper.index(control)
+                nearer[:, i] = values[:, i] >= values[:, j]
+                nearer[:, j] = ~nearer[:, i]
+        return nearer
 
     @staticmethod
     def _dependent(solution: Solution, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:

@@ -57,7 +57,7 @@ class Recording:
         if self.problem.limits.functions:  # they may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
-        known = _known(found, success)
+        known = {**_known(found, success), "active": _active(posed, found)}
 
         def member(k: int) -> Solution:
             own: Any = vec.entries(diagnostics, k)
@@ -100,6 +100,16 @@ def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
         "complementarity": limits.complementarity,
     }
     return {name: array.tolist() for name, array in values.items()}
+
+
+def _active(posed: Posed, found: Found) -> list[dict[str, int]]:
+    """At how many stages inequalities of each name hold each trajectory: where a multiplier exceeds the slack, in their units."""
+    slacks, barrier = found.iterate.slacks, posed.conditions.barrier
+    if slacks is None or barrier is None:
+        return [{} for _ in found.claimed]
+    held = slacks.multipliers / barrier.price > slacks.slacks / barrier.unit
+    rows = posed.traced.named(held.reshape(len(held), -1, held.shape[3]))
+    return [{name: int(np.sum(np.any(row[k], axis=1))) for name, row in rows.items()} for k in range(len(held))]
 
 
 def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:

@@ -19,7 +19,7 @@ from .engine.diagnosis import Diagnostics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 3  # of the file
+VERSION = 4  # of the file
 TOO_COARSE = 0.1
 LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields of a batch that are lists
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
@@ -96,13 +96,15 @@ class RegularChecks(Checks):
     ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem conserves
     by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the Hessian is
     positive definite on the null space of the constraints. ``violation`` of the inequalities and ``complementarity``: largest
-    product of a multiplier and its inequality, both at the stages and relative. If an accuracy was asked for: ``error``, the sum
-    of the relative errors of the steps, and the largest violations ``between`` the stages, by the names of the inequalities.
+    product of a multiplier and its inequality, both at the stages and relative. ``active``: at how many stages inequalities of
+    each name hold the trajectory. If an accuracy was asked for: ``error``, the sum of the relative errors of the steps, and the
+    largest violations ``between`` the stages, by the names of the inequalities.
     """
 
     strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
     violation: float = 0.0
     complementarity: float = 0.0
+    active: dict[str, int] = field(default_factory=dict)
     error: float | None = None
     between: dict[str, float] = field(default_factory=dict)
 

@@ -8,7 +8,6 @@ from ..text import many, table
 from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
-ACTIVE = 1e-3  # of the largest multiplier
 NO_MINIMUM = (
     "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a sphere, "
     "or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
@@ -48,7 +47,7 @@ def _inequalities(multipliers: dict[str, np.ndarray], checks: RegularChecks) -> 
     held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
     yield "inequalities", held
     for name, rows in multipliers.items():
-        yield "", f"{name}: {_active(rows)}"
+        yield "", f"{name}: {_active(name, rows, checks)}"
 
 
 def _unit(solution: Solution, of: str) -> str:
@@ -57,11 +56,10 @@ def _unit(solution: Solution, of: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def _active(rows: np.ndarray) -> str:
-    """At how many stages multipliers show that an inequality holds a trajectory."""
-    largest = np.max(rows, initial=0.0)
-    count = int(np.sum(np.any(rows > ACTIVE * largest, axis=1))) if largest > 0 else 0
-    return f"largest multiplier {largest:.3g}, more than a thousandth of it at {count} of {len(rows)} stages"
+def _active(name: str, rows: np.ndarray, checks: RegularChecks) -> str:
+    """At how many stages an inequality holds a trajectory, and by how much."""
+    count = checks.active.get(name, 0)
+    return f"active at {count} of {len(rows)} stages" + (f", largest multiplier {np.max(rows):.3g}" if count else "")
 
 
 def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:

@@ -24,6 +24,7 @@ from .engine.batches import taken
 from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
+from .engine.stopwatch import Stopwatch
 from .examination import Examination
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation, is_formulated
@@ -292,9 +293,10 @@ class Solver:
         """Solutions of regular problems."""
         posed = self._posing.posed(members)
         tracing = time.perf_counter() - began
-        with np.errstate(all="ignore"):  # what is not finite is judged
+        with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
             found = extremals(posed, options)
-            seconds = tracing, time.perf_counter() - began - tracing
+            compiling, running = watch.seconds()
+            seconds = tracing + compiling, running
             parameters = members.parameters()
             fields, member = self._recording.of(posed, parameters, found, options, seconds)
 

@@ -92,7 +92,56 @@ def test_an_end_outside_a_constraint_is_no_success():
     assert free.success
 
 
+def test_an_end_outside_a_constraint_is_named_where_the_solve_fails():
+    """A force that cannot leave the forbidden side before the first stage, through the place at which the start is on it."""
+    solver = solver_of({"gate": lambda q, u, place: place - q[0]}, control_bounds=(-8.0, 8.0))
+    for place in (-0.5, 0.0, 0.1, 0.3):
+        found = solved(solver, place)
+        assert found.success == (place <= 0), place
+        assert ("The start violates gate by" in found.result) == (place > 0), place
+
+
+def test_two_bounds_of_one_control_are_not_said_to_leave_no_room():
+    """An end that cannot be reached, because the momentum of a wheel changes as that of its body: through the one that can."""
+
+    def wheel(q: Array, u: Array) -> Array:
+        return jnp.stack([q[1], u[0], -u[0]])
+
+    space = Euclidean(3)
+    limits = {"wheel": lambda q, u: q[2] ** 2 - 4.0}
+    problem = OptimalControlProblem(space, wheel, lambda q, u: u @ u / 2, 1, constraints=limits, control_bounds=(-6.5, 6.5))
+    solver = Solver(problem, Gauss(2, Addition(space)), 10)
+    for last in (0.0, 1e-3, 1.0):
+        found = solver.solve(np.zeros(3), np.array([1.0, 0.0, last]), 1.0, throw=False)
+        assert found.success == (last == 0.0)
+        assert "control_bounds lower[0] and control_bounds upper[0]" not in found.result
+
+
 def test_a_constraint_without_entries_is_none():
     found = solved(solver_of({"none": lambda q, u: jnp.zeros(0)}))
     assert found.success
     assert found.cost == pytest.approx(6.0, rel=1e-9)
+
+
+def test_the_stages_at_which_a_limit_holds_are_counted():
+    """A limit of the speed through the largest one without it, 1.5, in units of any size."""
+
+    def limit(q: Array, u: Array, given: Array) -> Array:
+        return given[1] * (q[1] - given[0])
+
+    solver = solver_of({"speed": limit}, control_bounds=(-50.0, 50.0))
+    for unit in (1e-9, 1.0, 1e9):
+        for largest in (1.2, 1.4, 1.49, 1.51, 1.7, 9.0):
+            found = solved(solver, np.array([largest, unit]))
+            speeds = found.stage_states[:, 1]
+            held = int(np.sum(speeds > largest - 1e-7))
+            assert found.success
+            assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 0, "speed": held}
+            assert (held > 0) == (largest < 1.5)
+
+
+def test_a_bound_that_holds_all_along_is_counted_at_all_stages():
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: (u[0] - 2) ** 2 / 2, 1, control_bounds=(-1.0, 1.0))
+    found = Solver(problem, Gauss(2, Addition(line)), 5).solve(np.zeros(1), None, 1.0)
+    assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 10}

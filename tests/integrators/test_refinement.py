@@ -90,6 +90,8 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert structure.sides.tolist() == [[sign], [-sign]]
             side = found.multipliers["control_bounds upper"] - found.multipliers["control_bounds lower"]
             np.testing.assert_array_equal(np.sign(side[:, 0]), np.sign(found.controls[:, 0]))
+            counts = {name: np.sum(rows > 0) for name, rows in found.multipliers.items() if name.startswith("control_bounds")}
+            assert found.checks.active == counts
 
 
 DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1, 1))

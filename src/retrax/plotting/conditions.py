@@ -13,7 +13,7 @@ from ..reading import reads_once
 from .axes import draw, one, several, time_axis
 
 EPS = float(np.finfo(float).eps)
-ACTIVE = 1e-3  # of the largest multiplier
+ACTIVE = 1e-3  # of the largest multiplier of its name
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
@@ -52,8 +52,9 @@ def _violations(solution: Solution) -> dict[str, np.ndarray]:
 def multipliers(solution: Solution, ax: Any = None) -> Any:
     """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time.
 
-    Those that are nowhere more than a thousandth of the largest have no name in the legend. Returns the axes; raises
-    ``InvalidInputError`` for a solution of a problem without inequalities.
+    The legend names those that hold the trajectory at some stage, each relative to the largest of its name: multipliers of
+    inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution of a
+    problem without inequalities.
     """
     rows_by_name = _checked(solution).stage_multipliers
     if not rows_by_name:
@@ -62,14 +63,16 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
             "of the problem"
         )
     found, axis = view(solution), one(ax)
-    least = ACTIVE * max(np.max(rows, initial=0.0) for rows in rows_by_name.values())
+    active = getattr(solution.checks, "active", {})
     for name, rows in rows_by_name.items():
+        least = ACTIVE * np.max(rows, initial=0.0)
         for k, column in enumerate(rows.T):
             words = f"{name}[{k}]" if rows.shape[1] > 1 else name
-            axis.plot(found.stage_times, column, label=words if np.max(column) > least else None)
+            axis.plot(found.stage_times, column, label=words if active.get(name) and np.max(column) > least else None)
     axis.set_ylabel("multiplier")
     time_axis(axis, found)
-    axis.legend(fontsize="small")
+    if axis.get_legend_handles_labels()[1]:
+        axis.legend(fontsize="small")
     return axis
 
 

@@ -78,7 +78,8 @@ def sphere(axis: Any) -> None:
     """The unit sphere as wires."""
     polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
     points = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
-    axis.plot_wireframe(*points, color="0.85", linewidth=0.5)
+    axis.computed_zorder = False  # else wires are drawn over curves that lie on them
+    axis.plot_wireframe(*points, color="0.85", linewidth=0.5, zorder=0)
 
 
 def curve(axis: Any, points: np.ndarray, name: str | None) -> None:

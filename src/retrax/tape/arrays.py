@@ -12,8 +12,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..manifolds import RetraxError
 
-class NotTraceableError(TypeError):
+
+class NotTraceableError(RetraxError, TypeError):
     """A function cannot be traced to scalars; ``primitive`` names the operation of JAX that decided."""
 
     def __init__(self, primitive: str, reason: str) -> None:

@@ -6,6 +6,8 @@ from heapq import heappop, heappush
 import casadi as ca
 import numpy as np
 
+from ..manifolds import RetraxError
+
 # Instructions with the names of CasADi's, and those that stand for two or more of them.
 NAMES = (
     "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT",
@@ -19,7 +21,7 @@ CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
 
 
-class UnknownInstructionError(ValueError):
+class UnknownInstructionError(RetraxError, ValueError):
     """A graph has an instruction that the machine does not know."""
 
 
