@@ -12,8 +12,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ...problem import OptimalControlProblem
-from ...singular import StageIntegrator
-from ...singular.strategies.direct import DirectIntegrator
+from ...singular import SingularIntegrator
 from ...singular.words import component_words
 from .end_conditions import AtEnds, EndConditions
 
@@ -59,17 +58,15 @@ def _pairs(a: Any, b: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def broken_claim(
-    problem: OptimalControlProblem, integrator: Any, stages: np.ndarray, found: Stationarity, residual: float
+    problem: OptimalControlProblem, integrator: SingularIntegrator, stages: np.ndarray, found: Stationarity, residual: float
 ) -> str:
     """The first claim on the steps of an extremal that is false, in words with what is evaluated; empty if there is none.
 
-    ``residual``: the largest violation of the equations of ``P_f`` at the nodes, where a ``StageIntegrator`` has them to
-    O(h^2) only.
+    ``residual``: the largest violation of the equations of ``P_f`` at the nodes.
     """
-    exact = isinstance(integrator, DirectIntegrator | StageIntegrator)
-    broken = not_stationary(problem, stages, found, exact)
+    broken = not_stationary(problem, stages, found, integrator.meets_stages)
     limit = np.finfo(np.asarray(found.values).dtype).eps ** STATIONARY_POWER
-    if broken or residual <= limit or isinstance(integrator, StageIntegrator):
+    if broken or residual <= limit or not integrator.keeps_nodes:
         return broken
     return f"the equations of P_f are violated by {residual:.3g} (relative) at a node, expected 0"
 

@@ -44,6 +44,7 @@ class DirectIntegrator(DynamicsIntegrator):
     """
 
     presymplectic: ClassVar[bool] = True
+    meets_stages: ClassVar[bool] = True
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
