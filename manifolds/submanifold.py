@@ -13,8 +13,8 @@ from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.frames import null_frame
-from .numerics.newton import tolerance
 from .numerics.root import solve_small
+from .numerics.tolerances import tolerance
 
 
 @final

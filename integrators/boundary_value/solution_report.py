@@ -4,11 +4,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...manifolds.numerics.tolerances import ACTIVE
 from ..text import many, table
 from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
-ACTIVE = 1e-3  # of the largest multiplier
 NO_MINIMUM = (
     "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a sphere, "
     "or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
