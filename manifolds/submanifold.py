@@ -5,7 +5,7 @@ from typing import Any, final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .level_set import GAUSS_NEWTON_STEPS, point_from_random_starts
 from .manifold import Manifold
@@ -47,7 +47,7 @@ class Submanifold(Manifold):
         return f"Submanifold({self.parent}, {count} equation{'s' * (count > 1)})"
 
     @property
-    def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
+    def ambient(self) -> Any:
         return self.parent.ambient
 
     def normals(self, x: Ambient) -> Frame:
