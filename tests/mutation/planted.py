@@ -1,4 +1,4 @@
-"""Single-line errors of integrators, retractions and the tape, each with the tests that should notice it."""
+"""Single-line errors of the layers and the tape, each with the tests that should notice it."""
 
 from typing import NamedTuple
 

@@ -1,6 +1,6 @@
 """The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic ends."""
 
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
@@ -73,6 +73,8 @@ class JointUnits(NamedTuple):
 @final
 class JointConditions:
     """The conditions of a batch of trajectories in phases, of which each has its own conditions."""
+
+    joint: ClassVar[bool] = True
 
     def __init__(self, phases: tuple[Conditions, ...], coupling: Coupling, units: JointUnits | None = None) -> None:
         self.phases, self.coupling, self.units = phases, coupling, units
