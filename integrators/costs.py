@@ -9,11 +9,11 @@ from jaxtyping import Array, Float
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import working_precision
+from ..manifolds.numerics.tolerances import rounding_of
 from ..retractions import default_retraction
 from .compilation import call_compiled
 from .options import HORIZON
-from .probing import CURVATURES, ROUNDING
+from .probing import CURVATURES
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -48,9 +48,8 @@ def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...]) -> bool:
     if problem.terminal_cost is None:
         return False
     _, tilts = _terminal(problem, _points(problem, problem.manifold.random_point(jax.random.key(1))))
-    rounding = ROUNDING * np.finfo(working_precision()).eps
     return any(
-        bool(np.any((a[0] != 0) & np.all(np.abs(a - a[0]) <= rounding * np.abs(a[0]), axis=0)))
+        bool(np.any((a[0] != 0) & np.all(np.abs(a - a[0]) <= rounding_of(a) * np.abs(a[0]), axis=0)))
         for a in _free_leaves(tilts, fixed)
     )
 
@@ -100,5 +99,5 @@ def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:
 
 def _is_one_number(values: np.ndarray, slope: Any) -> bool:
     """Whether values of a function, and the largest of its slopes, say that it is constant."""
-    rounding = ROUNDING * np.finfo(working_precision()).eps * np.max(np.abs(values))
+    rounding = rounding_of(values) * np.max(np.abs(values))
     return bool(np.ptp(values) <= rounding and slope <= rounding)

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.tolerances import EPS, FINEST, HALF, tolerance
 from ..retractions import Retraction
 from .compilation import held
 from .constraints import constraint_words
@@ -23,10 +24,9 @@ if TYPE_CHECKING:
 DEGREE = 4  # of polynomials that are a trajectory between two of its points
 CHUNK = 256  # lines at once, so that one program serves trajectories of all lengths
 CLOSER = 4.0  # times: each distance from a place at which both sides are compared is that of the one before
-FINEST = 256.0  # times the machine epsilon and the length of a line: the smallest of them
 EACH = 24  # places of a step at which it is looked at
-NEAR = float(np.finfo(float).eps) ** 0.5  # of the largest of what a step compares: nearer ones are at the jump
-ROUNDING = 1e4  # times the machine epsilon, of the largest entry: a smaller change may be rounding of its terms
+NEAR = EPS**HALF  # of the largest of what a step compares: nearer ones are at the jump
+HIDDEN = 1e4  # times eps, of the largest entry: a smaller change may be rounding of its terms
 
 
 Given = tuple[Any, Any]  # the parameters of the problem, and what the function takes in addition
@@ -138,7 +138,7 @@ class Crossings:
                 continue
             changes = np.abs(located.changes[k, levels])
             own = np.abs(located.values[k]) if sizes is None else sizes
-            least = np.maximum(JUMP * own, ROUNDING * np.finfo(float).eps * np.max(own[np.isfinite(own)], initial=0.0))
+            least = np.maximum(JUMP * own, HIDDEN * EPS * np.max(own[np.isfinite(own)], initial=0.0))
             with np.errstate(all="ignore"):
                 lasts = np.all(np.isfinite(changes), axis=0) & (changes[-1] >= LESS * changes[0]) & (changes[-1] > least)
                 shares = np.where(lasts, changes[-1] / np.maximum(own, changes[-1]), 0.0)
@@ -246,7 +246,7 @@ def _located(known: Any, given: Given, lines: Lines, steps: Array, above: Array,
 
         begin = jnp.asarray(line.low), jnp.asarray(line.high), crossed
         place = jax.lax.scan(halved, begin, None, jnp.finfo(begin[0].dtype).nmant + 8)[0][1]
-        count = int(-np.log(FINEST * float(jnp.finfo(place.dtype).eps)) / np.log(CLOSER))
+        count = int(-np.log(FINEST * tolerance(place, 1.0)) / np.log(CLOSER))
         widths = (begin[1] - begin[0]) * CLOSER ** -jnp.arange(1.0, count + 1, dtype=place.dtype)
         values, margins = jax.vmap(side)(jnp.concatenate([place[None], place - widths, place + widths]))
         changes, sides = values[count + 1 :] - values[1 : count + 1], margins[1:] >= 0

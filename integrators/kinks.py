@@ -11,8 +11,9 @@ from jaxtyping import Array, Float
 from ..manifolds import Euclidean
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
+from ..manifolds.numerics.tolerances import FINEST, rounding_of, tolerance
 from .compilation import call_compiled
-from .probing import PARTS, ROUNDING, SMOOTH
+from .probing import PARTS, SMOOTH
 
 if TYPE_CHECKING:
     from .boundary_value.solution import Solution
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 STAGES = 5  # of a trajectory from whose controls is looked
 REACH = 2.0  # times the largest control: how far
 PIECES, ROUNDS = 16, 13  # of an interval, of which that with the largest unexplained change is taken next
-FINEST = 256.0  # times the machine epsilon and the interval: as close as the points of a piece may come
 LASTS = 4  # last intervals, over a factor of 16^3, that tell a kink
 SLOWER = 0.75  # at a kink a slope changes with a lower power of the distance than this, and with the first where it is smooth
 ACCOUNTED = 1.2  # times the interval and the larger second derivative at its ends: no smooth function changes by more
@@ -86,7 +86,7 @@ def closing_in(derivatives: Callable[[Array], tuple[Array, Array]], low: Array, 
         bends = jnp.maximum(jnp.abs(curvatures[i]), jnp.abs(curvatures[i + 1]))
         largest = jnp.max(jnp.where(jnp.isfinite(slopes), jnp.abs(slopes), 0.0))
         seen = s[i + 1] - s[i], changes[i], bends, s[i], largest
-        fine = (high - low) / PIECES < FINEST * jnp.finfo(s.dtype).eps * reach
+        fine = (high - low) / PIECES < FINEST * tolerance(s, 1.0) * reach
         return jax.tree.map(lambda a, b: jnp.where(fine, a, b), ends, (s[i], s[i + 1])), seen
 
     _, (widths, changes, bends, places, sizes) = jax.lax.scan(closer, (low, high), None, ROUNDS)
@@ -106,7 +106,7 @@ def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, siz
     if len(w) < LASTS or not np.all(np.isfinite(change)):
         return False
     jumps, steepens = np.all(change > ACCOUNTED * w * bend), bend[-1] > STEEPER * bend[0]
-    rounding = ROUNDING * np.finfo(changes.dtype).eps * size
+    rounding = rounding_of(changes) * size
     lasts = change[-1] >= change[0] * (w[-1] / w[0]) ** SLOWER and change[-1] <= GROWS * change[0]
     return bool((jumps or steepens) and lasts and change[0] > JUMP * size and np.all(change > rounding))
 
@@ -117,7 +117,7 @@ def is_jump(widths: np.ndarray, changes: np.ndarray, size: float) -> bool:
     change = np.abs(changes[distinct])
     if len(distinct) < LASTS or not np.all(np.isfinite(change)):
         return False
-    rounding = ROUNDING * np.finfo(changes.dtype).eps * size
+    rounding = rounding_of(changes) * size
     # Half of it is in the last interval where a point of that is on the jump, as zero is on that of the sign.
     lasts = change[-2] >= LESS * change[0] and change[-1] >= LESS * change[0] / 2
     return bool(lasts and change[-1] > max(JUMP * size, rounding))

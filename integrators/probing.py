@@ -12,6 +12,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
+from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from .constraints import constraint_words
 from .functions import failing_line
 
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 SPREAD = 0.3  # size of the coordinates of these controls around the resting one
-ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SINGULAR_POWER = 0.67  # of the machine epsilon: smallest singular value of a matrix in units of its rows
 ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
 SAME = 1e-6  # largest distance of a direction from a space that it is in
@@ -89,7 +89,7 @@ def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
     size = curvatures.shape[-1]
     if not np.all(np.isfinite(curvatures)) or not size:
         return np.zeros((0, size))
-    rounding = ROUNDING * np.finfo(curvatures.dtype).eps
+    rounding = rounding_of(curvatures)
     # Each part by itself: a weak cost is no rounding of strong dynamics, in whatever units the controls are.
     steep = rounding / SPREAD * np.maximum(np.abs(slopes)[:, :, None], np.abs(slopes)[:, None, :])
     power, cost = np.where(np.abs(curvatures) <= steep, 0.0, curvatures)
@@ -99,7 +99,7 @@ def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
     units = np.sqrt(np.where(zero, 1.0, rows))
     matrix = np.where(zero[:, None] | zero[None, :], 0.0, matrix) / np.outer(units, units)
     values, vectors = np.linalg.eigh(matrix + np.diag(np.where(zero, 2.0, 0.0)))
-    found = vectors[:, np.abs(values) <= np.finfo(matrix.dtype).eps ** SINGULAR_POWER].T / units
+    found = vectors[:, np.abs(values) <= tolerance(matrix, SINGULAR_POWER)].T / units
     found = np.concatenate([np.eye(size)[zero], found])
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 
@@ -121,7 +121,7 @@ class Flat(NamedTuple):
 def flats(probed: Probed, directions: np.ndarray) -> list[list[Flat]]:
     """The flat directions at each of the controls in ``directions``."""
     rest, *others = (flat_directions(*at) for at in zip(probed.slopes, probed.curvatures, strict=True))
-    rounding = ROUNDING * np.finfo(directions.dtype).eps
+    rounding = rounding_of(directions)
     found = list[list[Flat]]()
     for k, ways in enumerate(others):
         found.append([])
@@ -204,7 +204,7 @@ def bend(flat: Flat, found: AlongLine) -> Bend | None:
 
 def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """How a slope changes along a line, where by more than rounding, and where the value does so in another way."""
-    s, rounding = np.abs(LADDER), ROUNDING * np.finfo(value.dtype).eps
+    s, rounding = np.abs(LADDER), rounding_of(value)
     value, slope = value.astype(float), slope.astype(float)
     turned, missed = slope - slope[0], value - value[0] - LADDER * slope[0]
     bent = 10 * curvature * s

@@ -1,7 +1,6 @@
 """Optimal control problems and Pontryagin's Hamiltonian."""
 
 from collections.abc import Callable, Iterator, Mapping
-from itertools import pairwise
 from typing import Any, final
 
 import equinox as eqx
@@ -10,38 +9,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..manifolds import Euclidean, InvalidInputError, Manifold, NotOnManifoldError, Product, RetraxError
+from ..manifolds import Euclidean, InvalidInputError, Manifold, Product, RetraxError
 from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import default_tolerance, working_precision
+from ..manifolds.numerics.precision import working_precision
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
-from .compilation import call_compiled, digest
+from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words
-from .control_jumps import require_no_jumps
 from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number
+from .inspection import Inspection, probes
 from .options import known_options, require_arguments, takes_more
-from .probing import (
-    CURVATURES,
-    FAILURES,
-    LADDER,
-    SPREAD,
-    Probed,
-    along_lines,
-    bend,
-    failure_words,
-    flats,
-    kink_words,
-    probe,
-    require_finite,
-)
+from .probing import FAILURES, failure_words
 from .quantities import Quantities
 from .statement import statement
-from .stopped import require_true_derivatives
 
 Dynamics = Callable[[Any, Any], Any]
 RunningCost = Callable[[Any, Any], Any]
@@ -296,34 +281,20 @@ class OptimalControlProblem(eqx.Module):
                 f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one manifold"
             )
 
-    def check(self, q: Ambient, u: Ambient) -> bool:
-        """Whether the problem is regular; raises if its functions return something of the wrong kind at ``(q, u)``.
+    def check(self, q: Ambient, u: Ambient) -> None:
+        """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls there."""
+        Inspection(self, q, u).require_sound()
 
-        Regular: ``d2H/du2`` is invertible at one of a few random controls and covectors at ``q``. Raises too where it is not,
-        and the functions have a kink in the controls.
-        """
-        directions, covectors = self._directions()
-        probed = self._probed(q, u, directions, covectors)
-        require_finite(self.limits.names, probed, q)
-        normal, size = np.max(probed.normals), np.max(probed.sizes)
-        if not normal <= default_tolerance() * (1 + size):
-            raise NotOnManifoldError(
-                f"dynamics leaves the tangent space of {self.manifold}: its normal part is {normal:.3g} (size of the velocity "
-                f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
-            )
-        return self._is_regular(probed, q, u, directions, covectors)
-
-    def require_no_kink(self, q: Ambient) -> None:
-        """Raise if ``d2H/du2`` has null directions along which ``dH/du`` is not constant, as that of ``|u|``."""
-        u, (directions, covectors) = resting_control(self.controls), self._directions()
-        self._is_regular(self._probed(q, u, directions, covectors), q, u, directions, covectors)
+    def is_regular_at(self, q: Ambient, u: Ambient) -> bool:
+        """Whether ``d2H/du2`` is invertible at one of a few random controls around ``u`` and covectors at ``q``."""
+        return Inspection(self, q, u).is_regular
 
     def require_cost(self, q: Ambient, end: Ambient, fixed: tuple[bool, ...] = ()) -> None:
         """Raise if both costs are a number each, near ``q`` and at random points with random controls.
 
         The terminal one at points of which the arrays that are ``fixed`` at the end are those of ``end``.
         """
-        require_cost(self, (q, resting_control(self.controls), self._directions()[0]), end, fixed)
+        require_cost(self, (q, resting_control(self.controls), probes(self)[0]), end, fixed)
 
     def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
         """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not zero.
@@ -331,16 +302,6 @@ class OptimalControlProblem(eqx.Module):
         Where that is free, of arrays that are not ``fixed``, no extremal ends with ``p = 0``.
         """
         return is_steep(self, fixed)
-
-    def _probed(self, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> Probed:
-        """The functions at ``(q, u)`` and around, in NumPy arrays; raises if they fail there."""
-        try:
-            found, *_ = call_compiled(probe, self, q, u, directions, covectors)
-        except RetraxError:
-            raise
-        except FAILURES as error:
-            raise InvalidInputError(failure_words(self, error, q, u)) from error
-        return jax.tree.map(np.asarray, found)
 
     def require_values(self) -> None:
         """Raise if the functions cannot be called with a point and a control, or return something of another kind."""
@@ -351,32 +312,6 @@ class OptimalControlProblem(eqx.Module):
             raise
         except FAILURES as error:
             raise InvalidInputError(failure_words(self, error, q, u)) from error
-
-    def _is_regular(self, probed: Probed, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient) -> bool:
-        """Whether a second derivative by the controls is invertible; raises if it is not because of a kink, and for jumps."""
-        require_no_jumps(self, q, u)
-        require_true_derivatives(self, q, u)
-        found = flats(probed, directions)
-        if not all(found):
-            return True
-        every = [flat for ways in found for flat in ways]
-        bases, ways = (np.stack([getattr(flat, name) for flat in every]) for name in ("bases", "direction"))
-        given = vec.entries(covectors, np.array([flat.sample for flat in every]))
-        ladder = LADDER.astype(directions.dtype)
-        along = jax.device_get(call_compiled(along_lines, self, q, u, given, bases, ways, ladder)[0])
-        bends = [bend(flat, vec.entries(along, k)) for k, flat in enumerate(every)]
-        for flat, bent, slopes in zip(every, bends, along.slopes, strict=True):
-            if bent is not None and not bent.smooth:
-                there = [self.steer(u, flat.bases[bent.line] + t * flat.direction) for t in (0.0, LADDER[bent.place])]
-                raise InvalidInputError(kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there))
-        counts = np.cumsum([0, *map(len, found)])
-        return any(all(bent is not None for bent in bends[a:b]) for a, b in pairwise(counts))
-
-    def _directions(self) -> tuple[np.ndarray, Ambient]:
-        """Random coordinates of controls and random ambient covectors, the same at every call."""
-        draw = np.random.default_rng(0).standard_normal
-        covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), self.manifold.ambient)
-        return SPREAD * draw((CURVATURES, self.controls.dimension)).astype(working_precision()), covectors
 
 
 def is_same_problem(a: object, b: object) -> bool:

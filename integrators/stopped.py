@@ -12,6 +12,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
+from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
 from .compilation import call_compiled, held
@@ -28,7 +29,6 @@ MADE_BY = {
 }
 SPANS = 10.0 ** np.arange(-11.5, 1.0)  # of the sizes of coordinates: how far the functions are looked at
 MOVE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
-ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SETTLED, LASTS = 0.1, 2  # difference quotients over neighbouring spans that change by less of what the derivative misses
 BASES = 3
 PLACES = 8  # along a trajectory
@@ -126,12 +126,12 @@ def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndar
     with np.errstate(all="ignore"):
         quotients = (above - below) / (2 * SPANS[:, None])
         size = np.abs(slopes) + np.abs(quotients)
-        rounding = ROUNDING * np.finfo(above.dtype).eps * np.maximum(np.abs(above), np.abs(below)) / SPANS[:, None]
+        rounding = rounding_of(above) * np.maximum(np.abs(above), np.abs(below)) / SPANS[:, None]
         apart = np.abs(quotients - slopes)
         clear = apart > rounding / SETTLED
         settled = clear[1:] & clear[:-1] & (np.abs(np.diff(quotients, axis=0)) < SETTLED * apart[1:])
         shares = apart / size
-    found, clearness = np.zeros(slopes.shape[-1]), np.finfo(above.dtype).eps ** (1 / 3)
+    found, clearness = np.zeros(slopes.shape[-1]), tolerance(above, 1 / 3)
     for i in range(len(found)):
         # The shortest spans that are clear of rounding: over longer ones a function may be anything.
         known = np.flatnonzero(np.isfinite(quotients[:, i]) & (rounding[:, i] < clearness * size[:, i]))

@@ -5,7 +5,7 @@ from typing import Any, final
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float
 
 from .level_set import GAUSS_NEWTON_STEPS, point_from_random_starts
 from .manifold import Manifold
@@ -13,8 +13,8 @@ from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.frames import null_frame
-from .numerics.newton import tolerance
 from .numerics.root import solve_small
+from .numerics.tolerances import tolerance
 
 
 @final
@@ -47,7 +47,7 @@ class Submanifold(Manifold):
         return f"Submanifold({self.parent}, {count} equation{'s' * (count > 1)})"
 
     @property
-    def ambient(self) -> PyTree[jax.ShapeDtypeStruct]:
+    def ambient(self) -> Any:
         return self.parent.ambient
 
     def normals(self, x: Ambient) -> Frame:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from ..manifolds import Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.newton import tolerance
+from ..manifolds.numerics.tolerances import tolerance
 from .retraction import Retraction, nan_unless
 
 NEWTON_STEPS = 10  # quadratically convergent: from a tenth to rounding in four

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import importlib.metadata
+import re
 import subprocess
 import sys
 import tomllib
@@ -34,6 +35,16 @@ def test_every_folder_is_packaged():
 
 def test_the_version_is_the_distribution_s():
     assert retrax.__version__ == importlib.metadata.version("retrax")
+
+
+def test_the_oldest_versions_that_are_tested_are_those_that_are_claimed():
+    project = SETTINGS["project"]
+    claims = project["dependencies"] + [claim for extra in project["optional-dependencies"].values() for claim in extra]
+    parts = [re.split(r"(?:\[\w+\])?>=|[,;]", claim)[:2] for claim in claims]
+    lines = [line for line in (ROOT / "tests" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
+    tested = dict(line.split("==") for line in lines)
+    assert {(name, version) for name, version in parts if name in tested} == {*tested.items()} - {("pyparsing", "3.1.4")}
+    assert {name for name, _ in parts[: len(project["dependencies"])]} <= {*tested}
 
 
 def test_the_package_is_typed():

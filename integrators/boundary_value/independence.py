@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics.tolerances import EPS, HALF
 from ..boundary_conditions import boundary_words
 from ..text import many
 from .coupled import Own
@@ -14,7 +15,6 @@ from .engine.joint import JointConditions
 from .engine.layout import Layout
 
 SAMPLES = 4  # random ends at which equations are looked at
-RANK = 0.5  # power of the machine epsilon: a singular value smaller than this, relative to the largest, is rounding
 
 
 def equation_words(phases: Sequence[Own]) -> list[str]:
@@ -31,7 +31,7 @@ def equation_words(phases: Sequence[Own]) -> list[str]:
 def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
     """What is said where equations between the ends depend on each other at those that a member reached; else nothing."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]
-    power = RANK if found.claimed[k] else RANK / 2  # on the way to ends where they depend on each other they nearly do
+    power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := _independent(_scaled(rows), power)) == len(rows):
         return ""
     left = ", ".join(name for place, name in enumerate(_all(joint, names)) if place not in independent)
@@ -92,12 +92,12 @@ def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
     return samples
 
 
-def _independent(rows: np.ndarray, power: float = RANK) -> list[int]:
+def _independent(rows: np.ndarray, power: float = HALF) -> list[int]:
     """The first rows of a matrix that are independent of those before."""
     basis, found = np.zeros((0, rows.shape[1])), list[int]()
     for k, row in enumerate(rows):
         rest = row - basis.T @ (basis @ row)
         rest -= basis.T @ (basis @ rest)
-        if np.linalg.norm(rest) > np.finfo(float).eps ** power * max(np.linalg.norm(row), np.finfo(float).tiny):
+        if np.linalg.norm(rest) > EPS**power * max(np.linalg.norm(row), np.finfo(float).tiny):
             basis, found = np.vstack([basis, rest / np.linalg.norm(rest)]), [*found, k]
     return found

@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from ...manifolds import DomainError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.tolerances import EPS
 from ...reading import one_reading
 from ...retractions import Retraction, default_retraction
 from .engine.chart import Chart, lagrange
@@ -20,7 +21,7 @@ from .stored import as_text, from_text
 if TYPE_CHECKING:
     from .solution import Solution
 
-ROUNDING = 8 * float(np.finfo(float).eps)  # relative to the horizon, and for each step: what the sum of the steps loses
+SUMMED = 8 * EPS  # relative to the horizon, and for each step: what the sum of the steps loses
 
 
 class Sample(NamedTuple):
@@ -197,7 +198,7 @@ def checked_times(t: Any, times: np.ndarray) -> np.ndarray:
     if given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
         raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {t!r:.80}")
     first, last = float(times[0]), float(times[-1])
-    slack = ROUNDING * len(times) * max(abs(first), abs(last))
+    slack = SUMMED * len(times) * max(abs(first), abs(last))
     outside = (given < first - slack) | (given > last + slack)
     if np.any(outside):
         raise InvalidInputError(

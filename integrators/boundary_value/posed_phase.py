@@ -8,6 +8,7 @@ import numpy as np
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
+from ..inspection import Inspection
 from ..problem import OptimalControlProblem
 from .arguments import Method, Options, copied, fractions_of
 from .engine.evaluator import Automatic, Evaluator
@@ -118,7 +119,9 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) ->
         equations = inner.posing.posed(members)
         bound, guess = members.problem_of(0), members.guess_of(0)
         first = members.conditions_of(0)[0].point if guess is None else vec.entries(guess.states, 0)
-        regular = bound.check(first, resting_control(bound.controls)) or bound.limits.along
+        inspection = Inspection(bound, first, resting_control(bound.controls))
+        inspection.require_sound()
+        regular = inspection.is_regular or bound.limits.along
     except NAMED as error:
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:

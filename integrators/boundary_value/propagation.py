@@ -14,6 +14,7 @@ from jaxtyping import Array
 from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.tolerances import EPS, HALF, ROUNDING
 from ...reading import reads_once
 from ...retractions import Retraction, default_retraction
 from ..problem import OptimalControlProblem
@@ -24,7 +25,7 @@ from .engine.layout import Layout, parameter_layout
 from .solution import Solution
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
-ROUNDING = 100 * float(np.finfo(float).eps)  # relative to the states: an error below it is not resolved
+UNRESOLVED = ROUNDING * EPS  # relative to the states: errors below it
 FINEST = 64  # parts of a step
 ROUNDS = 8  # of Newton's method, which takes two to four where the error is small
 SLOW = 0.1  # shrinking of its moves below which the derivatives are renewed
@@ -149,7 +150,7 @@ class Propagator:
             while parts < FINEST and np.any(change > RELATIVE):
                 parts, coarse, ends = 2 * parts, ends, self.ends(given, k, given.states[:-1], rest, 2 * parts)
                 size = np.max(np.abs(ends - given.states[1:]), axis=1)
-                size = np.maximum(size, ROUNDING * np.max(np.abs(given.states), initial=0.0))
+                size = np.maximum(size, UNRESOLVED * np.max(np.abs(given.states), initial=0.0))
                 change = np.max(np.abs(ends - coarse), axis=1) / size
         gaps = ends - given.states[1:]
         return np.where(np.isfinite(gaps), gaps, np.inf)
@@ -195,7 +196,7 @@ class Propagator:
     def _allowed(self, given: _Given, error: dict[str, np.ndarray]) -> dict[str, float]:
         """What the integrator may add to the error of each factor: a part of it, or the rounding of the states."""
         size = self._distances(given.states, np.zeros_like(given.states))  # of the points themselves, in the unit of each
-        return {name: max(RELATIVE * np.max(error[name]), ROUNDING * np.max(size[name])) for name in error}
+        return {name: max(RELATIVE * np.max(error[name]), UNRESOLVED * np.max(size[name])) for name in error}
 
     def _distances(self, first: np.ndarray, second: np.ndarray) -> dict[str, np.ndarray]:
         pairs = factor_distances(self.problem.manifold, self.state.points(first), self.state.points(second))
@@ -270,7 +271,7 @@ class _AtOnce:
     def __call__(self, parts: int) -> np.ndarray | None:
         """The states, each step in some parts; None if the moves do not become small."""
         last = np.inf
-        rounding = ROUNDING * self._sizes(self.given.scales[None])
+        rounding = UNRESOLVED * self._sizes(self.given.scales[None])
         for _ in range(ROUNDS):
             move = self._move(parts)
             self.coordinates += move
@@ -292,7 +293,7 @@ class _AtOnce:
     def _move(self, parts: int) -> np.ndarray:
         """Newton's move of the coordinates; that of the first state is zero. NaN where the states are too far for it."""
         given, count = self.given, len(self.given.steps)
-        n, aside = len(given.scales), np.sqrt(np.finfo(float).eps) * given.scales
+        n, aside = len(given.scales), EPS**HALF * given.scales
         ways = np.zeros((1, n)) if self.derivatives is not None else np.concatenate([np.zeros((1, n)), np.diag(aside)])
         k = np.repeat(np.arange(count), len(ways))
         begin = (self.coordinates[:-1, None] + ways).reshape(-1, n)
@@ -313,7 +314,7 @@ class _AtOnce:
         """Whether gaps are tangential rather than normal: of the chord to a far point the frames see little, or nothing."""
         tangential = np.einsum("kne,kn->ke", self.given.frames[1:], misses)
         sizes = [np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])]
-        return bool(np.all(sizes[0] <= sizes[1] + ROUNDING**2 * sizes[2]))
+        return bool(np.all(sizes[0] <= sizes[1] + UNRESOLVED**2 * sizes[2]))
 
 
 def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:

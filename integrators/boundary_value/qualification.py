@@ -9,17 +9,17 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
 from ..problem import OptimalControlProblem
 from .engine.evaluator import Automatic, Evaluated
 from .engine.layout import Layout, parameter_layout
 from .solution import Solution
 
-ACTIVE = 1e-3  # of the largest multiplier of the same entry: it holds the trajectory there
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
-VANISHES = float(np.finfo(float).eps) ** 0.25  # of the largest derivative along the trajectory
-OUTSIDE = float(np.finfo(float).eps) ** 0.5  # of the largest value: an end that violates a constraint by less is on it
+VANISHES = EPS**0.25  # of the largest derivative along the trajectory
+OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
 LEAVE_OUT = "leave out what follows from the others"
-DEPENDENT = float(np.finfo(float).eps) ** 0.5  # smallest singular value of rows of length one
+DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
 
 
 @final

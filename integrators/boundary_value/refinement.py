@@ -8,6 +8,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError, RetraxError
 from ...manifolds.numerics.ambient import is_finite_number
+from ...manifolds.numerics.tolerances import EPS
 from ...retractions import Gauss
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..free import Free, is_free
@@ -23,7 +24,6 @@ from .solver import Solver
 from .step_errors import Estimator, StepErrors
 from .structure import ControlStructure, control_structure
 
-ROUNDING = float(np.finfo(float).eps)
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
@@ -117,7 +117,7 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than rounding."""
         errors, checks = found.errors, found.solution.checks
         left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
-        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, ROUNDING))
+        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
     def _on(self, problem: OptimalControlProblem, method: Method, steps: Any, asked: Asked) -> Solution:
         """The solution on a mesh, by a solver that is traced once for each number of stages."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ..controls import resting_control
-from ..probing import CURVATURES, SPREAD
+from ..inspection import Inspection, probes
 from ..singular import Classification, classify
 from .members import Members
 from .posed import Posing
@@ -36,9 +36,10 @@ class Regularity:
         if key not in self._classes or self._classes[key][0] != values:
             problem, (first, last), guess = members.problem_of(k), members.conditions_of(k), members.guess_of(k)
             known = first.point if guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), guess.states)
-            regular = problem.check(known, resting_control(problem.controls))
+            inspection = Inspection(problem, known, resting_control(problem.controls))
+            inspection.require_sound()
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
-            regular = regular or problem.limits.along
+            regular = inspection.is_regular or problem.limits.along
             if not regular and self.refusal:
                 raise InvalidInputError(self.refusal)
             problem.require_cost(known, last.point, last.fixed_leaves)
@@ -96,10 +97,10 @@ class Regularity:
     @cached_property
     def _probes(self) -> tuple[np.ndarray, np.ndarray]:
         """Flat controls around the resting one, and covectors, random and the same at every call."""
-        problem, draw = self._posing.problem, np.random.default_rng(0).standard_normal
-        rest, moves = resting_control(problem.controls), SPREAD * draw((CURVATURES, problem.controls.dimension))
+        problem = self._posing.problem
+        rest, (moves, covectors) = resting_control(problem.controls), probes(problem)
         controls = np.stack([self._posing.control.rows(problem.steer(rest, move), 0) for move in moves])
-        return controls, draw((CURVATURES, self._posing.state.size))
+        return controls, self._posing.state.rows(covectors, 1)
 
     def _key(self, members: Members) -> Any:
         return members.structure, members.ends.prescribed[1].parts

@@ -7,8 +7,9 @@ import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError
+from ...manifolds.numerics.tolerances import EPS, REGULAR
 from .engine.layout import Layout
-from .engine.sensitivity import SINGULAR, Derivatives
+from .engine.sensitivity import Derivatives
 from .solution import Solution
 
 
@@ -64,7 +65,7 @@ class Sensitivity:
 def require_isolated(found: Derivatives, solution: Solution) -> None:
     """Raise if the KKT system is singular to rounding."""
     smallest = float(found.smallest[0])
-    if not (smallest > np.finfo(float).eps ** SINGULAR and all(np.all(np.isfinite(part)) for part in found)):
+    if not (smallest > EPS**REGULAR and all(np.all(np.isfinite(part)) for part in found)):
         raise ConvergenceError(
             f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the extremal is "
             "one of a family, or its end is conjugate to its start, and it has no derivatives; try another horizon",

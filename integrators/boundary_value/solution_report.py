@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ...manifolds.numerics.tolerances import ACTIVE
 from ..text import many, table
 from .solution import RegularChecks, SingularArc, Solution
 

@@ -10,9 +10,10 @@ from jaxtyping import Array
 
 from ...manifolds import Euclidean
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.tolerances import tolerance
 from ...retractions import Retraction
 from ..control_jumps import control_jump, control_lines, control_words
-from ..crossings import DEGREE, NEAR, ROUNDING, Crossings, Given, Jump, Lines, largest, rate_names, rates, some
+from ..crossings import DEGREE, HIDDEN, NEAR, Crossings, Given, Jump, Lines, largest, rate_names, rates, some
 from ..jumps import steps_in
 from ..kinks import JUMP
 from ..problem import OptimalControlProblem
@@ -184,7 +185,7 @@ class Jumps:
         """Of each entry of the functions the size along the trajectory; of small ones that which is rounding in their array."""
         sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1), initial=0.0)
         for place in self.state.places:
-            least = ROUNDING / JUMP * np.finfo(values.dtype).eps * np.max(sizes[place], initial=0.0)
+            least = HIDDEN / JUMP * tolerance(values, 1.0) * np.max(sizes[place], initial=0.0)
             sizes[place] = np.maximum(sizes[place], least)
         return sizes
 

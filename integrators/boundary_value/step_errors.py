@@ -14,7 +14,7 @@ from ..problem import OptimalControlProblem
 from .arguments import check_parameters
 from .control_curvature import ControlCurvature
 from .engine.evaluator import Automatic, Evaluated
-from .propagation import ROUNDING, Propagator
+from .propagation import UNRESOLVED, Propagator
 from .solution import Solution
 
 POINTS = 4  # for each stage: where inequalities are looked at between the stages
@@ -98,7 +98,7 @@ class Estimator:
         for place, each_own in zip(layout.places, flat, strict=True):
             largest, size = np.max(spreads[place], initial=0.0), np.max(sizes[place], initial=0.0)
             spreads[place] = np.where((spreads[place] > 0) & each_own, spreads[place], largest)
-            gaps[:, place][gaps[:, place] <= ROUNDING * size] = 0.0  # which no mesh mends
+            gaps[:, place][gaps[:, place] <= UNRESOLVED * size] = 0.0  # which no mesh mends
         return np.max(np.where(gaps > 0, gaps / np.where(spreads > 0, spreads, 1.0), 0.0), axis=1, initial=0.0)
 
     def _controls(self, solution: Solution, parameters: Any, switches: np.ndarray | None) -> np.ndarray:

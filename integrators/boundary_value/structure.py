@@ -6,10 +6,11 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics.tolerances import EPS
 from ..problem import OptimalControlProblem
 from .solution import Solution
 
-AT_BOUND = float(np.finfo(float).eps) ** 0.25  # of the room: the barrier leaves a control at its bound nearer than that
+AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
 JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
 VANISHED = 1e-6  # of the horizon: an arc that is shorter has vanished
 SIDES = {-1: "lower", 0: "free", 1: "upper"}

@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
+from ...manifolds import InvalidInputError, NotOnManifoldError
 from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...manifolds.numerics.root import find_root
-from ...retractions import CotangentLift, Retraction
+from ...retractions import CotangentLift
 from ..compilation import compiled
 from ..functions import real_number
-from ..initial_value import Integrator, StepResult
+from ..initial_value import LiftedIntegrator, StepResult
 from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations
 from ..initial_value.true_hamiltonian import require_true_hamiltonian
@@ -33,7 +33,7 @@ class _Memory(NamedTuple):
 
 
 @final
-class DiracIntegrator(Integrator):
+class DiracIntegrator(LiftedIntegrator):
     """Integrator of a ``DiracSystem``: Lambda o F_h o Lambda, with impulses Lambda of the constraint forces at both nodes.
 
         p0+ = p0 + r0_a mu^a(q0),    (q0, p0+; q1, p1-) = R_d^{T*}(h X_H(x, pi)),    p1 = p1- + r1_a mu^a(q1)
@@ -59,14 +59,6 @@ class DiracIntegrator(Integrator):
             raise InvalidInputError(
                 f"DiracIntegrator takes a cotangent lift, got {self.lift!r}; try CotangentLift(Midpoint(...))"
             )
-
-    @property
-    def manifold(self) -> Manifold:
-        return self.lift.discretization.manifold
-
-    @property
-    def retraction(self) -> Retraction:
-        return self.lift.discretization.retraction
 
     def energy(self, system: DiracSystem, q: Ambient, p: Ambient, control: Multipliers) -> Array:
         return real_number("the Hamiltonian", system.hamiltonian(q, p))

@@ -12,12 +12,12 @@ import numpy as np
 from numba import types
 
 from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, SLOW, STALLED
+from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, run, run_one
 from .programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
-EPS = float(np.finfo(float).eps)
 QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
 PATIENCE = 10  # chord steps that a Jacobian of an earlier step may take before it is renewed for the next one
 PREPARE, RESIDUAL, PUSH, END = range(4)

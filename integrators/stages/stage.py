@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
-from ...manifolds.numerics.newton import tolerance
+from ...manifolds.numerics.tolerances import tolerance
 
 Unknowns = Any
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-_ROUNDING = 1e-10
+STRUCTURE = 1e-10  # relative: less in the matrices of a basis is rounding of what a user writes
 
 
 class Invariants(NamedTuple):
@@ -34,7 +34,7 @@ def find_invariants(basis: np.ndarray) -> Invariants:
         _null_space(np.concatenate([a.T for a in basis])),
         _null_space(np.concatenate(on_forms)).reshape(-1, n, n),
         _null_space(np.concatenate(on_coforms)).reshape(-1, n, n),
-        bool(np.max(np.abs(np.trace(basis, axis1=1, axis2=2))) <= _ROUNDING * np.max(np.abs(basis))),
+        bool(np.max(np.abs(np.trace(basis, axis1=1, axis2=2))) <= STRUCTURE * np.max(np.abs(basis))),
     )
 
 
@@ -53,7 +53,7 @@ def invariant_dimension(found: Invariants, n: int, is_complex: bool) -> int:
         )
         flat = np.concatenate([part.ravel() for part in parts])
         rows.append(np.concatenate([flat.real, flat.imag]))
-    return len(units) - int(np.linalg.matrix_rank(np.array(rows), tol=_ROUNDING))
+    return len(units) - int(np.linalg.matrix_rank(np.array(rows), tol=STRUCTURE))
 
 
 def equations(found: Invariants, x: Array) -> Array:
@@ -78,5 +78,5 @@ def equations(found: Invariants, x: Array) -> Array:
 def _null_space(matrix: np.ndarray) -> np.ndarray:
     """Orthonormal basis, by rows, of the vectors that a matrix takes to zero."""
     _, s, vh = np.linalg.svd(matrix)
-    rank = int(np.sum(s > _ROUNDING * max(s[0], 1e-300)))
+    rank = int(np.sum(s > STRUCTURE * max(s[0], 1e-300)))
     return vh[rank:].conj()

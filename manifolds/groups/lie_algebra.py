@@ -5,9 +5,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from ..numerics.errors import InvalidInputError
-from .invariants import Invariants, find_invariants, invariant_dimension
-
-_ROUNDING = 1e-10  # relative size below which a number is zero up to rounding
+from .invariants import STRUCTURE, Invariants, find_invariants, invariant_dimension
 
 
 class LieAlgebra:
@@ -22,7 +20,7 @@ class LieAlgebra:
         if not np.all(np.isfinite(basis)):
             raise InvalidInputError("the basis of a Lie algebra has entries that are NaN or infinite")
         self.basis = basis
-        rank = np.linalg.matrix_rank(self._rows(basis), tol=_ROUNDING * np.max(np.abs(basis)))
+        rank = np.linalg.matrix_rank(self._rows(basis), tol=STRUCTURE * np.max(np.abs(basis)))
         if rank < len(basis):
             raise InvalidInputError(
                 f"the {len(basis)} matrices of a Lie algebra's basis must be independent; their rank is {rank}"
@@ -60,7 +58,7 @@ class LieAlgebra:
     def contains(self, a: np.ndarray) -> bool:
         """Whether a matrix lies in the algebra, up to rounding."""
         c = np.real(np.tensordot(self.dual.conj(), a, 2))
-        return bool(np.max(np.abs(a - np.tensordot(c, self.basis, 1))) <= _ROUNDING * (np.max(np.abs(a)) + 1e-300))
+        return bool(np.max(np.abs(a - np.tensordot(c, self.basis, 1))) <= STRUCTURE * (np.max(np.abs(a)) + 1e-300))
 
     @cached_property
     def acts_unitarily(self) -> bool:
@@ -70,9 +68,9 @@ class LieAlgebra:
         """
         ranges = np.concatenate(list(self.basis), axis=1)
         u, s, _ = np.linalg.svd(ranges, full_matrices=False)
-        w = u[:, s > _ROUNDING * s[0]]
+        w = u[:, s > STRUCTURE * s[0]]
         strain = w.conj().T @ (self.basis + self.basis.conj().swapaxes(1, 2)) @ w
-        return bool(np.max(np.abs(strain)) <= _ROUNDING * np.max(np.abs(self.basis)))
+        return bool(np.max(np.abs(strain)) <= STRUCTURE * np.max(np.abs(self.basis)))
 
     @cached_property
     def closed_under_adjoints(self) -> bool:

@@ -14,8 +14,8 @@ from ..numerics import ambient as vec
 from ..numerics.attribute import attribute
 from ..numerics.errors import shapes_of
 from ..numerics.matrices import exponential
-from ..numerics.newton import tolerance
 from ..numerics.precision import complex_entries, real
+from ..numerics.tolerances import tolerance
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
 

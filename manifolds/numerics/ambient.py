@@ -5,7 +5,7 @@ A *frame* is a pytree of the same structure whose leaves carry one extra leading
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,12 @@ import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
-Ambient = PyTree[Array]
-Frame = PyTree[Array]
+if TYPE_CHECKING:
+    # Type checkers take PyTree for unknown, and with it the functions that users call.
+    Ambient: TypeAlias = Any
+    Frame: TypeAlias = Any
+else:
+    Ambient = Frame = PyTree[Array]
 Coordinates = Float[Array, " k"]
 
 

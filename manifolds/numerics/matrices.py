@@ -10,7 +10,7 @@ from jaxtyping import Array, Shaped
 
 from . import ambient as vec
 from . import series
-from .newton import tolerance
+from .tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
+from ...manifolds.numerics.tolerances import tolerance
 from . import ambient as vec
 
 MAX_JACOBIANS = 15
@@ -15,11 +16,6 @@ CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
 
 Vector = Float[Array, " k"]
-
-
-def tolerance(x: Array, power: float) -> float:
-    """``eps^power`` for the precision of ``x``."""
-    return float(jnp.finfo(x.dtype).eps ** power)
 
 
 class _Iteration(NamedTuple):

@@ -4,8 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-RANK_POWER = 0.45  # of eps: smallest singular value that counts, relative to the largest: 9e-8, in single precision 8e-4
-REGULAR_POWER = 0.6  # of eps: smallest singular value of a matrix that is solved with, 4e-10, in single precision 7e-5
+from .tolerances import RANK, REGULAR, tolerance
 
 
 class Rank(NamedTuple):
@@ -24,7 +23,7 @@ def numerical_rank(matrix: np.ndarray, unit: float = 0.0) -> Rank:
     if not matrix.size:
         return Rank(0, np.zeros(0), np.inf)
     values = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.sum(values > np.finfo(values.dtype).eps ** RANK_POWER * max(values[0], unit)))
+    rank = int(np.sum(values > tolerance(values, RANK) * max(values[0], unit)))
     dropped = values[rank] if rank < len(values) else 0.0
     return Rank(rank, values, float((values[rank - 1] if rank else unit) / dropped) if dropped else np.inf)
 
@@ -43,7 +42,7 @@ def pivotal_values(matrix: np.ndarray) -> np.ndarray:
 
 def is_regular(values: np.ndarray) -> bool:
     """Whether none of the singular values, descending, is zero to rounding."""
-    return bool(values.size == 0 or values[-1] > np.finfo(values.dtype).eps ** REGULAR_POWER * values[0] > 0)
+    return bool(values.size == 0 or values[-1] > tolerance(values, REGULAR) * values[0] > 0)
 
 
 def null_space(matrix: np.ndarray, unit: float = 0.0) -> np.ndarray:

@@ -10,8 +10,8 @@ from ...manifolds import Stiefel
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.frames import complement, polar_factor, qr_factor
 from ...manifolds.numerics.matrices import exponential
-from ...manifolds.numerics.newton import tolerance
 from ...manifolds.numerics.root import approach_root
+from ...manifolds.numerics.tolerances import tolerance
 from ..groups.functions import rotations
 from ..retraction import Retraction, nan_unless, newton_preimage
 from ..rounding import keeps_half_the_digits, length

@@ -49,7 +49,7 @@ def test_jumps_of_the_dynamics_are_refused():
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_steps_that_make_no_jump_are_not_refused(name):
     step = CONTINUOUS[name]
-    assert problem(lambda u, number: u @ u / 2 + number * step(u)).check(AT, REST)
+    problem(lambda u, number: u @ u / 2 + number * step(u)).check(AT, REST)
 
 
 def stair(u: Array, height: Array) -> Array:
@@ -68,9 +68,9 @@ def test_a_jump_is_seen_from_a_height_on(height):
         with pytest.raises(InvalidInputError, match="jumps in the controls"):
             given.check(AT, REST)
     else:
-        assert given.check(AT, REST)
+        given.check(AT, REST)
 
 
 @pytest.mark.parametrize("width", 10.0 ** np.arange(-8, 1, 2))
 def test_a_steep_ramp_is_not_a_jump(width):
-    assert problem(ramp, width).check(AT, REST)
+    problem(ramp, width).check(AT, REST)

@@ -274,9 +274,10 @@ def test_what_is_hidden_along_a_trajectory_is_seen_where_the_start_shows_nothing
 
 def is_refused(share: float, unit: float) -> bool:
     try:
-        return not OptimalControlProblem(PLANE, cart, Hidden(jnp.asarray(share)), 1).check(unit * AT, np.zeros(1))
+        OptimalControlProblem(PLANE, cart, Hidden(jnp.asarray(share)), 1).check(unit * AT, np.zeros(1))
     except InvalidInputError as error:
         return "jax.lax.stop_gradient" in str(error)
+    return False
 
 
 @pytest.mark.parametrize("unit", [pytest.param(1e-6, marks=pytest.mark.slow), 1e6])
@@ -296,7 +297,7 @@ TRUE = (
 def test_derivatives_that_are_true_are_not_refused():
     problem = OptimalControlProblem(PLANE, cart, lambda q, u: u @ u / 2 + sum(f(q) for f in TRUE), 1)
     for at in (AT, 0 * AT, 1e5 * AT):
-        assert problem.check(at, np.zeros(1))
+        problem.check(at, np.zeros(1))
 
 
 def test_a_hidden_end_is_refused():

@@ -1,4 +1,4 @@
-"""Single-line errors of integrators, retractions and the tape, each with the tests that should notice it."""
+"""Single-line errors of the layers and the tape, each with the tests that should notice it."""
 
 from typing import NamedTuple
 
@@ -97,8 +97,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a matrix is singular from ten thousand times the tolerance on": Planted(
         "integrators/probing.py",
-        "eps ** SINGULAR_POWER].T",
-        "eps ** SINGULAR_POWER * 1e4].T",
+        "tolerance(matrix, SINGULAR_POWER)].T",
+        "tolerance(matrix, SINGULAR_POWER) * 1e4].T",
         (f"{PARTS}::test_directions_are_flat_through_the_power_of_the_rounding",),
     ),
     # Integrators of initial values.
@@ -297,9 +297,9 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/kernels.py", "x[j, p + a] - weight * moved", "x[j, p + a]", (ELIMINATION,)
     ),
     "a small pivot is a clear one": Planted(
-        f"{ENGINE}/elimination.py",
-        "CLEAR = 0.6 ",
-        "CLEAR = 2.0 ",
+        "manifolds/numerics/tolerances.py",
+        "REGULAR = 0.6 ",
+        "REGULAR = 2.0 ",
         (ELIMINATION, f"{SECOND}::test_half_a_turn_is_one_of_many_and_no_strict_minimum"),
     ),
     "a shift raises the Hessian without its scales": Planted(

@@ -10,17 +10,21 @@ the inertia and derivatives by data do not. With ``e = w dnu`` as unknowns,
 the system has no large entries and the inertia of the other with one negative eigenvalue more for each inequality.
 """
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from .conditions import Conditions
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, Slacks, stiffness
 from .scaling import Units
 from .system import Assembled, Iterate
 from .transcription import Blocks
 
+if TYPE_CHECKING:
+    from .conditions import Conditions
 
-def of_lagrangian(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Blocks:
+
+def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> Blocks:
     """The blocks without the share of the inequalities in the Hessians."""
     slacks = iterate.slacks
     if slacks is None:
@@ -30,7 +34,7 @@ def of_lagrangian(conditions: Conditions, iterate: Iterate, assembled: Assembled
     return conditions.blocks(iterate._replace(slacks=free), *around)
 
 
-def solved(conditions: Conditions, iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray) -> BlockSolution:
+def solved(conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray) -> BlockSolution:
     """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a step.
 
     ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c, k).
@@ -44,7 +48,7 @@ def solved(conditions: Conditions, iterate: Iterate, blocks: Blocks, slope: np.n
     return eliminate(system, units)
 
 
-def is_isolated_minimum(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
     """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding, (B,).
 
     An inequality counts by its stiffness: as a constraint where it is active, not at all elsewhere.

@@ -1,10 +1,11 @@
 """The conditions of a discrete extremal: ends meet, the cost is stationary; in units of the trajectory itself."""
 
 from functools import cached_property
-from typing import Any, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
+from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
@@ -23,6 +24,8 @@ class Conditions:
 
     ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with.
     """
+
+    joint: ClassVar[bool] = False  # of phases
 
     def __init__(
         self,
@@ -196,6 +199,10 @@ class Conditions:
         if self.barrier is None or iterate.slacks is None:
             return np.zeros(len(self.data.steps))
         return iterate.slacks.barrier / self.barrier.rate
+
+    def is_isolated_minimum(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+        """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding."""
+        return is_isolated_minimum(self, iterate, assembled)
 
     def is_hard(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Whether a member has inequalities that are not elastic."""

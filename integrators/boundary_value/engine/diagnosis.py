@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ....manifolds import MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.tolerances import EPS, ROUNDING
 from ....manifolds.product import homogeneous_factors
 from ...probing import flat_directions
 from ...problem import OptimalControlProblem
@@ -18,7 +19,6 @@ from ...stages.stage import positive
 from .evaluator import Evaluated, Evaluator
 from .layout import Layout, parameter_layout
 
-ROUNDING = 100.0  # times the machine epsilon: what sums and products of a few terms lose
 SAMPLES = 3  # stages at which symmetry and rounding are looked at
 
 
@@ -117,7 +117,7 @@ class Diagnosis:
         curvature, slope, _, _, power, rate, sizes, *brackets = found
         parts = np.abs(rate) + np.sum(np.abs(slope) * sizes, axis=2)
         parts += np.einsum("bsij,bsi,bsj->bs", np.abs(curvature), sizes, sizes)
-        rounding = ROUNDING * np.finfo(float).eps * np.max(power + parts, axis=1)
+        rounding = ROUNDING * EPS * np.max(power + parts, axis=1)
         return rounding, {name: np.max(value, axis=1) for name, value in zip(self._names, brackets, strict=True)}
 
     def _bound(self, q: Array, u: Array, p: Array, parameters: Array) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ....aligned import aligned_all
+from ....manifolds.numerics.tolerances import EPS, REGULAR
 from ....threads import in_threads
 from .arrays import LANES, plain, whole
 from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
-CLEAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, may be zero
 MANY = 1e3  # equations of nodes: with more, and so with larger weights, rounding hides more
 
 
@@ -118,5 +118,5 @@ def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
     This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
     if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
     """
-    clear = np.finfo(float).eps ** CLEAR * max(1.0, count / MANY)
+    clear = EPS**REGULAR * max(1.0, count / MANY)
     return (solution.negative == count) & (solution.smallest > clear)

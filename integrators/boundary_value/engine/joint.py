@@ -1,14 +1,15 @@
 """The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic ends."""
 
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER, Missed
 from .border import Response, Solved, responses, solve_border
 from .conditions import Conditions
 from .coupling import Coupled, Coupling
-from .elimination import CLEAR, MANY
+from .elimination import MANY
 from .inequalities import Slacks
 from .system import Assembled, Iterate, Residuals, Step
 
@@ -72,6 +73,8 @@ class JointUnits(NamedTuple):
 @final
 class JointConditions:
     """The conditions of a batch of trajectories in phases, of which each has its own conditions."""
+
+    joint: ClassVar[bool] = True
 
     def __init__(self, phases: tuple[Conditions, ...], coupling: Coupling, units: JointUnits | None = None) -> None:
         self.phases, self.coupling, self.units = phases, coupling, units
@@ -334,4 +337,4 @@ def _convex(solved: Solved, parts: list[Response], count: int, equations: int) -
     """Whether the inertia is that of a minimum, by constraints so many in the phases and in the border; whether it is clear."""
     negative = solved.negative + np.sum([part.negative for part in parts], axis=0)
     smallest = np.min([solved.smallest, *(part.smallest for part in parts)], axis=0)
-    return negative == count + equations, smallest > np.finfo(float).eps ** CLEAR * max(1.0, count / MANY)
+    return negative == count + equations, smallest > EPS**REGULAR * max(1.0, count / MANY)

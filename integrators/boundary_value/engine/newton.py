@@ -10,17 +10,15 @@ taken.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, final
 
 import jax
 import numpy as np
 
 from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
 from .aside import aside, is_lost
-from .augmented import is_isolated_minimum
 from .batches import merged, put, taken
 from .conditions import Conditions
-from .joint import JointConditions
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
@@ -158,7 +156,7 @@ class _Search:
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
         if not self.lost.size:
-            looked = isinstance(conditions, Conditions) and not self.as_it_is
+            looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
                 return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
@@ -351,9 +349,7 @@ class _Search:
         joined = joined if len(states) == 1 else taken(joined, order)
         strict = joined.step.strict & (joined.shift == 0)
         if joined.iterate.slacks is not None:
-            own: Any = self.conditions
-            minimum = JointConditions.is_isolated_minimum if isinstance(own, JointConditions) else is_isolated_minimum
-            strict = cast(Any, minimum)(own, joined.iterate, joined.assembled)
+            strict = self.conditions.is_isolated_minimum(joined.iterate, joined.assembled)
         missing = joined.assembled.extent.lacking / self.conditions.measured.nodes
         ended = (
             strict & joined.isolated,

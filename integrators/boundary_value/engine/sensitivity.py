@@ -24,7 +24,6 @@ from .system import Assembled, Iterate
 from .transcription import Data, Nodes, OneStage
 
 CHANGED = 1e-9  # relative: more than rounding
-SINGULAR = 0.6  # power of the machine epsilon: a pivot smaller than this, relative to its row, leaves derivatives few digits
 
 
 class Columns(NamedTuple):

@@ -11,7 +11,6 @@ import numpy as np
 from .acceptance import Merit, State
 from .batches import merged, put
 from .conditions import Conditions
-from .joint import JointConditions
 from .scaling import Units
 from .system import Assembled
 
@@ -48,7 +47,7 @@ def rewritten(
     """
     whole, conditions = both
     # Of phases each would have its own: they are left as they are.
-    if not refused.any() or isinstance(conditions, JointConditions):
+    if not refused.any() or conditions.joint:
         return state, np.zeros(len(refused), bool)
     units = widened(conditions, before, trial)
     wider = refused & np.any(units.nodes > conditions.measured.nodes, axis=1)

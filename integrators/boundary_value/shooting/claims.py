@@ -11,14 +11,13 @@ from jaxtyping import Array
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
+from ....manifolds.numerics.tolerances import rounding_of, tolerance
 from ...problem import OptimalControlProblem
-from ...singular import StageIntegrator
-from ...singular.strategies.direct import DirectIntegrator
+from ...singular import SingularIntegrator
 from ...singular.words import component_words
 from .end_conditions import AtEnds, EndConditions
 
 STATIONARY_POWER = 0.57  # of the machine epsilon: dH/du, and the equations of P_f, relative to their parts: 1e-9
-ROUNDING = 100.0  # times the machine epsilon
 
 
 class Stationarity(NamedTuple):
@@ -48,7 +47,7 @@ def stationarity(problem: OptimalControlProblem, points: tuple[Any, Any, Any], c
         # What the slope of the cost is a sum of shows in its derivatives: those of (q + u)^2 do not vanish where q + u = 0.
         terms = [jnp.sum(jnp.abs(s), axis=tuple(range(1, s.ndim))) * vec.size(q) for s in jax.tree.leaves(by_state)]
         terms.append(jnp.abs(by_control) @ jnp.broadcast_to(vec.size(u), zero.shape))
-        least = ROUNDING * jnp.finfo(zero.dtype).eps  # of a costate: below it an extremal at p = 0 is rounding
+        least = rounding_of(zero)  # of a costate: below it an extremal at p = 0 is rounding
         return power - rate, jnp.maximum(vec.size(p), least) * sum(along) + jnp.abs(rate) + sum(terms)
 
     return Stationarity(*(jnp.stack(a) for a in zip(*(jax.vmap(at)(z, controls) for z in points), strict=True)))
@@ -59,17 +58,15 @@ def _pairs(a: Any, b: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def broken_claim(
-    problem: OptimalControlProblem, integrator: Any, stages: np.ndarray, found: Stationarity, residual: float
+    problem: OptimalControlProblem, integrator: SingularIntegrator, stages: np.ndarray, found: Stationarity, residual: float
 ) -> str:
     """The first claim on the steps of an extremal that is false, in words with what is evaluated; empty if there is none.
 
-    ``residual``: the largest violation of the equations of ``P_f`` at the nodes, where a ``StageIntegrator`` has them to
-    O(h^2) only.
+    ``residual``: the largest violation of the equations of ``P_f`` at the nodes.
     """
-    exact = isinstance(integrator, DirectIntegrator | StageIntegrator)
-    broken = not_stationary(problem, stages, found, exact)
-    limit = np.finfo(np.asarray(found.values).dtype).eps ** STATIONARY_POWER
-    if broken or residual <= limit or isinstance(integrator, StageIntegrator):
+    broken = not_stationary(problem, stages, found, integrator.meets_stages)
+    limit = tolerance(np.asarray(found.values), STATIONARY_POWER)
+    if broken or residual <= limit or not integrator.keeps_nodes:
         return broken
     return f"the equations of P_f are violated by {residual:.3g} (relative) at a node, expected 0"
 
@@ -81,7 +78,7 @@ def not_stationary(problem: OptimalControlProblem, stages: np.ndarray, found: St
     record, somewhere in the step, and is then no larger than what it varies by over a step.
     """
     values, parts = np.asarray(found.values), np.max(found.parts, axis=(0, 1))
-    limit = np.finfo(values.dtype).eps ** STATIONARY_POWER
+    limit = tolerance(values, STATIONARY_POWER)
     smallest = np.min(np.abs(values), axis=0)
     varies = 0.0 if exact else np.max(np.ptp(values, axis=0), axis=0, initial=0.0)
     excess = np.nan_to_num(smallest - limit * parts - varies, nan=np.inf)
@@ -100,7 +97,7 @@ def broken_end(conditions: EndConditions, ends: AtEnds, states: Ambient, costate
     covector = max((float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(costates)), default=0.0) / float(conditions.unit)
     if conditions.problem.terminal_cost is not None:  # p + dPhi = 0 has terms of this size, though both may vanish
         covector = max(covector, 1.0)
-    rounding = ROUNDING * np.finfo(np.asarray(ends.start).dtype).eps
+    rounding = rounding_of(np.asarray(ends.start))
     for condition, rows in ((conditions.start, ends.start), (conditions.end, ends.end)):
         leaf = row = 0
         leaves = jax.tree.leaves(states)

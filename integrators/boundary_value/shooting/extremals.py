@@ -19,7 +19,7 @@ from ...compilation import compiled
 from ...initial_value.passed_jumps import Energy, Segments
 from ...problem import OptimalControlProblem
 from ...results import Result
-from ...singular import Classification, FinalEquations, SingularIntegrator, StageIntegrator, singular_integrator
+from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
 from ...stages import ControlStage
 from ..engine.diagnosis import Diagnosis
 from ..engine.evaluator import Automatic
@@ -124,7 +124,7 @@ def _shooting(request: Request, c: Classification, integrator: SingularIntegrato
     if integrator is None and c.gauge_controls:
         gauge = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
     method = singular_integrator(c, request.discretization, gauge=gauge) if integrator is None else integrator
-    if isinstance(method, StageIntegrator) or (integrator is not None and c.gauge_controls):
+    if not method.keeps_nodes or (integrator is not None and c.gauge_controls):
         length = request.steps
     # The reason has numbers in it, and is static: without it one compiled kernel serves problems that differ in their data.
     return Shooting(request.problem, replace(method, reason=""), c.manifold, h, request.steps, length), method.reason

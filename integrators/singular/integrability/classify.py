@@ -13,8 +13,10 @@ from ....manifolds.numerics import ambient as vec
 from ....progress import Advance, progress
 from ....reading import reads_once
 from ....retractions import default_retraction
+from ...controls import resting_control
 from ...functions import require_concrete
 from ...initial_value.passed_jumps import Energy, Segments
+from ...inspection import Inspection
 from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
 from ..integrability_result import Signature
@@ -156,7 +158,8 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         verdict = CotangentBundle(problem.manifold).contains(near)
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
-    problem.require_no_kink(problem.manifold.random_point(jax.random.key(0)) if near is None else near[0])
+    q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
+    Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 
 class _Found(NamedTuple):

@@ -14,6 +14,7 @@ from ....manifolds import CotangentBundle, Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
+from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
@@ -189,5 +190,5 @@ def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes:
         return jnp.abs(problem.cost_rate(q, center)), jnp.abs(jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))) / 2
 
     cost, price = (jnp.mean(a, axis=0) for a in jax.lax.map(costs, (q, centers)))
-    paid = (price > PRICE * jnp.finfo(price.dtype).eps * cost) & (cost > 0)
+    paid = (price > PRICE * tolerance(price, 1.0) * cost) & (cost > 0)
     return jnp.where(paid, jnp.sqrt(cost / jnp.where(paid, price, 1.0)), sizes)

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 from ....manifolds import Manifold, Submanifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.newton import tolerance
+from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import CotangentLift
 from ...compilation import compiled
 from ...initial_value.step import StepResult
@@ -44,6 +44,7 @@ class DirectIntegrator(DynamicsIntegrator):
     """
 
     presymplectic: ClassVar[bool] = True
+    meets_stages: ClassVar[bool] = True
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:

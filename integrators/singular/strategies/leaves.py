@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.newton import tolerance
+from ....manifolds.numerics.tolerances import tolerance
 
 Point = tuple[Ambient, Ambient]
 Constraints = Callable[[Ambient, Ambient], Float[Array, " m"]]

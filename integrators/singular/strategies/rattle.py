@@ -12,9 +12,9 @@ from jaxtyping import Array, ArrayLike
 from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.newton import tolerance
 from ....manifolds.numerics.precision import default_tolerance
 from ....manifolds.numerics.root import find_root
+from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import CotangentLift
 from ...compilation import compiled
 from ...controls import resting_control

@@ -16,6 +16,7 @@ from ....manifolds import Euclidean, InvalidInputError, Manifold, Product
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
+from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
@@ -209,7 +210,7 @@ def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ..
     if not all(np.all(np.isfinite(values)) for values in (others, fields, rates, curvature)):
         raise InvalidInputError(f"{begin} its functions or their derivatives are not finite where they were looked at; give near")
     size = np.max(np.abs(np.concatenate([others, fields], axis=1)), axis=(0, 1))  # of each field
-    constant = np.finfo(fields.dtype).eps ** CONSTANT_POWER * size
+    constant = tolerance(fields, CONSTANT_POWER) * size
     findings = {
         "H is not affine in them: relative to it, its second derivatives reach": (
             np.moveaxis(curvature, 1, 2),
@@ -241,7 +242,7 @@ def _check_potential(reduction: GohReduction, points: tuple[Ambient, ...]) -> No
                 f"the potential of the cost of the controls {reduction.singular} is not finite: their cost has to be so on the "
                 "way along their directions from the origin; move the origin of the coordinates, or use the strategy 'rattle'"
             )
-        if asymmetric > np.finfo(asymmetric.dtype).eps ** CONSTANT_POWER:
+        if asymmetric > tolerance(asymmetric, CONSTANT_POWER):
             raise InvalidInputError(
                 f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is {asymmetric:.3g} of "
                 "its terms, expected 0; reduce by fewer controls"

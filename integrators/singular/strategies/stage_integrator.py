@@ -28,6 +28,8 @@ class StageIntegrator(DynamicsIntegrator):
     """
 
     presymplectic: ClassVar[bool] = False
+    keeps_nodes: ClassVar[bool] = False
+    meets_stages: ClassVar[bool] = True
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:

@@ -24,10 +24,13 @@ class NotApplicableError(InvalidInputError):
 class SingularIntegrator(LiftedIntegrator):
     """A method for the extremals of a singular problem on its final constraint manifold ``P_f``.
 
-    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``.
+    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``; ``keeps_nodes`` whether its nodes lie on
+    ``P_f``, and not ``O(h^2)`` beside it; ``meets_stages`` whether ``dH/du = 0`` at the stage of each step.
     """
 
     presymplectic: ClassVar[bool]
+    keeps_nodes: ClassVar[bool] = True
+    meets_stages: ClassVar[bool] = False
 
     @attribute
     @abstractmethod

@@ -14,6 +14,7 @@ import sympy
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
 from ....reading import traced
+from ...programs import CALLS
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
@@ -35,7 +36,6 @@ MOVES: dict[str, tuple[int, ...] | None] = {
     "transpose": None,
     "unstack": None,
 }
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 
 
 def _power(a: Any, b: Any) -> Any:

@@ -6,8 +6,8 @@ from jaxtyping import Array, Bool, Shaped
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.matrices import exponential
-from ....manifolds.numerics.newton import tolerance
 from ....manifolds.numerics.precision import same_point
+from ....manifolds.numerics.tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 

@@ -11,7 +11,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics import frames, series
 from ....manifolds.numerics.matrices import exponential as matrix_exponential
 from ....manifolds.numerics.matrices import triangular_factor
-from ....manifolds.numerics.newton import tolerance
+from ....manifolds.numerics.tolerances import tolerance
 from ...rounding import EDGE, keeps_half_the_digits
 from . import general
 

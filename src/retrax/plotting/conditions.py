@@ -9,10 +9,10 @@ from ..channels import Channel, control_channels, raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
 from ..integrators.functions import require_concrete
 from ..manifolds import InvalidInputError
+from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
 from .axes import draw, one, several, time_axis
 
-EPS = float(np.finfo(float).eps)
 ACTIVE = 1e-3  # of the largest multiplier of its name
 
 

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..manifolds import InvalidInputError
+from ..manifolds.numerics.tolerances import EPS
 from .axes import one
 
 if TYPE_CHECKING:
     from ..interop.discrete_problem import DiscreteProblem
-
-EPS = float(np.finfo(float).eps)
 
 
 def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:

@@ -317,7 +317,7 @@ def test_an_integrator_is_for_singular_problems_and_their_discretization():
 @pytest.mark.parametrize("name", ["academic", "aly-chan", "sphere", "free actuator", "brown", "dummy control"])
 def test_singular_problems_are_recognised(name):
     problem = SINGULAR[name]().problem
-    assert not problem.check(problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls))
+    assert not problem.is_regular_at(problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls))
 
 
 @pytest.mark.parametrize(
@@ -327,7 +327,7 @@ def test_singular_problems_are_recognised(name):
 )
 def test_regular_problems_are_recognised_at_every_scale(cost):
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: q @ q + cost(u), 2)
-    assert problem.check(jnp.ones(2), jnp.zeros(2))
+    assert problem.is_regular_at(jnp.ones(2), jnp.zeros(2))
 
 
 def test_kelley_and_goh_tell_a_minimum_from_what_is_none():

@@ -268,7 +268,7 @@ def test_a_cheap_control_is_no_free_one_in_any_unit():
         unit = jnp.array(unit)
         problem = OptimalControlProblem(Euclidean(2), Stirred(unit), Cheap(jnp.array(price), unit), 2)
         c = classify(problem)
-        assert c.regular == problem.check(jnp.ones(2), jnp.zeros(2)) == (price > 0), str(c)
+        assert c.regular == problem.is_regular_at(jnp.ones(2), jnp.zeros(2)) == (price > 0), str(c)
         assert c.codimension == (0 if price else 2)
 
 

@@ -27,7 +27,7 @@ class MetricFacts(Facts):
         self,
         metric: Metric,
         *,
-        isometries: Mapping[str, Callable] | None = None,
+        isometries: Mapping[str, Callable[[Ambient], Ambient]] | None = None,
         seeds: Iterable[int] = SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
@@ -232,7 +232,7 @@ METRIC_CHECKS = (
 def check_metric(
     metric: Metric,
     *,
-    isometries: Mapping[str, Callable] | None = None,
+    isometries: Mapping[str, Callable[[Ambient], Ambient]] | None = None,
     seeds: Iterable[int] = SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,

@@ -1,0 +1,129 @@
+"""The functions of a problem at a state and a control: whether they are sound there, and whether they determine the control."""
+
+from functools import cached_property
+from itertools import pairwise
+from typing import TYPE_CHECKING, final
+
+import jax
+import numpy as np
+
+from ..manifolds import InvalidInputError, NotOnManifoldError, RetraxError
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance, working_precision
+from .compilation import call_compiled
+from .control_jumps import require_no_jumps
+from .probing import (
+    CURVATURES,
+    FAILURES,
+    LADDER,
+    SPREAD,
+    AlongLine,
+    Bend,
+    Flat,
+    Probed,
+    along_lines,
+    bend,
+    failure_words,
+    flats,
+    kink_words,
+    probe,
+    require_finite,
+)
+from .stopped import require_true_derivatives
+
+if TYPE_CHECKING:
+    from .problem import OptimalControlProblem
+
+
+def probes(problem: "OptimalControlProblem") -> tuple[np.ndarray, Ambient]:
+    """Random coordinates of controls and random ambient covectors, the same at every call."""
+    draw = np.random.default_rng(0).standard_normal
+    covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), problem.manifold.ambient)
+    return SPREAD * draw((CURVATURES, problem.controls.dimension)).astype(working_precision()), covectors
+
+
+@final
+class Inspection:
+    """A look at the functions of a problem at ``(q, u)``, at a few random controls around ``u`` and with random covectors.
+
+    What several questions need is evaluated once, at the first of them.
+    """
+
+    def __init__(self, problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+        self.problem, self.q, self.u = problem, q, u
+        self._directions, self._covectors = probes(problem)
+
+    def require_sound(self) -> None:
+        """Raise if the functions return something of the wrong kind, or are not smooth in the controls."""
+        self.require_tangent()
+        self.require_smooth()
+
+    def require_tangent(self) -> None:
+        """Raise if the functions are not finite, or ``dynamics`` leaves the tangent space."""
+        require_finite(self.problem.limits.names, self._probed, self.q)
+        normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
+        if not normal <= default_tolerance() * (1 + size):
+            raise NotOnManifoldError(
+                f"dynamics leaves the tangent space of {self.problem.manifold}: its normal part is {normal:.3g} (size of the "
+                f"velocity {size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
+            )
+
+    def require_smooth(self) -> None:
+        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, as that of ``|u|``.
+
+        A kink: null directions along which ``dH/du`` is not constant, and no second derivative accounts for it.
+        """
+        curved = self._is_curved  # names functions that fail, before the others read them
+        require_no_jumps(self.problem, self.q, self.u)
+        require_true_derivatives(self.problem, self.q, self.u)
+        if curved:
+            return
+        for flat, bent, slopes in zip(self._every, self._bends, self._along.slopes, strict=True):
+            if bent is not None and not bent.smooth:
+                places = (0.0, LADDER[bent.place])
+                there = [self.problem.steer(self.u, flat.bases[bent.line] + t * flat.direction) for t in places]
+                raise InvalidInputError(kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there))
+
+    @property
+    def is_regular(self) -> bool:
+        """Whether at one of the controls ``d2H/du2`` is invertible, or its null directions bend, as that of ``u^4``."""
+        if self._is_curved:
+            return True
+        counts = np.cumsum([0, *map(len, self._flats)])
+        return any(all(bent is not None for bent in self._bends[a:b]) for a, b in pairwise(counts))
+
+    @property
+    def _is_curved(self) -> bool:
+        return not all(self._flats)
+
+    @cached_property
+    def _probed(self) -> Probed:
+        """The functions in NumPy arrays; raises if they fail."""
+        try:
+            found, *_ = call_compiled(probe, self.problem, self.q, self.u, self._directions, self._covectors)
+        except RetraxError:
+            raise
+        except FAILURES as error:
+            raise InvalidInputError(failure_words(self.problem, error, self.q, self.u)) from error
+        return jax.tree.map(np.asarray, found)
+
+    @cached_property
+    def _flats(self) -> list[list[Flat]]:
+        return flats(self._probed, self._directions)
+
+    @cached_property
+    def _every(self) -> list[Flat]:
+        return [flat for ways in self._flats for flat in ways]
+
+    @cached_property
+    def _along(self) -> AlongLine:
+        """The functions along the lines of all flat directions, in NumPy arrays."""
+        bases, ways = (np.stack([getattr(flat, name) for flat in self._every]) for name in ("bases", "direction"))
+        given = vec.entries(self._covectors, np.array([flat.sample for flat in self._every]))
+        ladder = LADDER.astype(self._directions.dtype)
+        return jax.device_get(call_compiled(along_lines, self.problem, self.q, self.u, given, bases, ways, ladder)[0])
+
+    @cached_property
+    def _bends(self) -> list[Bend | None]:
+        return [bend(flat, vec.entries(self._along, k)) for k, flat in enumerate(self._every)]

@@ -1,0 +1,28 @@
+"""Tolerances that have one meaning in several rooms, from the tightest on; those of one algorithm stand beside it.
+
+They are relative to what a number is made of.
+"""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+EPS = float(np.finfo(float).eps)  # of double precision, in which what is not traced by JAX computes
+
+ROUNDING = 100.0  # times eps: what sums and products of a few terms lose
+FINEST = 256.0  # times eps, and the length of a line: as close as two points on it come that tell a jump from a slope
+REGULAR = 0.6  # power of eps, 4e-10: the smallest singular value, or pivot, of a matrix that is solved with
+HALF = 0.5  # power of eps, 1e-8: half of the digits, which differences, products of rows and derivatives by them leave
+RANK = 0.45  # power of eps, 9e-8: the smallest singular value that counts for the rank of a matrix of derivatives
+ACTIVE = 1e-3  # of the largest multiplier of an inequality: a smaller one is what a barrier leaves
+
+
+def tolerance(x: Any, power: float) -> float:
+    """``eps^power`` in the precision of an array."""
+    return float(jnp.finfo(x.dtype).eps ** power)
+
+
+def rounding_of(x: Any) -> float:
+    """What sums and products of a few terms lose, relative to the largest of them, in the precision of an array."""
+    return ROUNDING * tolerance(x, 1.0)
