@@ -4,7 +4,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ...manifolds.numerics.tolerances import ACTIVE
 from ..text import many, table
 from .solution import RegularChecks, SingularArc, Solution
 

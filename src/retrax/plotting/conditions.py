@@ -13,8 +13,6 @@ from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
 from .axes import draw, one, several, time_axis
 
-ACTIVE = 1e-3  # of the largest multiplier of its name
-
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
     """Errors of what the continuous extremal keeps: its Hamiltonian, its momenta and the equations of its manifold.
