@@ -12,6 +12,7 @@ from .axes import one
 FRAMES = 8
 ARM = 0.08  # length of the axes of a frame, of the extent of the path
 FLOOR = 1e-9
+TICKS = 8  # on the longest axis of a box
 
 
 def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
@@ -54,6 +55,8 @@ def path(record: Any, array: int | None = None, problem: About = None, frames: i
         if set_label is not None:
             set_label(with_unit(name, quantity.unit))
     axis.set_aspect("equal", *([] if n == 3 else ["datalim"]))
+    if n == 3:
+        _fewer_ticks(axis)
     return axis
 
 
@@ -94,6 +97,13 @@ def bare(axis: Any) -> None:
     """Equal scales, and nothing but the picture."""
     axis.set_box_aspect((1, 1, 1), zoom=1.4)
     axis.set_axis_off()
+
+
+def _fewer_ticks(axis: Any) -> None:
+    """Fewer ticks on the short axes of a box, where their numbers would lie over each other."""
+    lengths = np.array([np.ptp(limits()) for limits in (axis.get_xlim, axis.get_ylim, axis.get_zlim)])
+    for name, share in zip("xyz", lengths / lengths.max(), strict=True):
+        axis.locator_params(axis=name, nbins=max(2, round(TICKS * share)))
 
 
 def _frames(axis: Any, poses: np.ndarray, extent: float) -> None:
