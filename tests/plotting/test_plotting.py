@@ -1,5 +1,7 @@
 """Pictures hold the numbers of the record, under the names and units of the problem, on the axes that are given."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
@@ -155,6 +157,19 @@ def test_switching_functions_are_what_the_multipliers_hold(solved):
     top = plotting.optimality(solution, PROBLEM)[0]
     dashed = {line.get_ydata()[0] for line in top.lines if line.get_linestyle() == "--"}
     assert dashed == {-BOUND, BOUND}
+
+
+def test_the_legend_names_the_multipliers_that_hold_the_trajectory_in_any_unit(solved):
+    solution, _ = solved
+    upper = solution.multipliers["control_bounds upper"]
+    assert solution.checks.active["control_bounds upper"] > 0
+    rows = {"control_bounds upper": upper, "small unit": 1e-20 * upper, "idle": np.full((STEPS, 2), 1e-12)}
+    active = {"control_bounds upper": 3, "small unit": 3, "idle": 0}
+    for counts in (active, dict.fromkeys(active, 0)):
+        drawn = replace(solution, multipliers=rows, checks=replace(solution.checks, active=counts))
+        legend = plotting.multipliers(drawn).get_legend()
+        names = {text.get_text().partition("[")[0] for text in legend.get_texts()} if legend else set()
+        assert names == {name for name, count in counts.items() if count}
 
 
 def test_errors_of_what_is_conserved_are_those_of_the_report(solved):
