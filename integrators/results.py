@@ -10,7 +10,13 @@ from ..manifolds.numerics.precision import working_precision
 
 
 class Result(eqx.Enumeration):
-    """How a computation ended. Compare with ``Result.successful``; ``Result[item]`` is the sentence."""
+    """How a computation ended: ``result`` of a ``Trajectory``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
+
+    A ``Solution`` has the sentence itself as its ``result``, and ``success``.
+
+    >>> Result[Result.successful]
+    'The equations are solved to the tolerance asked for.'
+    """
 
     successful = "The equations are solved to the tolerance asked for."
     step_not_solved = (

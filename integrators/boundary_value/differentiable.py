@@ -16,7 +16,10 @@ from .solution import Solution
 
 
 class Extremal(NamedTuple):
-    """The arrays of a ``Solution`` that have derivatives, as JAX arrays."""
+    """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same shapes.
+
+    ``cost`` is a scalar; ``states`` and ``costates`` belong to the N + 1 nodes, ``controls`` to the stages.
+    """
 
     cost: Any
     states: Any
