@@ -10,7 +10,7 @@ from ..manifolds.numerics.precision import working_precision
 
 
 class Result(eqx.Enumeration):
-    """How a computation ended: ``result`` of a ``Trajectory``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
+    """How a trajectory ended, its ``result``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
 
     A ``Solution`` has the sentence itself as its ``result``, and ``success``.
 
