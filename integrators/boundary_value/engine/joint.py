@@ -171,7 +171,7 @@ class JointConditions:
     def _gap(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """By how much the equations between the ends are missed, relative to what the trajectories change them by."""
         coupled, count, begin = assembled.coupled, self.coupling.count, 0
-        sizes = [phase.measures(system) for phase, part, system in self._each(iterate, assembled)]
+        sizes = [phase.measures(system) for phase, _, system in self._each(iterate, assembled)]
         along = np.concatenate([size for size, _ in sizes for _ in range(2)], axis=1)
         unit = np.sum(np.abs(coupled.jacobian[:, :count]) * along[:, None], axis=2)
         missed = [np.abs(coupled.values[:, :count]) / np.where(unit > 0, unit, 1.0)]
