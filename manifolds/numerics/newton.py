@@ -13,6 +13,7 @@ MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
+ROUNDING = 8.0  # unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding
 
 Vector = Float[Array, " k"]
 
@@ -22,12 +23,20 @@ def tolerance(x: Array, power: float) -> float:
     return float(jnp.finfo(x.dtype).eps ** power)
 
 
+def row_sizes(matrix: Float[Array, "k k"]) -> Vector:
+    """The largest entries of the rows, by which to divide them: equations in units of their own have pivots to compare then."""
+    rows = jnp.max(jnp.abs(jax.lax.stop_gradient(matrix)), axis=1)
+    return jnp.where(rows > 0, rows, 1.0)
+
+
 class _Iteration(NamedTuple):
     c: Vector
     step: Array  # largest entry of the last step, in units of the unknowns' sizes
     ratio: Array  # the last step over the one before
     converged: Array
     chords: Array  # steps taken with the present Jacobian
+    missed: Vector  # the last step
+    probing: Array  # whether the next step is asked for beside ``c``, to see what rounding changes in it
 
 
 def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
@@ -39,8 +48,10 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
         state = tried._replace(c=jnp.where(better, tried.c, start))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
-        factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
+        jacobian = jax.jacfwd(residual)(pair[0].c)
+        rows = row_sizes(jacobian)
+        factor = jax.scipy.linalg.lu_factor(jacobian / rows[:, None])
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r / rows), pair[0], exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
@@ -52,7 +63,7 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
 
 def _fresh(c: Vector) -> _Iteration:
     infinity = jnp.asarray(jnp.inf, c.dtype)
-    return _Iteration(c, infinity, infinity, jnp.array(False), jnp.zeros((), int))
+    return _Iteration(c, infinity, infinity, jnp.array(False), jnp.zeros((), int), jnp.zeros_like(c), jnp.array(False))
 
 
 def _chords(
@@ -60,9 +71,10 @@ def _chords(
 ) -> _Iteration:
     """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
     quadratic, smallest = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+    beside = ROUNDING * tolerance(state.c, 1.0) * (1.0 - 2.0 * (jnp.arange(state.c.size) % 2)).astype(state.c.dtype)
 
     def chord(s: _Iteration) -> _Iteration:
-        d = solve(residual(s.c))
+        d = solve(residual(s.c + jnp.where(s.probing, beside, 0.0)))
         step = vec.size(d)
         ratio = step / s.step
         # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is no matter
@@ -72,9 +84,13 @@ def _chords(
         stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)
         done = (remaining <= smallest) | stalled  # by rounding
         taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
-        return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
+        # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
+        doubtful = ~done & ~taken & (s.chords > 0) if exact else jnp.array(False)
+        new = _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1, d, doubtful)
+        probed = s._replace(converged=s.step <= ROUNDING * vec.size(d - s.missed), probing=jnp.array(False))
+        return jax.tree.map(lambda a, b: jnp.where(s.probing, a, b), probed, new)
 
     def going(s: _Iteration) -> Array:
-        return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+        return s.probing | (~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW)))
 
     return jax.lax.while_loop(going, chord, _fresh(state.c))
