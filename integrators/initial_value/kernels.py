@@ -190,21 +190,25 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, lu
         some = some or (v[places[CONVERGED], j] == 0 and np.isfinite(v[places[STEP], j]))
     if not some:
         return
-    for beside in range(2):
+    change = np.zeros(v.shape[1])
+    for pattern in range(4):  # at the unknowns, and beside them
         for i in range(m):
+            turn = 1.0 if pattern == 3 else (0.0, 1.0, -1.0)[pattern % 3] * (1.0 - 2.0 * (i % 2))
             for j in range(v.shape[1]):
-                v[places[DIRECTION] + i, j] = v[places[MISSED] + i, j]
-                shift = beside * ROUNDING * (EPS if i % 2 == 0 else -EPS)
-                v[places[C] + i, j] = (v[places[SCALED] + i, j] + shift) * v[places[SIZES] + i, j]
+                v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * ROUNDING * EPS) * v[places[SIZES] + i, j]
         machine(codes, operands, values, ranges, RESIDUAL, v, w)
         _solve(lu, pivots, v, places[MISSED])
         _measure(places, v)
+        for i in range(m):
+            for j in range(v.shape[1]):
+                if pattern == 0:
+                    v[places[DIRECTION] + i, j] = v[places[MISSED] + i, j]
+                change[j] = max(change[j], abs(v[places[MISSED] + i, j] - v[places[DIRECTION] + i, j]))
     for j in range(v.shape[1]):
-        step, change = 0.0, 0.0
+        step = 0.0
         for i in range(m):
             step = max(step, abs(v[places[DIRECTION] + i, j]))
-            change = max(change, abs(v[places[MISSED] + i, j] - v[places[DIRECTION] + i, j]))
-        if v[places[CONVERGED], j] == 0 and np.isfinite(v[places[LENGTH], j]) and step <= ROUNDING * change:
+        if v[places[CONVERGED], j] == 0 and np.isfinite(v[places[LENGTH], j]) and step <= ROUNDING * change[j]:
             v[places[CONVERGED], j] = 1.0
 
 

@@ -93,13 +93,15 @@ class StepEquations:
 
     def begins(self, c: Array, q0: Ambient) -> Bool[Array, ""]:
         """Whether the step begins at ``q0``: two points may have the same coordinates in the frame of the equations."""
-        r1, x = self.stage.ends(self.unknowns(c))[0], self.stage.base(self.chart.guess)
+        frame, x = self.chart.covectors, self.stage.base(self.chart.guess)
+        apart = vec.subtract(self.stage.ends(self.unknowns(c))[0], q0)
+        unseen = vec.subtract(apart, vec.combine(frame, vec.components(frame, apart)))
 
-        def near(found: Array, begun: Array, base: Array) -> Array:
+        def small(rest: Array, begun: Array, base: Array) -> Array:
             size = jnp.maximum(vec.size(begun), vec.size(base))
-            return vec.size(found - begun) <= tolerance(size, 0.5) * size
+            return vec.size(rest) <= tolerance(size, 0.5) * size
 
-        return jnp.all(jnp.stack(jax.tree.leaves(jax.tree.map(near, r1, q0, x))))
+        return jnp.all(jnp.stack(jax.tree.leaves(jax.tree.map(small, unseen, q0, x))))
 
     def end(self, c: Array) -> tuple[Ambient, Ambient, Any]:
         """``(q1, p1)`` and the stage's unknowns."""
