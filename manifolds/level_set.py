@@ -22,6 +22,12 @@ RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
 
 
+def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
+    """Lengths of the rows, as units without derivatives; one where a row is zero."""
+    lengths = jnp.linalg.norm(jax.lax.stop_gradient(rows), axis=1)
+    return jnp.where(lengths > 0, lengths, 1.0)
+
+
 class LevelSet(Manifold):
     """Regular level set ``{x : c(x) = 0}`` of a smooth function of arrays of one shape.
 
@@ -64,21 +70,29 @@ class LevelSet(Manifold):
     def ambient(self) -> jax.ShapeDtypeStruct:
         return real(self.shape)
 
-    def projection(self, x: Array, a: Array) -> Array:
+    def in_lengths(self, x: Array) -> tuple[Float[Array, " m"], Float[Array, "m N"]]:
+        """The equations and their Jacobian, each divided by the length of its gradient: distances to first order."""
         j = self.jacobian(x)
+        lengths = positive_norms(j)
+        return self.equations(x) / lengths, j / lengths[:, None]
+
+    def projection(self, x: Array, a: Array) -> Array:
+        _, j = self.in_lengths(x)
         return a - (j.T @ solve_small(j @ j.T, j @ a.reshape(-1))).reshape(self.shape)
 
     def basis(self, x: Array) -> Array:
-        return null_frame(self.jacobian(x)).reshape(-1, *self.shape)
+        return null_frame(self.in_lengths(x)[1]).reshape(-1, *self.shape)
 
     def restore(self, x: Array) -> Array:
-        j = self.jacobian(x)
-        return x - (j.T @ solve_small(j @ j.T, self.equations(x))).reshape(self.shape)
+        values, j = self.in_lengths(x)
+        return x - (j.T @ solve_small(j @ j.T, values)).reshape(self.shape)
 
     def violations(self, x: Array) -> dict[str, Array]:
-        singular = jnp.linalg.svd(self.jacobian(x), compute_uv=False)
+        values, j = self.in_lengths(x)
+        singular = jnp.linalg.svd(j, compute_uv=False)
         lost = jnp.sum(singular <= default_tolerance() * singular[0])
-        return {"max |constraint|": vec.size(self.equations(x)), "rank lost by the constraint's Jacobian": lost}
+        off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
+        return {"max |constraint / its gradient|": off, "rank lost by the constraint's Jacobian": lost}
 
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""

@@ -94,8 +94,10 @@ class Submanifold(Manifold):
         return jax.lax.scan(step, (x, jnp.array(True)), length=GAUSS_NEWTON_STEPS)[0][0]
 
     def violations(self, x: Ambient) -> dict[str, Array]:
-        values = vec.size(self.equations(x))
-        return {**self.parent.violations(x), "max |equation|": values}
+        values, normals = self.values(x)
+        lengths = jnp.sqrt(jax.vmap(lambda normal: vec.pairing(normal, normal))(normals))
+        off = values / jnp.where(lengths > 0, lengths, 1.0)
+        return {**self.parent.violations(x), "max |equation / its gradient|": vec.size(off) / jnp.maximum(vec.size(x), 1.0)}
 
     def random_point(self, key: Array) -> Ambient:
         """A random point of ``M`` moved to the submanifold; an error if 20 draws find none."""

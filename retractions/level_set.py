@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..manifolds import LevelSet
+from ..manifolds.level_set import positive_norms
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, solve_small
 from .retraction import Retraction, nan_unless
@@ -30,19 +31,19 @@ class LevelSetProjection(Retraction):
     def __call__(self, x: Array, v: Array) -> Array:
         shape, a = self.manifold.shape, jnp.ravel(x + v)
         start = jnp.ravel(self.manifold.restore(x + v))
+        lengths = positive_norms(self.manifold.jacobian(start.reshape(shape)))
 
         def residual(unknown: Array) -> Array:
-            y, multipliers = unknown[: a.size], unknown[a.size :]
+            y, multipliers = unknown[: a.size], unknown[a.size :] / lengths
             point = y.reshape(shape)
             normal = self.manifold.jacobian(point).T @ multipliers
-            return jnp.concatenate([y - a - normal, self.manifold.equations(point)])
+            return jnp.concatenate([y - a - normal, self.manifold.equations(point) / lengths])
 
-        count = a.size - self.manifold.dimension
-        root, converged = find_root(residual, jnp.concatenate([start, jnp.zeros(count, a.dtype)]))
+        root, converged = find_root(residual, jnp.concatenate([start, jnp.zeros_like(lengths)]))
         return nan_unless(converged, root[: a.size].reshape(shape))
 
     def preimage(self, x: Array, y: Array) -> Array:
-        here, there = self.manifold.jacobian(x), self.manifold.jacobian(y)
+        (_, here), (_, there) = self.manifold.in_lengths(x), self.manifold.in_lengths(y)
         chord = jnp.ravel(y - x)
         multipliers = solve_small(here @ there.T, -(here @ chord))
         v = (chord + there.T @ multipliers).reshape(self.manifold.shape)

@@ -195,7 +195,7 @@ class Interpolant:
 def checked_times(t: Any, times: np.ndarray) -> np.ndarray:
     """Times of an extremal as an array; raises ``InvalidInputError`` for what is none."""
     given = np.asarray(t)
-    if given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
+    if given.size == 0 or given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
         raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {t!r:.80}")
     first, last = float(times[0]), float(times[-1])
     slack = SUMMED * len(times) * max(abs(first), abs(last))

@@ -114,7 +114,8 @@ class DiracIntegrator(LiftedIntegrator):
         last, found = system.impulse(q1, p1, root[:m], impulses)
         p1 = system.kick(q1, p1, last)
         memory = _Memory(last, (root[:m] + last) / h)
-        return StepResult(q1, p1, memory, landed & found & jnp.isfinite(vec.size((q1, p1))))
+        begun = equations.begins(root[m:], q)
+        return StepResult(q1, p1, memory, landed & begun & found & jnp.isfinite(vec.size((q1, p1))))
 
     def control(self, unknowns: _Memory) -> Multipliers:
         return unknowns.multipliers

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numba import types
 
-from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, SLOW, STALLED
+from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, run, run_one
 from .programs import PLACES
@@ -64,16 +64,26 @@ def evaluate(
 
 
 @_compiled
-def _factorise(a: np.ndarray, pivots: np.ndarray) -> None:
-    """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``."""
+def _factorise(a: np.ndarray, pivots: np.ndarray, sizes: np.ndarray) -> None:
+    """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``.
+
+    Pivots are compared in units of the largest entries of their rows, ``sizes`` being those of the unknowns: positions and
+    momenta, and so their equations, are in units of their own.
+    """
     n, lanes = pivots.shape
+    largest = np.zeros((n, lanes))
+    for i in range(n):
+        for column in range(n):
+            for j in range(lanes):
+                largest[i, j] = max(largest[i, j], abs(a[i, column, j]) * sizes[column, j])
     for k in range(n):
         for j in range(lanes):
             best = k
             for i in range(k + 1, n):
-                if abs(a[i, k, j]) > abs(a[best, k, j]):
+                if abs(a[i, k, j]) * largest[best, j] > abs(a[best, k, j]) * largest[i, j]:
                     best = i
             pivots[k, j] = best
+            largest[k, j], largest[best, j] = largest[best, j], largest[k, j]
             if best != k:
                 for i in range(n):
                     a[k, i, j], a[best, i, j] = a[best, i, j], a[k, i, j]
@@ -172,6 +182,37 @@ def _chords(
 
 
 @_compiled
+def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, lu: np.ndarray, pivots: np.ndarray) -> None:
+    """Lanes whose steps do not shrink have converged where the step changes as much by the rounding of the unknowns."""
+    machine, codes, operands, values, ranges = programs
+    m, some = places[COUNT], False
+    for j in range(v.shape[1]):
+        some = some or (v[places[CONVERGED], j] == 0 and np.isfinite(v[places[STEP], j]))
+    if not some:
+        return
+    change = np.zeros(v.shape[1])
+    for pattern in range(4):  # at the unknowns, and beside them
+        for i in range(m):
+            turn = 1.0 if pattern == 3 else (0.0, 1.0, -1.0)[pattern % 3] * (1.0 - 2.0 * (i % 2))
+            for j in range(v.shape[1]):
+                v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * ROUNDING * EPS) * v[places[SIZES] + i, j]
+        machine(codes, operands, values, ranges, RESIDUAL, v, w)
+        _solve(lu, pivots, v, places[MISSED])
+        _measure(places, v)
+        for i in range(m):
+            for j in range(v.shape[1]):
+                if pattern == 0:
+                    v[places[DIRECTION] + i, j] = v[places[MISSED] + i, j]
+                change[j] = max(change[j], abs(v[places[MISSED] + i, j] - v[places[DIRECTION] + i, j]))
+    for j in range(v.shape[1]):
+        step = 0.0
+        for i in range(m):
+            step = max(step, abs(v[places[DIRECTION] + i, j]))
+        if v[places[CONVERGED], j] == 0 and np.isfinite(v[places[LENGTH], j]) and step <= ROUNDING * change[j]:
+            v[places[CONVERGED], j] = 1.0
+
+
+@_compiled
 def _renew(
     programs: tuple,
     places: np.ndarray,
@@ -201,7 +242,7 @@ def _renew(
             lane, column = (0, begin + j) if single else (j, begin)
             for i in range(m):
                 lu[block, k, i, column, lane] = x[places[PUSHED] + i, j]
-    _factorise(lu[block, k], pivots[block, k])
+    _factorise(lu[block, k], pivots[block, k], v[places[SIZES] : places[SIZES] + places[COUNT]])
 
 
 @_compiled
@@ -248,7 +289,7 @@ def _solve_step(
     restart = 2
     if small.size > 0 and _begin(places, v, fresh, restart):
         _copy_to_lanes(small, lu[block, k])
-        _factorise(lu[block, k], pivots[block, k])
+        _factorise(lu[block, k], pivots[block, k], v[places[SIZES] : places[SIZES] + places[COUNT]])
         _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
         all_old[block, k], fresh, restart = True, False, 1
     for _ in range(MAX_JACOBIANS):
@@ -256,6 +297,7 @@ def _solve_step(
             break
         _renew(programs, places, v, w, factors, block, k)
         _chords(programs, places, v, w, lu[block, k], pivots[block, k], not no)
+        _probe(programs, places, v, w, lu[block, k], pivots[block, k])
         fresh, restart, renewed = False, 0, renewed + 1
     _place(places, v)
     slow = all_old[block, k]

@@ -105,8 +105,8 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     def residual(c: Any, h: Any, q: Ambient, p: Ambient, chart: Any) -> Any:
         return StepEquations(_stage(integrator, system, h), chart).residual(c, q, p)
 
-    def end(c: Any, h: Any, chart: Any) -> Any:
-        result = StepEquations(_stage(integrator, system, h), chart).result(c)
+    def end(c: Any, h: Any, q: Ambient, chart: Any) -> Any:
+        result = StepEquations(_stage(integrator, system, h), chart).result(c, q)
         new = restored(integrator.manifold, result)
         return new.unknowns, new.q, new.p, integrator.control(new.unknowns), result.converged
 
@@ -114,7 +114,7 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     chart = _zeros(prepare, h, y, q, p)
     c = np.zeros(chart.first.shape)
     parts = {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}
-    calls = (prepare, (h, y, q, p)), (residual, (c, h, q, p, chart)), (end, (c, h, chart))
+    calls = (prepare, (h, y, q, p)), (residual, (c, h, q, p, chart)), (end, (c, h, q, chart))
     digests = [content_key(traced(function, *examples)) for function, examples in calls]
     key = (*digests, substeps, *map(rows, parts.values()))
     if key not in _known:
@@ -147,7 +147,7 @@ def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str],
     at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled")}
     at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
     at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
-    reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", *charts]]
+    reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", "q", *charts]]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
     read, written = ([np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes))
     programs = _merged(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})

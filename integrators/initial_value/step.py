@@ -9,9 +9,10 @@ from jaxtyping import Array, Bool
 from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
+from ...manifolds.numerics.newton import tolerance
 from ...manifolds.numerics.root import find_root
 from ..stages import Stage
-from ..stages.stage import positive
+from ..stages.stage import covector_sizes
 
 
 class StepResult(NamedTuple):
@@ -56,7 +57,7 @@ class StepEquations:
         frame = stage.manifold.basis(stage.base(guess))
         costate = frozen(vec.components(frame, p0))
         first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
-        sizes = jnp.concatenate([stage.sizes(guess), jnp.broadcast_to(positive(frozen(vec.size(p0))), costate.shape)])
+        sizes = frozen(jnp.concatenate([stage.sizes(guess), covector_sizes(frame, p0)]))
         return cls(stage, Chart(guess, stage.frame(guess), frame, first, sizes))
 
     @property
@@ -85,10 +86,22 @@ class StepEquations:
         stationarity, r1 = jax.grad(generating, has_aux=True)(c[:size], vec.combine(self.chart.covectors, c[size:]))
         return jnp.concatenate([vec.components(self.chart.covectors, vec.subtract(r1, q0)), stationarity])
 
-    def result(self, c: Array) -> StepResult:
-        """The end of the step whose unknowns have the coordinates ``c``, converged where it is finite."""
+    def result(self, c: Array, q0: Ambient) -> StepResult:
+        """The end of the step whose unknowns have the coordinates ``c``, converged where it is finite and begins at ``q0``."""
         q1, p1, y = self.end(c)
-        return StepResult(q1, p1, y, jnp.isfinite(vec.size((q1, p1))))
+        return StepResult(q1, p1, y, jnp.isfinite(vec.size((q1, p1))) & self.begins(c, q0))
+
+    def begins(self, c: Array, q0: Ambient) -> Bool[Array, ""]:
+        """Whether the step begins at ``q0``: two points may have the same coordinates in the frame of the equations."""
+        frame, x = self.chart.covectors, self.stage.base(self.chart.guess)
+        apart = vec.subtract(self.stage.ends(self.unknowns(c))[0], q0)
+        unseen = vec.subtract(apart, vec.combine(frame, vec.components(frame, apart)))
+
+        def small(rest: Array, begun: Array, base: Array) -> Array:
+            size = jnp.maximum(vec.size(begun), vec.size(base))
+            return vec.size(rest) <= tolerance(size, 0.5) * size
+
+        return jnp.all(jnp.stack(jax.tree.leaves(jax.tree.map(small, unseen, q0, x))))
 
     def end(self, c: Array) -> tuple[Ambient, Ambient, Any]:
         """``(q1, p1)`` and the stage's unknowns."""
@@ -107,5 +120,5 @@ def lifted_step(stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> StepRe
     c, converged = find_root(
         lambda c: equations.residual(c, q0, p0), equations.first, equations.sizes, stage.small_step_inverse()
     )
-    result = equations.result(c)
+    result = equations.result(c, q0)
     return result._replace(converged=result.converged & converged)

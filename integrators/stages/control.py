@@ -10,7 +10,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, default_retraction
 from ..problem import OptimalControlProblem
-from .stage import Stage
+from .stage import Stage, first_sizes
 
 Unknowns = tuple[Ambient, Ambient]
 
@@ -54,7 +54,7 @@ class ControlStage(Stage):
         x, u = y
         controls = self.problem.controls
         parts = vec.coordinate_sizes(self.manifold.basis(x), x), vec.coordinate_sizes(controls.basis(u), u)
-        return jnp.maximum(jnp.concatenate(parts), 1.0)
+        return first_sizes(jnp.concatenate(parts))
 
     def base(self, y: Unknowns) -> Ambient:
         return y[0]

@@ -15,7 +15,7 @@ from ...retractions import Gauss, default_retraction
 from ..functions import real_number
 from ..problem import OptimalControlProblem
 from .hamiltonian import Hamiltonian
-from .stage import Stage, positive
+from .stage import Stage, covector_sizes, first_sizes, position_sizes
 
 
 class GaussUnknowns(NamedTuple):
@@ -109,10 +109,15 @@ class GaussStage(Stage):
 
     def sizes(self, y: GaussUnknowns) -> Array:
         s, _, _ = self._sizes
-        position = jnp.maximum(vec.coordinate_sizes(self.manifold.basis(y.centre), y.centre), 1.0)
-        covector = jnp.full_like(position, positive(vec.size(y.covectors)))
-        turns = jax.vmap(lambda u: vec.coordinate_sizes(self.controls.basis(u), u))(y.controls)
-        return jnp.concatenate([jnp.tile(position, 1 + s), jnp.tile(covector, s), jnp.maximum(turns, 1.0).ravel()])
+        ahead, covector, control = (vec.entries(part, -1) for part in y[1:])
+
+        def energy(q: Ambient, p: Ambient) -> Array:
+            return self.hamiltonian(q, p, control)
+
+        position = position_sizes(self.manifold, energy, self._h, (y.centre, ahead, covector))
+        covectors = covector_sizes(self.manifold.basis(y.centre), covector)
+        turns = jax.vmap(lambda u: first_sizes(vec.coordinate_sizes(self.controls.basis(u), u)))(y.controls)
+        return jnp.concatenate([jnp.tile(position, 1 + s), jnp.tile(covectors, s), turns.ravel()])
 
     def base(self, y: GaussUnknowns) -> Ambient:
         return y.centre

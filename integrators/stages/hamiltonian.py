@@ -12,7 +12,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
 from ..functions import real_number
-from .stage import Stage, positive
+from .stage import Stage, covector_sizes, position_sizes
 
 Hamiltonian = Callable[[Any, Any], Any]
 Unknowns = tuple[Ambient, Ambient, Ambient]
@@ -57,10 +57,8 @@ class HamiltonianStage(Stage):
         return moved, fibre(moved, vec.add(v, dv)), fibre(moved, vec.add(pi, dpi))
 
     def sizes(self, y: Unknowns) -> Array:
-        x, _, pi = y
-        frame = self.manifold.basis(x)
-        position = jnp.maximum(vec.coordinate_sizes(frame, x), 1.0)
-        return jnp.concatenate([position, position, jnp.full_like(position, positive(vec.size(pi)))])
+        positions = position_sizes(self.manifold, self.energy, self.step, y)
+        return jnp.concatenate([positions, positions, covector_sizes(self.manifold.basis(y[0]), y[2])])
 
     def base(self, y: Unknowns) -> Ambient:
         return y[0]

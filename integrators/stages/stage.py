@@ -1,15 +1,17 @@
 """The stage: what one step of a discretization is unknown in, where it begins and ends, and what it costs."""
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds import Manifold
-from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient, Frame
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.tolerances import tolerance
 
@@ -79,3 +81,31 @@ class Stage(eqx.Module):
 def positive(size: Array) -> Array:
     """``size`` where it can be measured by: a costate far below one may be the rounding of zero."""
     return jnp.maximum(size, tolerance(size, SMALLEST_SIZE))
+
+
+def first_sizes(*sizes: Array) -> Array:
+    """Entry by entry the first of the sizes that is finite and not zero; one where none is.
+
+    They are too small rather than too large: Newton's method notices where rounding lets no unknown be known as exactly.
+    """
+    found = jnp.ones_like(sizes[-1])
+    for size in reversed(sizes):
+        found = jnp.where(jnp.isfinite(size) & (size > jnp.finfo(size.dtype).tiny), size, found)
+    return found
+
+
+def covector_sizes(frame: Frame, p: Ambient) -> Array:
+    """Sizes of the coordinates of a covector, array by array; of an array of zeros those of the others, or ``positive``."""
+    own = vec.coordinate_sizes(frame, p)
+    return first_sizes(own, jnp.broadcast_to(positive(vec.size(p)), own.shape))
+
+
+def position_sizes(manifold: Manifold, energy: Callable[[Ambient, Ambient], Array], h: ArrayLike, y: Unknowns) -> Array:
+    """Sizes of the coordinates of the position ``x`` of ``y = (x, v, p)``, array by array.
+
+    Of an array of zeros those of the motion ``v`` in a step; at rest those of the motion that begins in a step.
+    """
+    x, v, p = y
+    kick = manifold.projection(x, vec.scale(h, vec.gradient(lambda a: energy(a, p), x)))
+    begun = manifold.projection(x, vec.scale(h, vec.gradient(lambda a: energy(x, a), vec.subtract(p, kick))))
+    return first_sizes(*(vec.coordinate_sizes(manifold.basis(x), a) for a in (x, v, begun)))

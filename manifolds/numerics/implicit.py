@@ -16,7 +16,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
 
-from .newton import Vector, newton
+from .newton import Vector, newton, row_sizes
 
 Axes = tuple[tuple[int | None, ...], ...]  # for each level of vmap, innermost first, the mapped axis of every operand
 
@@ -89,7 +89,9 @@ def _derivative(primals: Sequence[Any], tangents: Sequence[Any], *, axes: Axes, 
             return _residual(jaxpr, values)(root)
 
         _, change = jax.jvp(at_root, tuple(consts[i - begin] for i in moving), changes)
-        return -jnp.linalg.solve(jax.jacfwd(_residual(jaxpr, consts))(root), change)
+        jacobian = jax.jacfwd(_residual(jaxpr, consts))(root)
+        rows = row_sizes(jacobian)
+        return -jnp.linalg.solve(jacobian / rows[:, None], change / rows)
 
     levels = tuple((0, *level[begin:], *(level[i] for i in moving)) for level in axes)
     change = _mapped(push, levels)(root, *primals[begin:], *(tangents[i] for i in moving))

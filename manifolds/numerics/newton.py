@@ -14,8 +14,15 @@ MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
+ROUNDING = 8.0  # unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding
 
 Vector = Float[Array, " k"]
+
+
+def row_sizes(matrix: Float[Array, "k k"]) -> Vector:
+    """The largest entries of the rows, by which to divide them: equations in units of their own have pivots to compare then."""
+    rows = jnp.max(jnp.abs(jax.lax.stop_gradient(matrix)), axis=1)
+    return jnp.where(rows > 0, rows, 1.0)
 
 
 class _Iteration(NamedTuple):
@@ -24,6 +31,9 @@ class _Iteration(NamedTuple):
     ratio: Array  # the last step over the one before
     converged: Array
     chords: Array  # steps taken with the present Jacobian
+    missed: Vector  # the step at ``c``, once it is doubted
+    changed: Array  # by how much it changed beside ``c``, at most
+    probed: Array  # number of points at which it was asked for, the first one ``c``; negative where it is not doubted
 
 
 def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
@@ -35,8 +45,10 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
         state = tried._replace(c=jnp.where(better, tried.c, start))
 
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
-        factor = jax.scipy.linalg.lu_factor(jax.jacfwd(residual)(pair[0].c))
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r), pair[0], exact=True), pair[1] + 1
+        jacobian = jax.jacfwd(residual)(pair[0].c)
+        rows = row_sizes(jacobian)
+        factor = jax.scipy.linalg.lu_factor(jacobian / rows[:, None])
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r / rows), pair[0], exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
@@ -48,7 +60,8 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
 
 def _fresh(c: Vector) -> _Iteration:
     infinity = jnp.asarray(jnp.inf, c.dtype)
-    return _Iteration(c, infinity, infinity, jnp.array(False), jnp.zeros((), int))
+    none = jnp.zeros((), int)
+    return _Iteration(c, infinity, infinity, jnp.array(False), none, jnp.zeros_like(c), jnp.zeros_like(infinity), none - 1)
 
 
 def _chords(
@@ -56,9 +69,12 @@ def _chords(
 ) -> _Iteration:
     """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
     quadratic, smallest = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+    turns = 1.0 - 2.0 * (jnp.arange(state.c.size) % 2)
+    patterns = ROUNDING * tolerance(state.c, 1.0) * jnp.stack([0.0 * turns, turns, -turns, jnp.ones_like(turns)])
+    patterns = patterns.astype(state.c.dtype)
 
     def chord(s: _Iteration) -> _Iteration:
-        d = solve(residual(s.c))
+        d = solve(residual(s.c + jnp.where(s.probed < 0, 0.0, patterns[jnp.maximum(s.probed, 0)])))
         step = vec.size(d)
         ratio = step / s.step
         # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is no matter
@@ -68,9 +84,18 @@ def _chords(
         stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)
         done = (remaining <= smallest) | stalled  # by rounding
         taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
-        return _Iteration(jnp.where(taken, s.c - d, s.c), step, ratio, done, s.chords + 1)
+        new = s._replace(c=jnp.where(taken, s.c - d, s.c), step=step, ratio=ratio, converged=done, chords=s.chords + 1)
+        # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
+        doubted = ~done & (ratio >= SLOW) & (s.chords > 0) if exact else jnp.array(False)
+        new = new._replace(probed=jnp.where(doubted, 0, -1))
+        missed = jnp.where(s.probed > 0, s.missed, d)
+        changed = jnp.maximum(s.changed, vec.size(d - missed))
+        rounding = vec.size(missed) <= ROUNDING * changed
+        probed = s._replace(missed=missed, changed=changed, probed=s.probed + 1, converged=rounding)
+        return jax.tree.map(lambda a, b: jnp.where(s.probed < 0, a, b), new, probed)
 
     def going(s: _Iteration) -> Array:
-        return ~s.converged & (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+        chords = (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+        return ~s.converged & jnp.where(s.probed < 0, chords, s.probed < len(patterns))
 
     return jax.lax.while_loop(going, chord, _fresh(state.c))

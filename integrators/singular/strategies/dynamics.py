@@ -110,6 +110,7 @@ class FinalDynamics(eqx.Module):
         root, found = find_root(residual, jnp.concatenate([begun.first, last.unknowns]), sizes)
         moving, _, u = equations(root)
         q1, p1, _ = moving.end(root[:size])
+        found = found & moving.begins(root[:size], q)
         return restored(self.problem.manifold, StepResult(q1, p1, Memory(root[size:], u, previous.time + h), found))
 
     @property

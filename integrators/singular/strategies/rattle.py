@@ -128,8 +128,9 @@ class RattleIntegrator(SingularIntegrator):
 
         last, arrived = find_root(rate, jnp.zeros(m), times)
         q2, p2 = flow(near, last)
+        begun = equations.begins(root[m:], flow(begin, root[:m])[0])
         memory = _Memory(unknowns, (2 * moved + last) / h)
-        new = restored(self.manifold, StepResult(q2, p2, memory, landed & arrived))
+        new = restored(self.manifold, StepResult(q2, p2, memory, landed & begun & arrived))
         # A move along a leaf too long for the accuracy of its flow, as by a control without bound, leaves Q.
         stayed = vec.size(vec.subtract(new.q, q2)) <= default_tolerance() * (1 + vec.size(new.q))
         return new._replace(converged=new.converged & stayed)
