@@ -67,7 +67,7 @@ def test_derivatives_of_an_orbit_are_the_same_in_all_units():
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
 def test_an_extremal_is_the_same_in_all_units(evaluator):
-    """``q' = v, v' = u - a sin(q / l)``, cost ``c |u|^2 / 2``, of which states, controls and costates are as small as one likes."""
+    """``q' = v, v' = u - a sin(q / l)``, cost ``c |u|^2 / 2``, in units as small as one likes."""
 
     class Pendulum(eqx.Module):
         length: jax.Array
@@ -138,8 +138,8 @@ def test_a_nonholonomic_particle_is_the_same_in_all_units():
     for length, mass in ((1.0, 1.0), (1e-12, 1e-20)):
         system = DiracSystem(
             space,
-            lambda q, p, m=mass, l=length: p @ p / (2 * m) + m * l**2 * jnp.cos(q[0] / l),
-            lambda q, l=length: jnp.stack([-q[1] / l, 0.0, 1.0])[None],
+            lambda q, p, m=mass, size=length: p @ p / (2 * m) + m * size**2 * jnp.cos(q[0] / size),
+            lambda q, size=length: jnp.stack([-q[1] / size, 0.0, 1.0])[None],
         )
         q0 = length * jnp.array([0.2, 0.3, 0.0])
         p0 = system.project(q0, mass * length * jnp.array([1.1, 0.7, 0.0]))
