@@ -1,5 +1,7 @@
 """Bounds and constraints: optima known in other ways, units, what is active and what is not, and what contradicts."""
 
+import itertools
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -227,3 +229,59 @@ def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
         found = solver.solve((np.eye(3), np.zeros(3)), (end, np.zeros(3)), 4.0, parameters=np.array(most), throw=False)
         assert found.success == (share > 2 / 3), (share, found.result)
         assert found.success or "contradict" in found.result, (share, found.result)
+
+
+def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
+    """A tracker keeps 30 degrees from the sun, which is between its ends: wheels and rates that suffice for less, and barely."""
+    body, sun, fixed = SO(3) * Euclidean(3), np.array([0.6, 0.8, 0.0]), np.array([0.0, 1.0, 0.0])
+    moments = np.array([[0.30, 0.012, -0.004], [0.012, 0.25, 0.006], [-0.004, 0.006, 0.11]])
+
+    def turning(q, u, inertia):
+        return q[0] @ hat(q[1]), jnp.linalg.solve(inertia, u - jnp.cross(q[1], inertia @ q[1]))
+
+    held = {
+        "keep-out": lambda q, u, inertia: sun @ q[0] @ fixed - np.cos(np.deg2rad(30)),
+        "rate": lambda q, u, inertia: q[1] ** 2 / np.deg2rad(2.0) ** 2 - 1.0,
+    }
+    problem = OptimalControlProblem(
+        body, turning, lambda q, u, inertia: u @ u / 2, 3, control_bounds=(-3e-4, 3e-4), constraints=held
+    )
+    start, end = (Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ([10, 0, 0], [-100, 10, 20]))
+    factors = np.linspace(0.8, 1.3, 13)
+    many = Solver(problem, Gauss(2, Cayley(body)), 15).solve_many(
+        (start, np.zeros(3)), (end, np.zeros(3)), 90.0, parameters=factors[:, None, None] * moments
+    )
+    assert many.success.all()
+    # Heavier bodies cost more, on one way round: scaled, the cost grows as their square or faster where limits hold.
+    assert np.all(np.diff(many.cost / factors**2) > 0)
+
+
+def test_random_slews_with_limits_are_solved_or_impossible():
+    """By shares of the largest torque of the slews without limits: a turn about one axis needs two thirds of it."""
+    body, rng, count = SO(3) * Euclidean(3), np.random.default_rng(5), 40
+
+    def turning(q, u, given):
+        torque = given["torque"] * u
+        return q[0] @ hat(q[1]), (torque - jnp.cross(q[1], given["inertia"] * q[1])) / given["inertia"]
+
+    def effort(q, u, given):
+        return given["torque"] ** 2 * u @ u / 2
+
+    masses = rng.uniform(0.05, 1.0, (count, 3))
+    inertia, ends = (
+        masses.sum(axis=1, keepdims=True) - masses,
+        (Rotation.random(count, rng=rng).as_matrix(), np.zeros((count, 3))),
+    )
+    start, given, solved = (np.eye(3), np.zeros(3)), {"inertia": inertia, "torque": np.ones(count)}, []
+    free, limited = (
+        Solver(OptimalControlProblem(body, turning, effort, 3, control_bounds=bounds), Midpoint(Cayley(body)), 20)
+        for bounds in (None, (-1.0, 1.0))
+    )
+    peaks = np.array([np.abs(found.controls).max() for found in free.solve_many(start, ends, 10.0, parameters=given)])
+    for share in (0.45, 0.6, 0.63, 0.66, 0.7, 0.9):
+        many = limited.solve_many(start, ends, 10.0, parameters=given | {"torque": share * peaks})
+        assert all(found.success or "contradict" in found.result for found in many), share
+        solved.append(many.success)
+    assert not solved[0].any()
+    assert solved[-1].all()
+    assert all(np.all(less <= more) for less, more in itertools.pairwise(solved))

@@ -439,14 +439,14 @@ PLANTED: dict[str, Planted] = {
     # Inequalities.
     "the barrier stays where it begins": Planted(
         f"{ENGINE}/barrier.py",
-        "less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))",
+        "less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))",
         "less = np.maximum(1e3 * tolerance, np.minimum(LESS * barrier, barrier**FASTER))",
         (BARRIER, FORCES),
     ),
     "excesses stay as cheap as they are": Planted(
         f"{ENGINE}/barrier.py",
-        "cheap = self._is_cheap(slacks) & solved",
-        "cheap = self._is_cheap(slacks) & ~solved",
+        "return slacks, told & solved",
+        "return slacks, told & ~solved",
         (BARRIERS,),
     ),
     "nothing is impossible": Planted(

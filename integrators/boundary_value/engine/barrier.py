@@ -7,11 +7,12 @@ import numpy as np
 from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
-FIRST = 0.1  # the first barrier, relative to the unit of the cost rate
+FIRST = 0.3  # the first barrier, relative to the unit of the cost rate
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
 ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
+TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
 NEAR = 0.5  # of its price, a multiplier says that it is too low
 
 
@@ -78,17 +79,19 @@ class Barrier(NamedTuple):
 
         ``error``: the largest residual but for that of ``nu s = mu``.
         """
-        solved = self._is_solved(held, slacks, error)
-        cheap = self._is_cheap(slacks) & solved
+        cheap, rate = self._is_cheap(slacks), self._dear(slacks)
+        last = LAST * tolerance * self.rate / rate
+        solved = self._is_solved(held, slacks, error, tolerance)
         while True:
-            barrier = slacks.barrier / self.rate
+            barrier = slacks.barrier / rate
+            told = cheap & (barrier <= TELLS)
             # The last barrier times the rate and back is rounded, to more than it was for some rates.
-            going = solved & (barrier > (1 + ROUNDING) * LAST * tolerance) & ~cheap
+            going = solved & (barrier > (1 + ROUNDING) * last) & ~told
             if not going.any():
-                return slacks, cheap
-            less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))
-            slacks = slacks._replace(barrier=np.where(going, less, barrier) * self.rate)
-            solved = self._is_solved(held, slacks, error)
+                return slacks, told & solved
+            less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))
+            slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
+            solved = self._is_solved(held, slacks, error, tolerance)
 
     def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
@@ -101,10 +104,16 @@ class Barrier(NamedTuple):
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))
 
-    def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray) -> np.ndarray:
+    def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether the problem with its barrier is solved to a few times that."""
-        off = self.surveyed(held, slacks).off / self.rate
-        return np.maximum(error, off) <= SOLVED * slacks.barrier / self.rate
+        rate = self._dear(slacks)
+        few = SOLVED * slacks.barrier
+        return (error <= np.maximum(few / rate, tolerance)) & (self.surveyed(held, slacks).off <= few)
+
+    def _dear(self, slacks: Slacks) -> np.ndarray:
+        """The unit of the barrier: where excesses cost more, all multipliers have grown with their price."""
+        prices = np.where(slacks.elastic, slacks.price, 0.0) / (PRICE * self.price)
+        return self.rate * np.maximum(prices.max(axis=(1, 2, 3), initial=0.0), 1.0)
 
     def _is_cheap(self, slacks: Slacks) -> np.ndarray:
         """Whether multipliers come near to the price of an excess."""

@@ -28,7 +28,8 @@ FAST = 1e-2
 SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-STIFF, SLOW = 1e2, 1e-6  # a shift, or a share of a step, at which hard inequalities are made elastic
+STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
+SLOW = 1e-6  # a share of a step that is cut no further
 CURVATURE = 1e-9
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
@@ -137,7 +138,7 @@ class _Search:
         while True:
             self.state = state
             self.report(state, state.descends)
-            finished = state.done | ~_solvable(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
+            finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
             finished |= self.contradictory(state)
             state = self.leave(state, finished)
             if state is None or self.stopped:
@@ -203,7 +204,7 @@ class _Search:
         What was reached counts no more there.
         """
         iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
-        stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= SLOW)
+        stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= JAMMED) | ~state.step.finite
         stuck &= conditions.is_hard(iterate, state.assembled)
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
@@ -299,6 +300,10 @@ class _Search:
         # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
         exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
+
+    def hopeless(self, state: State) -> np.ndarray:
+        """Whether no step is left, be it from the guess once more with elastic inequalities."""
+        return ~_solvable(state) & ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
 
     def elsewhere(self, state: State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.barrier import NEAR, PRICE, SOLVED, Barrier
+from retrax.integrators.boundary_value.engine.barrier import LAST, NEAR, PRICE, SOLVED, TELLS, Barrier
 from retrax.integrators.boundary_value.engine.inequalities import Held, central, stiffness
 
 MU = np.array([1e-2])
@@ -37,3 +37,27 @@ def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_thei
     assert near == (value > 0)
     assert cheap.tolist() == [solved and near]
     assert (lower.barrier < MU).tolist() == [solved and not near]
+
+
+@pytest.mark.parametrize("share", [1e-4, 0.1, 0.99, 1.01, 3.0])
+def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
+    """All multipliers and the barrier grow with the price: the error that counts as solved is relative, and does not."""
+    barrier, given = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([0.5]))
+    for factor in 3.0 ** np.arange(11):
+        for error in (0.9, 1.1):
+            mu = share * TELLS * np.ones(1)
+            slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
+            lower, cheap = barrier.lowered(given, slacks, error * SOLVED * mu, 1e-8)
+            assert cheap.tolist() == [error < 1 and share < 1], (factor, error)
+            # Where it is lowered first, the price is judged where the problem with that barrier is solved.
+            assert (lower.barrier < slacks.barrier).tolist() == [error < 1 and share > 1], (factor, error)
+
+
+def test_the_barrier_of_dear_excesses_falls_to_its_last_value_where_errors_are_rounding():
+    barrier, given, tolerance = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([-0.5])), 1e-11
+    for factor in 3.0 ** np.arange(11):
+        mu = np.array([1e-16])
+        slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
+        # Times the price, what is left of the last barrier is far less than rounding.
+        lower, _ = barrier.lowered(given, slacks, np.array([1e-14]), tolerance)
+        assert lower.barrier[0] <= 1.01 * LAST * tolerance, factor
