@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.manifolds import Euclidean, InvalidInputError, LevelSet, Sphere, Submanifold
+from retrax.retractions import Projection
 
 from tests.support.cases import MANIFOLDS
 from tests.support.numerics import SEEDS, compiled, draw_point, flat, unflat
@@ -161,3 +162,37 @@ def test_what_no_point_is_near_is_refused_in_words():
 def test_random_points_differ():
     points = [draw_point(MANIFOLDS["ellipsoid"], seed)[0] for seed in range(4)]
     assert min(np.max(np.abs(flat(a - b))) for i, a in enumerate(points) for b in points[:i]) > 1e-3
+
+
+@final
+class Circle(LevelSet):
+    """A great circle of the unit sphere by two equations in units of their own."""
+
+    first: jax.Array
+    second: jax.Array
+
+    def constraint(self, x):
+        return jnp.stack([self.first * (x @ x - 1.0), self.second * (x[0] + x[1])])
+
+
+@pytest.mark.parametrize("units", [(1e-14, 1e-14), (1e-12, 1e6), (1e-9, 1.0), (1.0, 1.0), (1.0, 1e9), (1e12, 1e-3), (1e14, 1e14)])
+def test_points_are_judged_by_their_distance_in_whatever_units_the_equations_are(units):
+    manifold = Circle((3,), *map(jnp.asarray, units))
+    x = jnp.array([0.48, -0.48, np.sqrt(1 - 2 * 0.48**2)])
+    along = jnp.array([1.0, 1.0, 0.0]) / np.sqrt(2)
+    for away in (x, along):
+        for distance in (0.0, 1e-12, 1e-10, 1e-9, 1.4e-8, 1.6e-8, 1e-7, 1e-4, 0.3):
+            assert bool(manifold.contains(x + distance * away)) == (distance < 1.5e-8)
+    expected = np.cross(along, x)
+    assert np.abs(np.abs(manifold.basis(x)[0] @ expected) - 1) < 1e-12
+    assert np.abs(manifold.projection(x, jnp.array([0.3, 0.2, -0.7])) - expected * (expected @ [0.3, 0.2, -0.7])).max() < 1e-12
+    moved = Projection(manifold)(x, 0.2 * jnp.asarray(expected))
+    assert np.abs(moved - (x + 0.2 * expected) / np.sqrt(1.04)).max() < 1e-12
+    assert np.abs(Projection(manifold).preimage(x, moved) - 0.2 * expected).max() < 1e-12
+
+
+@pytest.mark.parametrize("unit", [1e-14, 1e-9, 1.0, 1e9])
+def test_points_of_a_submanifold_are_judged_by_their_distance(unit):
+    manifold = Submanifold(Euclidean(3), lambda x: unit * jnp.stack([x @ x - 1.0]))
+    for distance in (0.0, 1e-10, 1.4e-8, 1.6e-8, 1e-4, 0.3):
+        assert bool(manifold.contains(jnp.array([0.6, 0.8, 0.0]) * (1 + distance))) == (distance < 1.5e-8)
