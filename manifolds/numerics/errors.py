@@ -5,15 +5,9 @@ from typing import Any
 
 import jax
 
+from ...errors import RetraxError
+
 TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
-
-
-class RetraxError(Exception):
-    """Base of every error that this library raises.
-
-    >>> issubclass(InvalidInputError, RetraxError), issubclass(ConvergenceError, RetraxError)
-    (True, True)
-    """
 
 
 class InvalidInputError(RetraxError, ValueError):

@@ -4,8 +4,6 @@ import time
 from types import TracebackType
 from typing import Any, Self, final
 
-from numba.core import event
-
 _COMPILING: Any = "numba:compile"
 
 
@@ -14,14 +12,16 @@ class Stopwatch:
     """Seconds since it was made, apart from those in which Numba has compiled in the body of ``with``."""
 
     def __init__(self) -> None:
-        self._began, self._heard = time.perf_counter(), event.TimingListener()
+        from numba.core import event  # here: who only imports the library does not wait for Numba
+
+        self._event, self._began, self._heard = event, time.perf_counter(), event.TimingListener()
 
     def __enter__(self) -> Self:
-        event.register(_COMPILING, self._heard)
+        self._event.register(_COMPILING, self._heard)
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        event.unregister(_COMPILING, self._heard)
+        self._event.unregister(_COMPILING, self._heard)
 
     def seconds(self) -> tuple[float, float]:
         """Seconds that kernels took to compile, of all threads together, and all others."""

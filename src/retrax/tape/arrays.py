@@ -12,7 +12,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..manifolds import RetraxError
+from ..errors import RetraxError
 
 
 class NotTraceableError(RetraxError, TypeError):

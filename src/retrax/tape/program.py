@@ -6,7 +6,7 @@ from heapq import heappop, heappush
 import casadi as ca
 import numpy as np
 
-from ..manifolds import RetraxError
+from ..errors import RetraxError
 
 # Instructions with the names of CasADi's, and those that stand for two or more of them.
 NAMES = (
