@@ -67,7 +67,7 @@ class Barrier(NamedTuple):
     def missed(self, held: Held, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""
         found = self.surveyed(held, slacks)
-        return Missed(found.violation, found.excess, found.product / self.rate, found.off / self.rate)
+        return Missed(found.violation, found.excess, found.product / self.rate, found.off(slacks.barrier) / self.rate)
 
     def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
         """What the inequalities and their multipliers lack, and what they cost."""
@@ -78,7 +78,8 @@ class Barrier(NamedTuple):
 
         ``error``: the largest residual but for that of ``nu s = mu``.
         """
-        solved = self._is_solved(held, slacks, error)
+        found = self.surveyed(held, slacks)
+        solved = self._is_solved(found, slacks.barrier, error)
         cheap = self._is_cheap(slacks) & solved
         while True:
             barrier = slacks.barrier / self.rate
@@ -88,7 +89,7 @@ class Barrier(NamedTuple):
                 return slacks, cheap
             less = np.maximum(LAST * tolerance, np.minimum(LESS * barrier, barrier**FASTER))
             slacks = slacks._replace(barrier=np.where(going, less, barrier) * self.rate)
-            solved = self._is_solved(held, slacks, error)
+            solved = self._is_solved(found, slacks.barrier, error)
 
     def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
@@ -101,10 +102,9 @@ class Barrier(NamedTuple):
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))
 
-    def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray) -> np.ndarray:
-        """Whether the problem with its barrier is solved to a few times that."""
-        off = self.surveyed(held, slacks).off / self.rate
-        return np.maximum(error, off) <= SOLVED * slacks.barrier / self.rate
+    def _is_solved(self, found: Surveyed, barrier: np.ndarray, error: np.ndarray) -> np.ndarray:
+        """Whether the problem with this barrier is solved to a few times that."""
+        return np.maximum(error, found.off(barrier) / self.rate) <= SOLVED * barrier / self.rate
 
     def _is_cheap(self, slacks: Slacks) -> np.ndarray:
         """Whether multipliers come near to the price of an excess."""
