@@ -42,12 +42,14 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     if reason:
         return reason
     from ...tape import NotTraceableError
+    from ...tape.collection import put_off
     from ...tape.program import UnknownInstructionError
 
     try:
         from .lanes import TracedSteps
 
-        return TracedSteps(system, integrator)
+        with put_off():
+            return TracedSteps(system, integrator)
     except (NotTraceableError, UnknownInstructionError) as error:
         return str(error)
     except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for what it compiles

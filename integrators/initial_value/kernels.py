@@ -13,25 +13,29 @@ from numba import types
 
 from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
 from ...manifolds.numerics.tolerances import EPS
-from ...tape.machine import LANES, run, run_one
+from ...tape.machine import LANES, VECTOR, run, run_one
+from .inverse_kernels import invert, multiply
 from .programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
-PATIENCE = 10  # chord steps that a Jacobian of an earlier step may take before it is renewed for the next one
+PATIENCE = 6  # chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step
+PUSH_COST = 3  # chord steps in whose time the image of one direction is computed
+ORDERS = 6  # of the differences from step to step by which a prediction is corrected
 PREPARE, RESIDUAL, PUSH, END = range(4)
 (
     C, H, STATE, FIRST, SIZES, MISSED, DIRECTION, PUSHED, NEW, CONTROL, FINITE,
-    SCALED, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
+    SCALED, CHANGE, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
 ) = range(len(PLACES))  # fmt: skip
 
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
 # ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
 # and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
-# ``factors`` is (lu, pivots, old, small, wide, registers): LU factors of Jacobians with their row exchanges, and which are old,
-# by blocks of lanes and substeps, lanes last; the Jacobian of small steps, or an empty matrix; memory and registers of LANES
-# lanes in which the columns of one lane's Jacobian are computed.
+# ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians, chord steps spent on each, infinite
+# where it is of no use, and by how much solutions differed from predictions, with the differences of this from step to step, by
+# blocks of lanes and substeps, lanes last; the inverse Jacobian of small steps, or an empty matrix; memory and registers of as
+# many lanes as the columns of one lane's Jacobian need.
 
 
 def _array(kind: Any, axes: int) -> Any:
@@ -39,7 +43,7 @@ def _array(kind: Any, axes: int) -> Any:
 
 
 _MATRIX, _LIST = _array(types.float64, 2), _array(types.int64, 1)
-_PROGRAMS = _LIST, _array(types.uint64, 2), _array(types.float64, 1), _array(types.int64, 2)
+_PROGRAMS = _array(types.uint8, 1), _array(types.uint32, 2), _array(types.float64, 1), _array(types.int64, 2)
 
 
 @numba.cfunc(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX), cache=True, error_model="numpy")
@@ -64,58 +68,6 @@ def evaluate(
 
 
 @_compiled
-def _factorise(a: np.ndarray, pivots: np.ndarray, sizes: np.ndarray) -> None:
-    """LU factors of a matrix in each lane with partial pivoting, in its place, shape ``(n, n, lanes)``.
-
-    Pivots are compared in units of the largest entries of their rows, ``sizes`` being those of the unknowns: positions and
-    momenta, and so their equations, are in units of their own.
-    """
-    n, lanes = pivots.shape
-    largest = np.zeros((n, lanes))
-    for i in range(n):
-        for column in range(n):
-            for j in range(lanes):
-                largest[i, j] = max(largest[i, j], abs(a[i, column, j]) * sizes[column, j])
-    for k in range(n):
-        for j in range(lanes):
-            best = k
-            for i in range(k + 1, n):
-                if abs(a[i, k, j]) * largest[best, j] > abs(a[best, k, j]) * largest[i, j]:
-                    best = i
-            pivots[k, j] = best
-            largest[k, j], largest[best, j] = largest[best, j], largest[k, j]
-            if best != k:
-                for i in range(n):
-                    a[k, i, j], a[best, i, j] = a[best, i, j], a[k, i, j]
-        for i in range(k + 1, n):
-            for j in range(lanes):
-                a[i, k, j] /= a[k, k, j]
-            for column in range(k + 1, n):
-                for j in range(lanes):
-                    a[i, column, j] -= a[i, k, j] * a[k, column, j]
-
-
-@_compiled
-def _solve(a: np.ndarray, pivots: np.ndarray, v: np.ndarray, first: int) -> None:
-    """Solutions of the systems with these factors, in the place of their right sides, the rows of ``v`` from ``first`` on."""
-    n, lanes = pivots.shape
-    for k in range(n):
-        for j in range(lanes):
-            other = first + pivots[k, j]
-            v[first + k, j], v[other, j] = v[other, j], v[first + k, j]
-    for i in range(n):
-        for column in range(i):
-            for j in range(lanes):
-                v[first + i, j] -= a[i, column, j] * v[first + column, j]
-    for i in range(n - 1, -1, -1):
-        for column in range(i + 1, n):
-            for j in range(lanes):
-                v[first + i, j] -= a[i, column, j] * v[first + column, j]
-        for j in range(lanes):
-            v[first + i, j] /= a[i, i, j]
-
-
-@_compiled
 def _place(places: np.ndarray, v: np.ndarray) -> None:
     """Write the unknowns of all lanes, in their own units, where programs read them."""
     for i in range(places[COUNT]):
@@ -125,13 +77,12 @@ def _place(places: np.ndarray, v: np.ndarray) -> None:
 
 @_compiled
 def _measure(places: np.ndarray, v: np.ndarray) -> None:
-    """Bring the step of every lane to the units of the unknowns; its largest entry, NaN if one is, becomes ``LENGTH``."""
+    """The largest entry of the step of every lane, NaN if one is, becomes ``LENGTH``."""
     for j in range(v.shape[1]):
         v[places[LENGTH], j] = 0.0
     for i in range(places[COUNT]):
         for j in range(v.shape[1]):
-            v[places[MISSED] + i, j] /= v[places[SIZES] + i, j]
-            size, largest = abs(v[places[MISSED] + i, j]), v[places[LENGTH], j]
+            size, largest = abs(v[places[CHANGE] + i, j]), v[places[LENGTH], j]
             v[places[LENGTH], j] = largest if size <= largest or largest != largest else size
 
 
@@ -148,14 +99,14 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
         # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
         remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
         done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
-        going = not done and (n == 0 or ratio < SLOW)
+        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)  # near rounding steps shrink as they like
         v[places[TAKEN], j] = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
         v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
         v[places[CONVERGED], j], v[places[GOING], j] = done, going
         more = more or going
     for i in range(places[COUNT]):
         for j in range(v.shape[1]):
-            change = v[places[MISSED] + i, j] if v[places[TAKEN], j] != 0 else 0.0
+            change = v[places[CHANGE] + i, j] if v[places[TAKEN], j] != 0 else 0.0
             v[places[SCALED] + i, j] -= change
     return more
 
@@ -166,8 +117,7 @@ def _chords(
     places: np.ndarray,
     v: np.ndarray,
     w: np.ndarray,
-    lu: np.ndarray,
-    pivots: np.ndarray,
+    inverse: np.ndarray,
     exact: bool,
 ) -> None:
     """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too slowly."""
@@ -175,14 +125,14 @@ def _chords(
     for n in range(MAX_CHORDS):
         _place(places, v)
         machine(codes, operands, values, ranges, RESIDUAL, v, w)
-        _solve(lu, pivots, v, places[MISSED])
+        multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)
         if not _judge(places, v, n, exact):
             return
 
 
 @_compiled
-def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, lu: np.ndarray, pivots: np.ndarray) -> None:
+def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, inverse: np.ndarray) -> None:
     """Lanes whose steps do not shrink have converged where the step changes as much by the rounding of the unknowns."""
     machine, codes, operands, values, ranges = programs
     m, some = places[COUNT], False
@@ -197,13 +147,13 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, lu
             for j in range(v.shape[1]):
                 v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * ROUNDING * EPS) * v[places[SIZES] + i, j]
         machine(codes, operands, values, ranges, RESIDUAL, v, w)
-        _solve(lu, pivots, v, places[MISSED])
+        multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)
         for i in range(m):
             for j in range(v.shape[1]):
                 if pattern == 0:
-                    v[places[DIRECTION] + i, j] = v[places[MISSED] + i, j]
-                change[j] = max(change[j], abs(v[places[MISSED] + i, j] - v[places[DIRECTION] + i, j]))
+                    v[places[DIRECTION] + i, j] = v[places[CHANGE] + i, j]
+                change[j] = max(change[j], abs(v[places[CHANGE] + i, j] - v[places[DIRECTION] + i, j]))
     for j in range(v.shape[1]):
         step = 0.0
         for i in range(m):
@@ -218,31 +168,32 @@ def _renew(
     places: np.ndarray,
     v: np.ndarray,
     w: np.ndarray,
-    factors: tuple,
+    known: tuple,
     block: int,
     k: int,
 ) -> None:
-    """Jacobians at all lanes, factorised: columns are images of directions, all at once for a single lane."""
+    """Inverse Jacobians at all lanes: columns are images of directions, all at once for a single lane."""
     m, single = places[COUNT], v.shape[1] == 1
     machine, codes, operands, values, ranges = programs
     _place(places, v)
-    lu, pivots, _, _, wide, wide_registers = factors
+    inverses, _, _, _, wide, wide_registers = known
     x, y = (wide, wide_registers) if single else (v, w)
+    lanes = x.shape[1]
     if single:
         for i in range(v.shape[0]):
-            for j in range(LANES):
+            for j in range(lanes):
                 x[i, j] = v[i, 0]
-    for begin in range(0, m, LANES if single else 1):
+    for begin in range(0, m, lanes if single else 1):
         for i in range(m):
-            for j in range(LANES):
+            for j in range(lanes):
                 here = i == (begin + j if single else begin)
                 x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
         machine(codes, operands, values, ranges, PUSH, x, y)
-        for j in range(min(LANES, m - begin) if single else LANES):
+        for j in range(min(lanes, m - begin) if single else lanes):
             lane, column = (0, begin + j) if single else (j, begin)
             for i in range(m):
-                lu[block, k, i, column, lane] = x[places[PUSHED] + i, j]
-    _factorise(lu[block, k], pivots[block, k], v[places[SIZES] : places[SIZES] + places[COUNT]])
+                inverses[block, k, i, column, lane] = x[places[PUSHED] + i, j]
+    invert(inverses[block, k], v[places[SIZES] : places[SIZES] + m])
 
 
 @_compiled
@@ -267,12 +218,38 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
 
 
 @_compiled
+def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
+    """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is least."""
+    for j in range(v.shape[1]):
+        order, least = 0, np.inf
+        for n in range(ORDERS):
+            largest = 0.0
+            for i in range(places[COUNT]):
+                largest = max(largest, abs(differences[n, i, j]) / v[places[SIZES] + i, j])
+            if largest < least:
+                order, least = n, largest
+        for n in range(order):
+            for i in range(places[COUNT]):
+                v[places[SCALED] + i, j] += differences[n, i, j] / v[places[SIZES] + i, j]
+
+
+@_compiled
+def _compare(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
+    """The differences of all orders after a step: how wrong its prediction was, and how that changed."""
+    for i in range(places[COUNT]):
+        for j in range(v.shape[1]):
+            change = v[places[C] + i, j] - v[places[FIRST] + i, j]
+            for n in range(ORDERS):
+                change, differences[n, i, j] = change - differences[n, i, j], change
+
+
+@_compiled
 def _solve_step(
     programs: tuple,
     places: np.ndarray,
     v: np.ndarray,
     w: np.ndarray,
-    factors: tuple,
+    known: tuple,
     block: int,
     k: int,
 ) -> None:
@@ -280,32 +257,37 @@ def _solve_step(
 
     The first are tried only for speed; the others, in this order, are the iteration of ``manifolds.numerics.newton``.
     """
-    lu, pivots, all_old, small, _, _ = factors
-    fresh, renewed, no = True, 0, False
-    if not all_old[block, k]:
+    inverses, spent, differences, small, _, _ = known
+    inverse, fresh, renewed, no = inverses[block, k], True, 0, False
+    if np.isfinite(spent[block, k]):
         _begin(places, v, fresh, 2)
+        _extrapolate(places, v, differences[block, k])
         fresh = False
-        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
+        _chords(programs, places, v, w, inverse, no)
     restart = 2
     if small.size > 0 and _begin(places, v, fresh, restart):
-        _copy_to_lanes(small, lu[block, k])
-        _factorise(lu[block, k], pivots[block, k], v[places[SIZES] : places[SIZES] + places[COUNT]])
-        _chords(programs, places, v, w, lu[block, k], pivots[block, k], no)
-        all_old[block, k], fresh, restart = True, False, 1
+        _copy_to_lanes(small, inverse)
+        _chords(programs, places, v, w, inverse, no)
+        spent[block, k], fresh, restart = np.inf, False, 1
     for _ in range(MAX_JACOBIANS):
         if not _begin(places, v, fresh, restart):
             break
-        _renew(programs, places, v, w, factors, block, k)
-        _chords(programs, places, v, w, lu[block, k], pivots[block, k], not no)
-        _probe(programs, places, v, w, lu[block, k], pivots[block, k])
+        _renew(programs, places, v, w, known, block, k)
+        _chords(programs, places, v, w, inverse, not no)
+        _probe(programs, places, v, w, inverse)
         fresh, restart, renewed = False, 0, renewed + 1
     _place(places, v)
-    slow = all_old[block, k]
-    all_old[block, k] = renewed > 1  # what is solved with difficulty says little of the next step
+    _compare(places, v, differences[block, k])
+    most = 0.0
     for j in range(v.shape[1]):
-        slow = slow or (v[places[GOOD], j] != 0 and v[places[CHORDS], j] > PATIENCE)
-    if slow and renewed == 0:
-        _renew(programs, places, v, w, factors, block, k)
+        if v[places[GOOD], j] != 0:
+            most = max(most, v[places[CHORDS], j])
+    spent[block, k] += max(most - PATIENCE, 0.0)
+    if renewed > 0:
+        spent[block, k] = 0.0 if renewed == 1 else np.inf  # what is solved with difficulty says little of the next step
+    elif spent[block, k] > PUSH_COST * places[COUNT]:
+        _renew(programs, places, v, w, known, block, k)
+        spent[block, k] = 0.0
 
 
 @_compiled
@@ -322,7 +304,7 @@ def _step(
     places: np.ndarray,
     v: np.ndarray,
     w: np.ndarray,
-    factors: tuple,
+    known: tuple,
     parts: np.ndarray,
     h: np.ndarray,
     first: int,
@@ -335,7 +317,7 @@ def _step(
         for j in range(lanes):
             v[places[H], j] = h[min(first + j, h.size - 1)] * parts[k]
         machine(codes, operands, values, ranges, PREPARE, v, w)
-        _solve_step(programs, places, v, w, factors, block, k)
+        _solve_step(programs, places, v, w, known, block, k)
         machine(codes, operands, values, ranges, END, v, w)
         for j in range(lanes):
             v[places[GOOD], j] = v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)
@@ -351,7 +333,7 @@ def _advance(
     places: np.ndarray,
     v: np.ndarray,
     w: np.ndarray,
-    factors: tuple,
+    known: tuple,
     parts: np.ndarray,
     h: np.ndarray,
     carry: np.ndarray,
@@ -373,7 +355,7 @@ def _advance(
             for i in range(states):
                 v[places[STATE] + i, j] = carry[i, lane]
         if moving:
-            _step(programs, places, v, w, factors, parts, h, first, block)
+            _step(programs, places, v, w, known, parts, h, first, block)
         for j in range(min(lanes, total - first)):
             if v[places[GOOD], j] != 0:
                 for i in range(rows):
@@ -396,7 +378,7 @@ def _integrate(
     carry: np.ndarray,
     failed: np.ndarray,
     record: np.ndarray,
-    factors: tuple,
+    known: tuple,
     parts: np.ndarray,
     h: np.ndarray,
     numbers: tuple,
@@ -406,26 +388,26 @@ def _integrate(
 
     ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
     trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps;
-    ``factors``: arrays ``(lu, pivots, old, small)``; ``parts``: those of a step that are its substeps; ``numbers``: steps done
-    before, steps to do, those done of a block of steps that are kept together, and how many these are; ``blocks``: of lanes, the
-    first and the one after the last.
+    ``known``: arrays ``(inverses, spent, differences, small)``; ``parts``: those of a step that are its substeps; ``numbers``:
+    steps done before, steps to do, those done of a block of steps that are kept together, and how many these are; ``blocks``:
+    of lanes, the first and the one after the last.
     """
     rows, size, lanes = memory
     programs = machine, codes, operands, values, ranges
-    wide = LANES if lanes == 1 else 1
-    lu, pivots, old, small = factors
-    workspace = lu, pivots, old, small, np.zeros((rows, wide)), np.zeros((size, wide))
+    wide = min(LANES, VECTOR * (1 + (places[COUNT] - 1) // VECTOR)) if lanes == 1 else 1
+    inverses, spent, differences, small = known
+    workspace = inverses, spent, differences, small, np.zeros((rows, wide)), np.zeros((size, wide))
     v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
     for block in range(blocks[0], blocks[1]):
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
 
 
-_BOOLEANS, _NUMBERS = _array(types.boolean, 2), _array(types.float64, 1)
-_FACTORS = types.Tuple((_array(types.float64, 5), _array(types.int64, 4), _BOOLEANS, _MATRIX))
+_NUMBERS = _array(types.float64, 1)
+_KNOWN = types.Tuple((_array(types.float64, 5), _MATRIX, _array(types.float64, 5), _MATRIX))
 _INTEGRATE = types.void(
     types.FunctionType(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX)),
     *(*_PROGRAMS, _LIST, types.UniTuple(types.int64, 3), _MATRIX, _LIST, _array(types.float64, 3)),
-    *(_FACTORS, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
+    *(_KNOWN, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
 )
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", numba.NumbaExperimentalFeatureWarning)  # of functions that are arguments

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics.ambient import Ambient
-from ...tape import NotTraceableError, Tape
+from ...tape import NotTraceableError, Tape, flat
 from ...threads import in_threads
 from ..compilation import call_compiled
 from .integrator import Integrator
@@ -32,12 +32,12 @@ class TracedSteps:
 
         self.kernels, self.system, (self.single, self.parts) = kernels, system, integrator.substeps()
         ambient = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), integrator.manifold.ambient)
+        begun = flat(self._begun, (ambient, ambient))
         try:
-            self._first = Tape.trace(self._begun, (ambient, ambient))
+            self._first = Tape.read(begun)
         except NotTraceableError:  # a control, say, that is found by iteration
             self._first = None
-        begun = jax.eval_shape(self._begun, (ambient, ambient))
-        self.like = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), begun)
+        self.like = begun.zeros()
         self.control = self.single.control(self.like[0])
         y, q, p = self.like
         self.programs = step_programs(self.single, system, y, q, p, self.parts.size)
@@ -111,15 +111,15 @@ class _Workspace:
         lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places
         memory = programs.rows, programs.registers, lanes
         self._integrate, self._blocks = partial(kernels.integrate, kernels.evaluate, *lists, memory), blocks
-        pivots = np.zeros((blocks, substeps, m, lanes), np.int64)
-        lu, old = np.zeros((blocks, substeps, m, m, lanes)), np.ones((blocks, substeps), np.bool_)
-        small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(np.linalg.inv(inverse))
-        self._factors = lu, pivots, old, small
+        inverses, spent = np.zeros((blocks, substeps, m, m, lanes)), np.full((blocks, substeps), np.inf)
+        differences = np.zeros((blocks, substeps, kernels.ORDERS, m, lanes))
+        small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(inverse)
+        self._known = inverses, spent, differences, small
 
     def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
         """Integrate over a piece, blocks of lanes side by side on all processors."""
 
         def share(blocks: range) -> None:
-            self._integrate(carry, failed, record, self._factors, *numbers, (blocks.start, blocks.stop))
+            self._integrate(carry, failed, record, self._known, *numbers, (blocks.start, blocks.stop))
 
         in_threads(share, self._blocks, math.inf)

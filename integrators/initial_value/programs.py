@@ -1,6 +1,6 @@
 """The equations of a step as programs of scalar instructions, and where in one memory they read and write."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,8 +10,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
-from ...reading import traced
-from ...tape import Tape
+from ...tape import Tape, flat
 from ...tape.program import CODES, Program, assembled
 from ..programs import content_key
 from ..stages import Stage
@@ -51,7 +50,7 @@ def unpacked(array: np.ndarray, like: Any) -> Any:
 # Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep there; sizes.
 PLACES = (
     *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
-    *("scaled", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
+    *("scaled", "change", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
     *("count", "states", "controls"),
 )
 
@@ -111,15 +110,16 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
         return new.unknowns, new.q, new.p, integrator.control(new.unknowns), result.converged
 
     h = np.zeros(())
-    chart = _zeros(prepare, h, y, q, p)
+    first = flat(prepare, h, y, q, p)
+    chart = first.zeros()
     c = np.zeros(chart.first.shape)
     parts = {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}
-    calls = (prepare, (h, y, q, p)), (residual, (c, h, q, p, chart)), (end, (c, h, q, chart))
-    digests = [content_key(traced(function, *examples)) for function, examples in calls]
+    calls = first, flat(residual, c, h, q, p, chart), flat(end, c, h, q, chart)
+    digests = [content_key(call.jaxpr) for call in calls]
     key = (*digests, substeps, *map(rows, parts.values()))
     if key not in _known:
-        before, middle, after = (Tape.trace(function, *examples) for function, examples in calls)
-        control = rows(_zeros(end, *calls[2][1])[3])
+        before, middle, after = map(Tape.read, calls)
+        control = rows(calls[2].zeros()[3])
         found = _laid_out((before, middle, middle.push(0), after), parts, [*chart._fields], control, substeps)
         if None in digests:
             return found
@@ -144,7 +144,7 @@ def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str],
     memory = _Memory()
     at = {name: memory.take(rows(part)) for name, part in parts.items()}
     count, states = at["c"].size, sum(at[name].size for name in "yqp")
-    at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled")}
+    at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled", "change")}
     at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
     at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
     reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", "q", *charts]]
@@ -158,11 +158,6 @@ def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str],
     codes, registers, values = (np.concatenate([getattr(p, name) for p in programs]) for name in ("codes", "registers", "values"))
     ranges, most = np.stack([cuts[:-1], cuts[1:]], axis=1), max(program.size for program in programs)
     return StepPrograms(codes, registers, values, ranges, np.array(places), memory.rows, most)
-
-
-def _zeros(function: Callable, *arguments: Any) -> Any:
-    """Arrays of zeros like the values of a function."""
-    return jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), jax.eval_shape(function, *arguments))
 
 
 def _merged(tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]) -> list[Program]:
@@ -183,9 +178,9 @@ def _merged(tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.nd
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
         used = {hash(s) for s in ca.symvar(value)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(_placed(assembled(tape.inputs, value), read, write))
+        programs.append(_placed(assembled(tape.inputs, value, grouped=True), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
-    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)))
+    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), grouped=True)
     return [_placed(first, reads[0], writes[0][kept]), *programs]
 
 
@@ -195,5 +190,5 @@ def _placed(program: Program, read: np.ndarray, write: np.ndarray) -> Program:
     for code, table, operand in (("INPUT", read, 1), ("OUTPUT", write, 0)):
         here = program.codes == CODES[code]
         values[here] = table[values[here].astype(int)]
-        registers[here, operand] = values[here].astype(np.uint64)  # for ``run_one``
+        registers[here, operand] = values[here].astype(np.uint32)  # for ``run_one``
     return replace(program, values=values, registers=registers)

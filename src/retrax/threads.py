@@ -32,6 +32,9 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
     parts = max(1, int(min(units, count * work // WORTH_A_THREAD)))
     if parts > 1:  # the system is asked only where it matters: that takes as long as a small kernel
         parts = 1 if _alone.get() else min(parts, os.cpu_count() or 1)
+    if parts == 1:
+        run(range(count))
+        return
     ends = [min(count, unit * (units * k // parts)) for k in range(parts + 1)]
     *others, own = (range(a, b) for a, b in itertools.pairwise(ends))
     futures = [_pool().submit(run, part) for part in others]

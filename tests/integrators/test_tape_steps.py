@@ -93,6 +93,19 @@ def test_both_fail_at_the_same_step_or_both_succeed(name):
     assert np.array_equal(*failed)
 
 
+@pytest.mark.parametrize("name", ["rotations", "sphere", "sphere, order 6"])
+@pytest.mark.parametrize("size", [0.3, 3.0])
+def test_what_steps_before_tell_of_the_next_one_changes_nothing(name, size):
+    """Each step again from its node, with nothing before it: over trajectories long enough for bases to jump and for
+    Jacobians to be renewed, slow and fast."""
+    system, method = CASES[name]
+    path = integrate(system, method, start_of(method, size), 0.1, 150)
+    nodes = jax.tree.map(lambda a: a[:-1], (path.q, path.p))
+    again = integrate_many(system, method, nodes, 0.1, 1)
+    for whole, single in zip(jax.tree.leaves((path.q, path.p)), jax.tree.leaves((again.q, again.p)), strict=True):
+        assert norm(whole[1:] - single[:, 1]) <= 1e-12 * norm(whole)
+
+
 def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
     """Projections to level sets are found by iteration."""
     method = SymplecticIntegrator(lifted(default_retraction(ELLIPSOID)))

@@ -135,8 +135,8 @@ PLANTED: dict[str, Planted] = {
         "v[places[GOOD], j] * (v[places[FINITE], j] != 0)",
         (f"{STEPS}",),
     ),
-    "a Jacobian of lanes is factorised without its last pivot": Planted(
-        "integrators/initial_value/kernels.py",
+    "a Jacobian of lanes is inverted with its smallest pivots": Planted(
+        "integrators/initial_value/inverse_kernels.py",
         "if abs(a[i, k, j]) * largest[best, j] > abs(a[best, k, j]) * largest[i, j]:",
         "if abs(a[i, k, j]) * largest[best, j] < abs(a[best, k, j]) * largest[i, j]:",
         (f"{STEPS}", f"{TESTS}/test_gauss.py::test_a_trajectory_has_a_control_for_each_point_at_its_time"),

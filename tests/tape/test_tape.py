@@ -16,6 +16,8 @@ from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
+from retrax.tape.machine import run_one
+from retrax.tape.program import CODES, assembled
 
 REMARKABLE = {
     "exponential of SO(3)": Exponential(SO(3)),
@@ -48,6 +50,37 @@ def test_any_number_of_points(count):
     assert jax.tree.structure(values) == jax.tree.structure(expected)
     # Differences of products of numbers near one, whose rounding depends on whether a processor forms both at once.
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), values, expected)
+
+
+@pytest.mark.parametrize("name", REMARKABLE)
+def test_instructions_in_groups_compute_the_same(name):
+    """As many points at once, and as one; the number of changes from one instruction to another falls."""
+    retraction = REMARKABLE[name]
+    x = retraction.manifold.random_point(jax.random.key(0))
+    v = jax.tree.map(lambda a: 0.1 * a, retraction.manifold.random_tangent(jax.random.key(1), x))
+    tape = Tape.trace(retraction, x, v)
+    column = ca.vertcat(tape.graph.unmarked([tape.outputs])[0])
+    plain, grouped = (assembled(tape.inputs, column, grouped=g) for g in (False, True))
+    changes = [np.count_nonzero(np.diff(p.codes)) for p in (plain, grouped)]
+    assert changes[1] < 0.75 * changes[0]
+    parts = [part for a in map(np.asarray, (x, v)) for part in ((a.real, a.imag) if np.iscomplexobj(a) else (a,))]
+    inputs = np.concatenate([part.ravel() for part in parts])
+    values = [run_alone(p, inputs) for p in (plain, grouped)]
+    np.testing.assert_allclose(values[1], values[0], rtol=1e-14, atol=1e-15)
+    expected = tape(*(np.asarray(a)[..., None] for a in (x, v)))
+    halves = (expected.real, expected.imag) if np.iscomplexobj(expected) else (expected,)
+    np.testing.assert_allclose(values[1], np.concatenate([h.ravel() for h in halves]), rtol=1e-14, atol=1e-15)
+
+
+def run_alone(program, inputs):
+    """The values of a program at one point."""
+    codes, registers, values = (a.copy() for a in (program.codes, program.registers, program.values))
+    for name, operand, begin in (("INPUT", 1, 0), ("OUTPUT", 0, inputs.size)):
+        here = codes == CODES[name]
+        registers[here, operand] = begin + values[here]
+    memory = np.concatenate([inputs, np.zeros(program.outputs)])
+    run_one(codes, registers, values, memory, np.zeros(program.size))
+    return memory[inputs.size :]
 
 
 def test_threads_change_nothing(monkeypatch):

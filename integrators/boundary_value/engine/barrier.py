@@ -68,7 +68,7 @@ class Barrier(NamedTuple):
     def missed(self, held: Held, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""
         found = self.surveyed(held, slacks)
-        return Missed(found.violation, found.excess, found.product / self.rate, found.off / self.rate)
+        return Missed(found.violation, found.excess, found.product / self.rate, found.off(slacks.barrier) / self.rate)
 
     def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
         """What the inequalities and their multipliers lack, and what they cost."""
@@ -81,7 +81,8 @@ class Barrier(NamedTuple):
         """
         cheap, rate = self._is_cheap(slacks), self._dear(slacks)
         last = LAST * tolerance * self.rate / rate
-        solved = self._is_solved(held, slacks, error, tolerance)
+        found = self.surveyed(held, slacks)
+        solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
         while True:
             barrier = slacks.barrier / rate
             told = cheap & (barrier <= TELLS)
@@ -91,7 +92,7 @@ class Barrier(NamedTuple):
                 return slacks, told & solved
             less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))
             slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
-            solved = self._is_solved(held, slacks, error, tolerance)
+            solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
 
     def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
@@ -104,11 +105,12 @@ class Barrier(NamedTuple):
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))
 
-    def _is_solved(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
-        """Whether the problem with its barrier is solved to a few times that."""
-        rate = self._dear(slacks)
-        few = SOLVED * slacks.barrier
-        return (error <= np.maximum(few / rate, tolerance)) & (self.surveyed(held, slacks).off <= few)
+    def _is_solved(
+        self, found: Surveyed, barrier: np.ndarray, rate: np.ndarray, error: np.ndarray, tolerance: float
+    ) -> np.ndarray:
+        """Whether the problem with this barrier, of this unit, is solved to a few times that."""
+        few = SOLVED * barrier
+        return (error <= np.maximum(few / rate, tolerance)) & (found.off(barrier) <= few)
 
     def _dear(self, slacks: Slacks) -> np.ndarray:
         """The unit of the barrier: where excesses cost more, all multipliers have grown with their price."""

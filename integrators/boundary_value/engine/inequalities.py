@@ -95,10 +95,14 @@ class Surveyed(NamedTuple):
     violation: np.ndarray  # the largest |g + s - t|, in units
     excess: np.ndarray
     product: np.ndarray  # the largest of nu s and zeta t
-    off: np.ndarray  # their largest difference from the barrier
+    least: np.ndarray  # the least of them
     missing: np.ndarray  # the weighted sum of |g + s - t|, in units
     potential: np.ndarray
     held: np.ndarray  # the weighted sum of nu (g + s - t)
+
+    def off(self, barrier: np.ndarray) -> np.ndarray:
+        """The largest difference of these products from a barrier."""
+        return np.maximum(np.maximum(self.product - barrier, barrier - self.least), 0.0)
 
 
 def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
@@ -124,7 +128,7 @@ def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -
     from . import inequality_kernels
 
     slopes, given = np.empty((*slope.shape, 2)), (_points(held), _points(slacks))
-    own = _by_points(hessian), _by_points(plain(slope)), _by_points(slopes)
+    own = hessian, plain(slope), slopes
 
     def run(part: range) -> None:
         inequality_kernels.raise_points(part.start, part.stop, *given, *own)
@@ -144,7 +148,7 @@ def turned(held: Held, slacks: Slacks, steps: np.ndarray) -> Turn:
     from . import inequality_kernels
 
     moves, found = _three(held.values), np.empty((len(steps), 4))
-    given = _points(held), _points(slacks), _by_points(plain(steps)), BOUNDARY, tuple(map(_by_points, moves)), found
+    given = _points(held), _points(slacks), plain(steps), BOUNDARY, moves, found
 
     def run(part: range) -> None:
         inequality_kernels.turn(part.start, part.stop, *given)
@@ -157,9 +161,9 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
     """Slacks, excesses and multipliers after fractions of what stays inside."""
     from . import inequality_kernels
 
-    out, moves = _three(turn.slacks), tuple(map(_by_points, turn[:3]))
+    out, moves = _three(turn.slacks), turn[:3]
     parts = plain(fraction * turn.reach), plain(turn.dual)
-    given = _points(slacks), moves, parts, KEPT, tuple(map(_by_points, out))
+    given = _points(slacks), moves, parts, KEPT, out
 
     def run(part: range) -> None:
         inequality_kernels.move(part.start, part.stop, *given)
@@ -173,11 +177,11 @@ def surveyed(held: Held, slacks: Slacks, limits: np.ndarray) -> Surveyed:
     from . import inequality_kernels
 
     found, room = np.zeros((len(limits), len(Surveyed._fields))), np.empty(limits.shape[1])
-    (values, _, weights), own = _points(held), _points(slacks)
+    given = _points(held), _points(slacks)
 
     def run(part: range) -> None:
         units = plain(limits), np.empty_like(room)
-        inequality_kernels.survey(part.start, part.stop, values, weights, own, units, VALUE, found)
+        inequality_kernels.survey(part.start, part.stop, *given, units, VALUE, found)
 
     in_threads(run, len(limits), 8 * held.values[0].size)
     return Surveyed(*found.T)
@@ -187,11 +191,6 @@ def _three(like: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.empty(like.shape), np.empty(like.shape), np.empty(like.shape)
 
 
-def _by_points(array: np.ndarray) -> np.ndarray:
-    """The same array with one axis for all points of a trajectory."""
-    return array.reshape(len(array), array.shape[1] * array.shape[2], *array.shape[3:])
-
-
 def _points(arrays: Held | Slacks) -> tuple[np.ndarray, ...]:
     """What the kernels take."""
-    return tuple(plain(a) if a.ndim == 1 else _by_points(plain(a)) for a in arrays)
+    return tuple(map(plain, arrays))

@@ -2,5 +2,6 @@
 
 from .arrays import NotTraceableError
 from .tape import Tape
+from .trace import Flat, flat
 
-__all__ = ["NotTraceableError", "Tape"]
+__all__ = ["Flat", "NotTraceableError", "Tape", "flat"]

@@ -4,7 +4,7 @@ Numba compiles it once on a computer and keeps it on its disk. A program is data
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numba
@@ -88,34 +88,25 @@ _EMITTED: dict[int, Callable] = {
 }
 
 
-def _instruction(kind: Any) -> Any:
+@_intrinsic
+def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
     """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is one.
 
-    ``kind``: the LLVM type of what is loaded at once. One table of jumps, where Numba would need a loop for each instruction.
+    One table of jumps, where Numba would need a loop for each instruction.
     """
-    size = kind.count if isinstance(kind, ir.VectorType) else 1
-
-    def place(context: Any, builder: Any, signature: Any, arguments: Any, row: Any) -> Any:
-        array = context.make_array(signature.args[1])(context, builder, arguments[1])
-        first = builder.mul(row, builder.extract_value(array.shape, 1)) if signature.args[1].ndim == 2 else row
-        return builder.gep(array.data, [first])
+    kind = ir.VectorType(ir.DoubleType(), VECTOR)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         code, _, count, *rows, value = arguments
-        target, *operands = (place(context, builder, signature, arguments, row) for row in rows)
-        constant = value
-        if size > 1:
-            constant = ir.Constant(kind, ir.Undefined)
-            for t in range(size):
-                constant = builder.insert_element(constant, value, ir.Constant(ir.IntType(32), t))
+        array = context.make_array(signature.args[1])(context, builder, arguments[1])
+        width = builder.extract_value(array.shape, 1)
+        target, *operands = (builder.gep(array.data, [builder.mul(row, width)]) for row in rows)
+        constant = ir.Constant(kind, ir.Undefined)
+        for t in range(VECTOR):
+            constant = builder.insert_element(constant, value, ir.Constant(ir.IntType(32), t))
         known = cgutils.alloca_once_value(builder, cgutils.true_bit)
-        after, unknown = builder.append_basic_block("after"), builder.append_basic_block("unknown")
-        jump = builder.switch(code, unknown)
-        step = ir.Constant(count.type, size)
-        for number, emit in _EMITTED.items():
-            block = builder.append_basic_block(NAMES[number])
-            jump.add_case(ir.Constant(code.type, number), block)
-            builder.position_at_end(block)
+        after, step = builder.append_basic_block("after"), ir.Constant(count.type, VECTOR)
+        for emit in _cases(builder, code, after):
             with cgutils.for_range_slice(builder, ir.Constant(count.type, 0), count, step) as (j, _):
 
                 def load(pointer: Any, j: Any = j) -> Callable:
@@ -124,20 +115,63 @@ def _instruction(kind: Any) -> Any:
                 result = emit(builder, *map(load, operands), constant)
                 builder.store(result, builder.bitcast(builder.gep(target, [j]), kind.as_pointer()), align=8)
             builder.branch(after)
-        builder.position_at_end(unknown)
         builder.store(cgutils.false_bit, known)
         builder.branch(after)
         builder.position_at_end(after)
         return builder.load(known)
 
-    def typed(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-        return types.boolean(types.intp, w, *(types.intp,) * 5, types.float64), generate
-
-    return _intrinsic(typed)
+    return types.boolean(types.intp, w, *(types.intp,) * 5, types.float64), generate
 
 
-_on_lanes = _instruction(ir.VectorType(ir.DoubleType(), VECTOR))
-_on_one = _instruction(ir.DoubleType())
+@_intrinsic
+def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any) -> Any:
+    """``run(codes, registers, values, w, k)``: run the instructions from ``k`` on that are the same on one point; the next one.
+
+    That is ``k`` itself where the instruction is none of these.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        arrays = [context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)]
+        codes, registers, values, w = (array.data for array in arrays)
+        first, count = arguments[4], builder.extract_value(arrays[0].shape, 0)
+        at, after = cgutils.alloca_once_value(builder, first), builder.append_basic_block("after")
+        code = builder.load(builder.gep(codes, [first]))
+        for number, emit in _cases(builder, code, after, numbered=True):
+            again, more = builder.append_basic_block("again"), builder.append_basic_block("more")
+            builder.branch(again)
+            builder.position_at_end(again)
+            here = builder.load(at)
+            row = builder.mul(here, ir.Constant(here.type, 4))
+
+            def place(operand: int, row: Any = row) -> Any:
+                register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
+                return builder.gep(w, [builder.zext(register, row.type)])
+
+            loads = (lambda i=i: builder.load(place(i)) for i in (1, 2, 3))
+            builder.store(emit(builder, *loads, builder.load(builder.gep(values, [here]))), place(0))
+            following = builder.add(here, ir.Constant(here.type, 1))
+            builder.store(following, at)
+            builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
+            builder.position_at_end(more)
+            same = builder.icmp_unsigned("==", builder.load(builder.gep(codes, [following])), ir.Constant(code.type, number))
+            builder.cbranch(same, again, after)
+        builder.branch(after)
+        builder.position_at_end(after)
+        return builder.load(at)
+
+    return types.intp(codes, registers, values, w, types.intp), generate
+
+
+def _cases(builder: Any, code: Any, after: Any, numbered: bool = False) -> Iterator[Any]:
+    """Go through the instructions with the builder where one begins; at the end, where a code is none of them."""
+    unknown = builder.append_basic_block("unknown")
+    jump = builder.switch(code, unknown)
+    for number, emit in _EMITTED.items():
+        block = builder.append_basic_block(NAMES[number])
+        jump.add_case(ir.Constant(code.type, number), block)
+        builder.position_at_end(block)
+        yield (number, emit) if numbered else emit
+    builder.position_at_end(unknown)
 
 
 @_inner
@@ -244,14 +278,21 @@ def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tupl
 
 @_compiled
 def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
-    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``: registers."""
-    for k in range(codes.size):
-        c, o, x = codes[k], registers[k, 0], registers[k, 1]
-        if _on_one(c, w, 1, o, x, registers[k, 2], registers[k, 3], values[k]):
+    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``: registers.
+
+    The same instructions after each other take least time.
+    """
+    k = 0
+    while k < codes.size:
+        begin = k
+        k = _on_one(codes, registers, values, w, k)
+        if k > begin:
             continue
+        c, o, x = codes[k], registers[k, 0], registers[k, 1]
         if c == INPUT:
             w[o] = v[x]
         elif c == OUTPUT:
             v[o] = w[x]
         else:
             w[o] = _other(c, w[x], w[registers[k, 2]])
+        k += 1

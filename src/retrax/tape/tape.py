@@ -18,7 +18,7 @@ from ..threads import in_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
-from .trace import trace
+from .trace import Flat, flat, trace
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
 MOST_LANES = 256  # points that an instruction acts on at once: enough to hide its choice
@@ -62,11 +62,16 @@ class Tape:
         Raises ``NotTraceableError`` where the function calls what cannot be written as scalar operations, as LAPACK's
         decompositions or a loop whose length depends on the input.
         """
-        leaves, structure = jax.tree.flatten(examples)
-        graph, values, result = trace(function, *examples)
-        owners = [k for k, part in enumerate(examples) for _ in jax.tree.leaves(part)]
+        return cls.read(flat(function, *examples))
+
+    @classmethod
+    def read(cls, function: Flat) -> Self:
+        """The tape of a function that JAX has traced."""
+        leaves, structure = jax.tree.flatten(function.examples)
+        graph, values = trace(function)
+        owners = [k for k, part in enumerate(function.examples) for _ in jax.tree.leaves(part)]
         kinds = [Leaf(np.shape(a), np.iscomplexobj(a), k) for a, k in zip(leaves, owners, strict=True)]
-        return cls(graph, values, (kinds, structure), result)
+        return cls(graph, values, (kinds, structure), function.result)
 
     def __call__(self, *arguments: Any) -> Any:
         """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
@@ -94,7 +99,7 @@ class Tape:
     @cached_property
     def program(self) -> Program:
         """What the machine runs."""
-        return assembled(self.inputs, *self.graph.unmarked([self.outputs]))
+        return assembled(self.inputs, self.graph.unmarked([self.outputs])[0])
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a tape."""

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import jax
@@ -243,28 +243,44 @@ _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
 }
 
 
-def trace(function: Callable, *examples: Any) -> tuple[Graph, list[Entries], Any]:
-    """The graph of a function of pytrees of arrays, its values leaf by leaf, and their structure.
+class Flat(NamedTuple):
+    """A function of pytrees of arrays as a jaxpr of their leaves: its closed jaxpr, examples, and the structure of its values."""
 
-    Inputs are the leaves of ``examples``, whose values play no part: real ones a column each, complex ones two. Raises
-    ``NotTraceableError`` for what cannot be written as a graph of scalars.
-    """
+    jaxpr: Any
+    examples: tuple[Any, ...]
+    result: Any
+
+    def zeros(self) -> Any:
+        """Zeros like the values."""
+        return jax.tree.unflatten(self.result, [np.zeros(a.shape, a.dtype) for a in self.jaxpr.out_avals])
+
+
+def flat(function: Callable, *examples: Any) -> Flat:
+    """A function as JAX traces it; the values of the examples play no part."""
     leaves, structure = jax.tree.flatten(examples)
-    leaves = [np.asarray(leaf) for leaf in leaves]
 
-    def flat(*leaves: Any) -> Any:
+    def of_leaves(*leaves: Any) -> Any:
         found, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
         result.append(shape)
         return found
 
     result: list[Any] = []
-    jaxpr = traced(flat, *leaves)
+    jaxpr = traced(of_leaves, *map(np.asarray, leaves))
+    return Flat(jaxpr, examples, result[-1])
+
+
+def trace(function: Flat) -> tuple[Graph, list[Entries]]:
+    """The graph of a function, and its values leaf by leaf.
+
+    Inputs are the leaves of its examples: real ones a column each, complex ones two. Raises ``NotTraceableError`` for what
+    cannot be written as a graph of scalars.
+    """
     inputs: list[ca.SX] = []
     arrays: list[Entries] = []
-    for k, leaf in enumerate(leaves):
+    for k, leaf in enumerate(map(np.asarray, jax.tree.leaves(function.examples))):
         symbols = [ca.SX.sym(f"{name}{k}", leaf.size) for name in ("xy" if np.iscomplexobj(leaf) else "x")]
         inputs += symbols
         halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
-    return graph, Tracer(graph).closed(jaxpr, arrays), result[-1]
+    return graph, Tracer(graph).closed(function.jaxpr, arrays)
