@@ -255,7 +255,7 @@ class Flat(NamedTuple):
         return jax.tree.unflatten(self.result, [np.zeros(a.shape, a.dtype) for a in self.jaxpr.out_avals])
 
 
-def flat(function: Callable, *examples: Any) -> Flat:
+def flat(function: Callable[..., Any], *examples: Any) -> Flat:
     """A function as JAX traces it; the values of the examples play no part."""
     leaves, structure = jax.tree.flatten(examples)
 
