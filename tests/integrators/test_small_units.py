@@ -52,6 +52,7 @@ def test_an_orbit_is_the_same_in_all_units(method, evaluator):
         assert np.abs(orbit(method, evaluator, *units) - expected).max() < 1e-11, units
 
 
+@pytest.mark.slow
 def test_derivatives_of_an_orbit_are_the_same_in_all_units():
     def end(units, push):
         length, time, mass = units
@@ -116,6 +117,7 @@ def test_a_long_step_that_is_solved_begins_where_it_should():
     assert any(solved)
 
 
+@pytest.mark.slow
 def test_a_long_turn_that_is_solved_keeps_its_momentum():
     group = SO(3)
     inertia = jnp.array([1.0, 2.0, 3.0])
@@ -132,6 +134,7 @@ def test_a_long_turn_that_is_solved_keeps_its_momentum():
         assert np.abs(spatial - spatial[0]).max() < 1e-9, h
 
 
+@pytest.mark.slow
 def test_a_nonholonomic_particle_is_the_same_in_all_units():
     space = Euclidean(3)
     method, found = DiracIntegrator(CotangentLift(Midpoint(Addition(space)))), []
