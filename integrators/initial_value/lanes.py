@@ -9,7 +9,8 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics.ambient import Ambient
-from ...tape import NotTraceableError, Tape, flat
+from ...tape import NotTraceableError, Tape
+from ...tape.trace import flat
 from ...threads import in_threads
 from ..compilation import call_compiled
 from .integrator import Integrator

@@ -10,8 +10,9 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
-from ...tape import Tape, flat
+from ...tape import Tape
 from ...tape.program import CODES, Program, assembled
+from ...tape.trace import flat
 from ..programs import content_key
 from ..stages import Stage
 from .integrator import Integrator

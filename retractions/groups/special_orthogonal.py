@@ -45,7 +45,8 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
         return rotations.cayley(a)
 
     def group_map_inverse(self, b: Array) -> Array:
-        return nan_unless(rotations.smallest_cosine(b) > -1, rotations.cayley_inverse(b))
+        # Nearer to -1 is rounding; a vector of the domain leads to a cosine that is twice as far from it.
+        return nan_unless(rotations.smallest_cosine(b) > -1 + 64 * jnp.finfo(b.dtype).eps, rotations.cayley_inverse(b))
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         h = self._half_way(x, v)

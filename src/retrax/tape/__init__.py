@@ -2,6 +2,5 @@
 
 from .arrays import NotTraceableError
 from .tape import Tape
-from .trace import Flat, flat
 
-__all__ = ["Flat", "NotTraceableError", "Tape", "flat"]
+__all__ = ["NotTraceableError", "Tape"]

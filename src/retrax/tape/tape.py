@@ -66,7 +66,7 @@ class Tape:
 
     @classmethod
     def read(cls, function: Flat) -> Self:
-        """The tape of a function that JAX has traced."""
+        """The tape of a function that JAX has traced, as ``retrax.tape.trace.flat`` does."""
         leaves, structure = jax.tree.flatten(function.examples)
         graph, values = trace(function)
         owners = [k for k, part in enumerate(function.examples) for _ in jax.tree.leaves(part)]
