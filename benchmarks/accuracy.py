@@ -4,9 +4,10 @@
     python benchmarks/accuracy.py draw    [--input benchmarks/accuracy.json] [--output docs/accuracy.png]
     python benchmarks/accuracy.py table   [--input benchmarks/accuracy.json]
 
-``measure`` solves with every method in several sizes, in turns, everything built before: the median wall time of a whole
-call. Every method returns a torque, polynomial on the intervals of its mesh; its error is that of the attitude at the end when
-SciPy's DOP853 propagates this torque from the start (``repropagation.py``), and all torques must have the known cost.
+``measure`` solves with every method in several sizes, in turns, everything built before: the median wall time of a
+whole call. Every method returns a torque, polynomial on the intervals of its mesh; its error is that of the attitude at
+the end when SciPy's DOP853 propagates this torque from the start (``repropagation.py``), and all torques must have the
+known cost.
 """
 
 import argparse
@@ -82,8 +83,9 @@ def measured(repeats):
 def checked(rows):
     """The records; raises if a method has found another optimum.
 
-    An end that is off by some angle changes the cost by 2261 N m s, the attitude's costate, times the angle; errors inside are
-    larger than at the end, for which there is a factor of 50. A torque that is constant on N steps costs about 3700 / N^2 more.
+    An end that is off by some angle changes the cost by 2261 N m s, the attitude's costate, times the angle; errors
+    inside are larger than at the end, for which there is a factor of 50. A torque that is constant on N steps costs
+    about 3700 / N^2 more.
     """
     for row in rows:
         held = row["method"].endswith("RK4")

@@ -1,10 +1,11 @@
-"""From how many guesses ``solve`` arrives beside IPOPT: the same discrete problems, the same guesses, each side's own limits.
+"""From how many guesses ``solve`` arrives beside IPOPT: the same discrete problems, the same guesses, each side's own
+limits.
 
     python benchmarks/arrival.py [--only PROBLEM ...] [--side retrax ipopt] [--ours 100] [--theirs 3000]
 
-IPOPT is given ``to_casadi`` of the same problem. A guess counts where the solver reports success. One JSON line a problem: for
-each side how many of the 24 guesses arrive, by kind; the median of the iterations of those; the best cost, how many come within a
-millionth of the best of both sides, and how many costs are found.
+IPOPT is given ``to_casadi`` of the same problem. A guess counts where the solver reports success. One JSON line a
+problem: for each side how many of the 24 guesses arrive, by kind; the median of the iterations of those; the best cost,
+how many come within a millionth of the best of both sides, and how many costs are found.
 """
 
 import argparse
@@ -81,7 +82,9 @@ def main():
         for side in given.side:
             solve = retrax(case, given.ours) if side == "retrax" else ipopt(case, guesses["far"][0], given.theirs)
             found[side] = {kind: [solve(guess) for guess in some] for kind, some in guesses.items()}
-        costs = [cost for outcomes in found.values() for some in outcomes.values() for success, _, cost in some if success]
+        costs = [
+            cost for outcomes in found.values() for some in outcomes.values() for success, _, cost in some if success
+        ]
         best = min(costs, default=float("inf"))
         row = {side: figures(outcomes, best) for side, outcomes in found.items()}
         print(json.dumps({"problem": name, **row, "seconds": round(time.process_time() - began, 1)}), flush=True)

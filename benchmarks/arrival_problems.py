@@ -1,4 +1,5 @@
-"""Problems with many ways to go wrong, and guesses from which to solve them: far, random, resting, wrong by half a turn."""
+"""Problems with many ways to go wrong, and guesses from which to solve them: far, random, resting, wrong by half a
+turn."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -27,8 +28,8 @@ def rotation(*vector):
 class Case:
     """A problem with its method, ends, horizon and steps.
 
-    ``sizes``: of random vectors in its flat factors, of controls; ``turned``: the end wrong by half a turn about axis ``k``;
-    ``target``: what guesses end at where the end is free.
+    ``sizes``: of random vectors in its flat factors, of controls; ``turned``: the end wrong by half a turn about axis
+    ``k``; ``target``: what guesses end at where the end is free.
     """
 
     problem: OptimalControlProblem
@@ -52,7 +53,10 @@ class Case:
 
     def _guess(self, kind, k):
         draw = np.random.default_rng([KINDS.index(kind), k])
-        end, make = self.end if self.target is None else self.target, partial(Guess.from_waypoints, self.problem, self.method)
+        end, make = (
+            self.end if self.target is None else self.target,
+            partial(Guess.from_waypoints, self.problem, self.method),
+        )
         if kind == "far":
             if k % 2:
                 return self._rolled(draw)
@@ -64,7 +68,9 @@ class Case:
         if kind == "half turn":
             return self._steered(make([self.start, self.turned(end, k % 3)], self.steps), draw, 0.1 * (k // 3))
         ways = [self.start], [end], [self.start, end]
-        states = [way[min(len(way) * i // self.steps, len(way) - 1)] for way in (ways[k % 3],) for i in range(self.steps)]
+        states = [
+            way[min(len(way) * i // self.steps, len(way) - 1)] for way in (ways[k % 3],) for i in range(self.steps)
+        ]
         states = jax.tree.map(lambda *leaves: np.stack(leaves), *states)
         return self._steered(make([self.start, end], self.steps)._replace(states=states), draw, 1e-3 * (k // 3))
 
@@ -73,7 +79,9 @@ class Case:
         times = (np.arange(self.steps) + 0.5) / self.steps
         waves = np.cos(np.pi * times[:, None] * np.arange(3))
         moves = self.sizes[1] * waves @ draw.standard_normal((3, self.problem.controls.dimension))
-        return Guess.from_controls(self.problem, self.method, self.start, self._controls(moves), self.horizon, self.steps)
+        return Guess.from_controls(
+            self.problem, self.method, self.start, self._controls(moves), self.horizon, self.steps
+        )
 
     def _steered(self, guess, draw, size):
         """The guess with random controls."""
@@ -135,7 +143,9 @@ def cart_pole():
         _, angle, v, w = q
         s, c = jnp.sin(angle), jnp.cos(angle)
         inertia, pull, weight = 1.0 + 0.3 * s * s, 0.15 * w * w * s, 1.3 * 9.81 * s
-        return jnp.stack([v, w, (u[0] + pull + 0.3 * 9.81 * s * c) / inertia, -(u[0] * c + pull * c + weight) / (0.5 * inertia)])
+        return jnp.stack(
+            [v, w, (u[0] + pull + 0.3 * 9.81 * s * c) / inertia, -(u[0] * c + pull * c + weight) / (0.5 * inertia)]
+        )
 
     problem = OptimalControlProblem(Q, dynamics, effort, 1)
     end = np.array([0.0, np.pi, 0.0, 0.0])
@@ -161,11 +171,14 @@ def unicycle():
         Q.pose(np.eye(2), np.array([-0.6, -2.0])),
         Q.pose(np.diag([-1.0, -1.0]), np.array([1.0, 0.0])),
     ]
-    return Case(problem, Midpoint(default_retraction(Q)), np.eye(3), end, 1.0, 40, (1, 3), lambda q, k: np.asarray(q @ turns[k]))
+    return Case(
+        problem, Midpoint(default_retraction(Q)), np.eye(3), end, 1.0, 40, (1, 3), lambda q, k: np.asarray(q @ turns[k])
+    )
 
 
 def steered():
-    """Swimming at speed one in a turning current, from one side of a hill's foot to the other: the control is a direction."""
+    """Swimming at speed one in a turning current, from one side of a hill's foot to the other: the control is a
+    direction."""
     Q = Euclidean(2)
 
     def dynamics(q, u):
@@ -192,7 +205,14 @@ def slew():
     )
     end = rotation(*(np.deg2rad(150.0) * np.array([1.0, 2.0, -2.0]) / 3.0)), REST
     return Case(
-        problem, Midpoint(Cayley(Q)), (np.eye(3), REST), end, 60.0, 40, (0.1, 20), lambda q, k: (q[0] @ half_turn(k), q[1])
+        problem,
+        Midpoint(Cayley(Q)),
+        (np.eye(3), REST),
+        end,
+        60.0,
+        40,
+        (0.1, 20),
+        lambda q, k: (q[0] @ half_turn(k), q[1]),
     )
 
 

@@ -1,7 +1,8 @@
-"""Peers of higher order: the rest-to-rest slew transcribed by RK4, Hermite-Simpson and Gauss-Legendre collocation, in CasADi.
+"""Peers of higher order: the rest-to-rest slew transcribed by RK4, Hermite-Simpson and Gauss-Legendre collocation, in
+CasADi.
 
-The states are the attitude and the body rate ``w``. Attitudes are unit quaternions ``q``, or modified Rodrigues parameters
-``s = n tan(angle / 4)`` of an axis ``n``, with the polynomial kinematics
+The states are the attitude and the body rate ``w``. Attitudes are unit quaternions ``q``, or modified Rodrigues
+parameters ``s = n tan(angle / 4)`` of an axis ``n``, with the polynomial kinematics
 
     q' = q * (0, w) / 2,        s' = ((1 - |s|^2) w + 2 s x w + 2 (s . w) s) / 4.
 
@@ -9,10 +10,12 @@ Schemes, all with IPOPT, those marked * with FATROP too (their steps are explici
 
 - ``RK4``*: the torque constant on a step; ``RK4 linear``: linear on a step and continuous;
 - ``Hermite-Simpson``: compressed, order 4, the torque quadratic on a step and continuous;
-- ``Gauss 2``*, ``Gauss 3``*, ``Gauss 4``*: collocation of order 4, 6 and 8 with the attitudes at the stages and the derivatives
-  of the rates there as unknowns: rates follow by linear maps and torques from Euler's equation, ``u = J w' + w x J w``.
+- ``Gauss 2``*, ``Gauss 3``*, ``Gauss 4``*: collocation of order 4, 6 and 8 with the attitudes at the stages and the
+  derivatives of the rates there as unknowns: rates follow by linear maps and torques from Euler's equation, ``u = J w'
+  + w x J w``.
 
-Units are those of ``casadi_slew``; the guess is the arc about the axis of the target, run through evenly, with all rates zero.
+Units are those of ``casadi_slew``; the guess is the arc about the axis of the target, run through evenly, with all
+rates zero.
 """
 
 from collections.abc import Callable
@@ -29,7 +32,8 @@ SQUARE = ca.sumsqr
 
 @dataclass(frozen=True)
 class Attitude:
-    """A parametrisation: its size, kinematics, the parameters of turns about an axis, and which of them an end prescribes.
+    """A parametrisation: its size, kinematics, the parameters of turns about an axis, and which of them an end
+    prescribes.
 
     Schemes keep the norm of a quaternion, or nearly so: four equations at the end would be dependent.
     """
@@ -109,7 +113,11 @@ def gauss(stages):
         torques = ca.horzcat(*(torque_of(w[:, i], a[:, i]) for i in range(stages)))
         gap = x1 - x0 - h * ca.vertcat(slopes @ weights, a @ weights)
         inner = q - ca.repmat(q0, 1, stages) - h * slopes @ matrix.T
-        return ca.vertcat(gap, ca.vec(inner)), h / 2 * sum(weights[i] * SQUARE(torques[:, i]) for i in range(stages)), torques
+        return (
+            ca.vertcat(gap, ca.vec(inner)),
+            h / 2 * sum(weights[i] * SQUARE(torques[:, i]) for i in range(stages)),
+            torques,
+        )
 
     return step
 
@@ -127,7 +135,8 @@ def lagrange(places):
 
 @dataclass(frozen=True)
 class Scheme:
-    """A step, places of its torques, whether nodes carry torques, and the unknowns of a step: attitudes and vectors of three."""
+    """A step, places of its torques, whether nodes carry torques, and the unknowns of a step: attitudes and vectors of
+    three."""
 
     step: Callable
     places: np.ndarray
@@ -149,8 +158,9 @@ SCHEMES = {
 class OrderedSlew:
     """The slew by a scheme in ``steps`` steps, with ``ipopt`` or ``fatrop``; built once for all targets.
 
-    ``solve(target)`` returns the cost in N^2 m^2 s, by default for the target that all benchmarks share; what it takes is made
-    from an angle below 180 degrees and an axis by ``target(angle, axis)``. ``torque()`` is the control of the last solution.
+    ``solve(target)`` returns the cost in N^2 m^2 s, by default for the target that all benchmarks share; what it takes
+    is made from an angle below 180 degrees and an axis by ``target(angle, axis)``. ``torque()`` is the control of the
+    last solution.
     """
 
     def __init__(self, scheme, steps, solver="ipopt", attitude="Rodrigues", tolerance=1e-10):

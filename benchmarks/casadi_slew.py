@@ -104,8 +104,8 @@ class CasadiSlew:
 
     The solver is built once; every ``solve()`` starts from the same ``guess`` (``linear`` or ``smooth``), so the second
     call is the warm re-solve of a built solver. ``options`` are further options of ``casadi.nlpsol``; ``jit=True``
-    compiles the derivatives of one step with the system's C compiler and maps them over the steps. ``torque_limit``, N m, bounds
-    each component of torques that are variables.
+    compiles the derivatives of one step with the system's C compiler and maps them over the steps. ``torque_limit``, N
+    m, bounds each component of torques that are variables.
 
     Attributes: ``build_seconds``; after a solve ``iterations`` and ``solve_seconds``, the wall time of that call.
     """

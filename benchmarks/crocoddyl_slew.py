@@ -1,8 +1,8 @@
 """Peer: the rest-to-rest slew with crocoddyl, a spherical joint of Pinocchio, RK4 steps, and its FDDP solver.
 
-Pinocchio gives the derivatives analytically, attitudes are its unit quaternions. FDDP takes no hard condition at the end: the
-squared distance to it is a cost with a large weight, whose effect on the attitude is below the errors that are reported here.
-The torque is constant on a step. Units are those of ``casadi_slew``.
+Pinocchio gives the derivatives analytically, attitudes are its unit quaternions. FDDP takes no hard condition at the
+end: the squared distance to it is a cost with a large weight, whose effect on the attitude is below the errors that are
+reported here. The torque is constant on a step. Units are those of ``casadi_slew``.
 """
 
 import crocoddyl
@@ -39,10 +39,14 @@ class CrocoddylSlew:
     def _problem(self, h, weight):
         actuation = crocoddyl.ActuationModelFull(self.state)
         effort, end = crocoddyl.CostModelSum(self.state, 3), crocoddyl.CostModelSum(self.state, 3)
-        effort.addCost("torque", crocoddyl.CostModelResidual(self.state, crocoddyl.ResidualModelControl(self.state, 3)), 1.0)
+        effort.addCost(
+            "torque", crocoddyl.CostModelResidual(self.state, crocoddyl.ResidualModelControl(self.state, 3)), 1.0
+        )
         distance = crocoddyl.ResidualModelState(self.state, self._state(ANGLE), 3)
         end.addCost("end", crocoddyl.CostModelResidual(self.state, distance), weight)
-        running, last = (crocoddyl.DifferentialActionModelFreeFwdDynamics(self.state, actuation, c) for c in (effort, end))
+        running, last = (
+            crocoddyl.DifferentialActionModelFreeFwdDynamics(self.state, actuation, c) for c in (effort, end)
+        )
         held = crocoddyl.ControlParametrizationModelPolyZero(3)
         step = crocoddyl.IntegratedActionModelRK(running, held, crocoddyl.RKType.four, h)
         last = crocoddyl.IntegratedActionModelEuler(last, 0.0)

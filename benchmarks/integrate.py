@@ -2,9 +2,9 @@
 
     python benchmarks/integrate.py [--method midpoint] [--horizon 20] [--step 0.02] [--repeats 7]
 
-The method takes its fixed steps; its final error is the target at which both peers are then tuned to their loosest tolerance.
-Warm medians of one run of a flow that is held, and of ``integrate``, which traces the Hamiltonian anew; processor seconds of the
-run, of all threads; the first call apart. One JSON line a case.
+The method takes its fixed steps; its final error is the target at which both peers are then tuned to their loosest
+tolerance. Warm medians of one run of a flow that is held, and of ``integrate``, which traces the Hamiltonian anew;
+processor seconds of the run, of all threads; the first call apart. One JSON line a case.
 """
 
 import argparse
@@ -67,7 +67,8 @@ METHODS = {
 
 
 def retrax_run(case, method, step, steps, batch, repeats):
-    """Seconds per run of a held flow, of one made anew (medians), processor seconds, seconds of the first run, final error."""
+    """Seconds per run of a held flow, of one made anew (medians), processor seconds, seconds of the first run, final
+    error."""
     problem, hamiltonian, retraction, point, state = case
     integrator = METHODS[method](retraction)
     initial = jnp.asarray(problem.initial_states(batch))

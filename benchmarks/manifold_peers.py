@@ -1,8 +1,8 @@
 """Manifolds of pymanopt, geomstats, SciPy and jaxlie as functions of batches, for ``retractions.py``.
 
-Each entry maps a library to what it calls its retraction and to its functions: ``retraction(x, v)``, ``inverse(x, y)`` and
-``projection(x, a)``, with ambient arrays as arguments, tangent vectors too. A library without an inverse of its retraction
-is measured with its exponential map and logarithm.
+Each entry maps a library to what it calls its retraction and to its functions: ``retraction(x, v)``, ``inverse(x, y)``
+and ``projection(x, a)``, with ambient arrays as arguments, tangent vectors too. A library without an inverse of its
+retraction is measured with its exponential map and logarithm.
 """
 
 import warnings
@@ -44,7 +44,9 @@ def pymanopt_spheres(retraction, inverse):
 
     def call(name):
         return lambda *arguments: (
-            getattr(made.setdefault(len(arguments[0]), pm.Oblique(3, len(arguments[0]))), name)(*(a.T for a in arguments)).T
+            getattr(made.setdefault(len(arguments[0]), pm.Oblique(3, len(arguments[0]))), name)(
+                *(a.T for a in arguments)
+            ).T
         )
 
     functions = {"retraction": call(retraction), "inverse": call(inverse) if inverse else None}
@@ -143,7 +145,9 @@ def peers(name):
         "SO8": lambda: {"pymanopt": pymanopt_rotations(8), "geomstats": geomstats_space(gs_so.SpecialOrthogonal(8))},
         "St(20,5)": lambda: {
             "pymanopt": pymanopt_batches(lambda k: pm.Stiefel(20, 5, k=k), "retraction", None),
-            "pymanopt polar": pymanopt_batches(lambda k: pm.Stiefel(20, 5, k=k, retraction="polar"), "retraction", None),
+            "pymanopt polar": pymanopt_batches(
+                lambda k: pm.Stiefel(20, 5, k=k, retraction="polar"), "retraction", None
+            ),
             "geomstats": geomstats_space(gs_stiefel.Stiefel(20, 5), "retraction", "lifting"),
         },
         "SPD6": lambda: {

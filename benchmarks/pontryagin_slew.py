@@ -1,13 +1,13 @@
 """Peer: Pontryagin's equations of the rest-to-rest slew, with SciPy's ``solve_bvp``.
 
-With modified Rodrigues parameters ``s``, the body rate ``w``, the attitude's costate ``m`` in the body frame and the torque
-``u = J^-1 p`` of the rate's costate ``p``, the extremals of the cost ``int |u|^2 / 2`` obey
+With modified Rodrigues parameters ``s``, the body rate ``w``, the attitude's costate ``m`` in the body frame and the
+torque ``u = J^-1 p`` of the rate's costate ``p``, the extremals of the cost ``int |u|^2 / 2`` obey
 
     s' = ((1 - |s|^2) w + 2 s x w + 2 (s . w) s) / 4        J w' = u - w x J w
     m' = m x w                                              J u' = -m + J w x u + J (u x w)
 
-with ``s`` and ``w`` prescribed at both ends. Time is scaled by the horizon, inertia by the largest moment. The right-hand
-side and its Jacobian are analytic and act on all mesh points at once.
+with ``s`` and ``w`` prescribed at both ends. Time is scaled by the horizon, inertia by the largest moment. The
+right-hand side and its Jacobian are analytic and act on all mesh points at once.
 """
 
 import numpy as np
@@ -36,7 +36,9 @@ def field(_, y):
     square, along = np.sum(s * s, axis=0), np.sum(s * w, axis=0)
     turned = ((1 - square) * w + 2 * cross(s, w) + 2 * along * s) / 4
     momentum = J * w
-    return np.concatenate([turned, (u - cross(w, momentum)) / J, cross(m, w), (-m + cross(momentum, u)) / J + cross(u, w)])
+    return np.concatenate(
+        [turned, (u - cross(w, momentum)) / J, cross(m, w), (-m + cross(momentum, u)) / J + cross(u, w)]
+    )
 
 
 def jacobian(_, y):
@@ -70,21 +72,33 @@ def ends_jacobian(first, last):
 
 
 class PontryaginSlew:
-    """The slew to a tolerance of ``solve_bvp``, from the motion about the axis by ``3 t^2 - 2 t^3`` on ``steps`` intervals."""
+    """The slew to a tolerance of ``solve_bvp``, from the motion about the axis by ``3 t^2 - 2 t^3`` on ``steps``
+    intervals."""
 
     def __init__(self, tolerance, steps=10):
         self.tolerance = tolerance
         t = np.linspace(0, 1, steps + 1)
         angle, rate, turn = ANGLE * t**2 * (3 - 2 * t), 6 * ANGLE * t * (1 - t), 6 * ANGLE * (1 - 2 * t)
         torque = np.outer(SCALED_INERTIA * AXIS, turn)
-        costate = np.outer(SCALED_INERTIA**2 * AXIS, np.full_like(t, 12 * ANGLE))  # that of the torque if nothing couples
-        self.mesh, self.guess = t, np.concatenate([np.outer(AXIS, np.tan(angle / 4)), np.outer(AXIS, rate), costate, torque])
+        # That of the torque if nothing couples.
+        costate = np.outer(SCALED_INERTIA**2 * AXIS, np.full_like(t, 12 * ANGLE))
+        self.mesh, self.guess = (
+            t,
+            np.concatenate([np.outer(AXIS, np.tan(angle / 4)), np.outer(AXIS, rate), costate, torque]),
+        )
         self.found = None
 
     def solve(self):
         """The optimal cost in N^2 m^2 s; raises if there is no convergence."""
         found = solve_bvp(
-            field, ends, self.mesh, self.guess, tol=self.tolerance, fun_jac=jacobian, bc_jac=ends_jacobian, max_nodes=100_000
+            field,
+            ends,
+            self.mesh,
+            self.guess,
+            tol=self.tolerance,
+            fun_jac=jacobian,
+            bc_jac=ends_jacobian,
+            max_nodes=100_000,
         )
         if not found.success:
             raise RuntimeError(f"no convergence: {found.message}")

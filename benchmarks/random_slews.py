@@ -1,11 +1,13 @@
-"""How many random rest-to-rest slews ``solve`` converges on from its default guess, with and without limits of the torque.
+"""How many random rest-to-rest slews ``solve`` converges on from its default guess, with and without limits of the
+torque.
 
     python benchmarks/random_slews.py [--slews 1000] [--steps 40] [--ipopt 50]
 
-Attitudes are uniform on SO(3), inertias obey the triangle inequalities, horizons are log-uniform from 10 to 10 000 s. The limits
-are 60 % of the largest torque of the slew without them, an axis each: less than 2/3, which a turn about one axis needs, so that
-some slews are impossible. IPOPT solves the first ones, and those that failed: ``to_casadi`` of the same problem, the same guess.
-A cost above IPOPT's by a millionth, or none, counts as dearer. One JSON line each, times in ms of one slew.
+Attitudes are uniform on SO(3), inertias obey the triangle inequalities, horizons are log-uniform from 10 to 10 000 s.
+The limits are 60 % of the largest torque of the slew without them, an axis each: less than 2/3, which a turn about one
+axis needs, so that some slews are impossible. IPOPT solves the first ones, and those that failed: ``to_casadi`` of the
+same problem, the same guess. A cost above IPOPT's by a millionth, or none, counts as dearer. One JSON line each, times
+in ms of one slew.
 """
 
 import argparse
@@ -84,7 +86,9 @@ def figures(outcomes, dearer, theirs):
         "IPOPT converged": sum(bool(np.isfinite(cost)) for cost, _ in theirs),
         "IPOPT median ms": round(statistics.median(spent for _, spent in theirs), 2) if theirs else None,
         "dearer than IPOPT": dearer,
-        "failed": [[index, str(found.result)[:90]] for index, (found, _) in enumerate(outcomes) if not found.success][:10],
+        "failed": [[index, str(found.result)[:90]] for index, (found, _) in enumerate(outcomes) if not found.success][
+            :10
+        ],
     }
 
 
@@ -108,7 +112,9 @@ def main():
             if index < asked.ipopt or not outcomes[-1][0].success:
                 theirs.append(ipopt_cost(problem, method, asked.steps, end, horizon, given))
                 found = outcomes[-1][0]
-                dearer += bool(np.isfinite(theirs[-1][0]) and not (found.success and found.cost <= theirs[-1][0] * (1 + SAME)))
+                dearer += bool(
+                    np.isfinite(theirs[-1][0]) and not (found.success and found.cost <= theirs[-1][0] * (1 + SAME))
+                )
         print(json.dumps({"kind": kind, "steps": asked.steps, **figures(outcomes, dearer, theirs)}), flush=True)
         if bounds is None:
             peaks = np.array([np.max(np.abs(found.controls)) for found, _ in outcomes])

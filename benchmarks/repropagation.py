@@ -1,4 +1,5 @@
-"""What a control of the rest-to-rest slew does: propagated from the start, by SciPy's DOP853, to the attitude at the end.
+"""What a control of the rest-to-rest slew does: propagated from the start, by SciPy's DOP853, to the attitude at the
+end.
 
 The one measure of accuracy that all transcriptions share: no library compared has a part in it.
 """
@@ -14,7 +15,8 @@ RELATIVE, ABSOLUTE = 1e-12, 1e-14
 
 @dataclass(frozen=True)
 class Torque:
-    """A torque (N m) that is a polynomial on each interval: ``values`` (N, s, 3) at ``places`` (s,), fractions of the interval.
+    """A torque (N m) that is a polynomial on each interval: ``values`` (N, s, 3) at ``places`` (s,), fractions of the
+    interval.
 
     ``times`` (N + 1,), in seconds, bound the intervals.
     """
@@ -35,7 +37,8 @@ class Torque:
 
 
 def attitude_error(torque, angle=ANGLE, axis=AXIS):
-    """Angle (rad) between the attitude at the end and the target, a turn, when the torque acts from rest at the identity."""
+    """Angle (rad) between the attitude at the end and the target, a turn, when the torque acts from rest at the
+    identity."""
     from scipy.integrate import solve_ivp  # not part of a cold start that is measured
 
     state = np.concatenate([[1.0], np.zeros(6)])

@@ -2,10 +2,10 @@
 
     python benchmarks/retractions.py [--batches 1 100 10000] [--seconds 0.5] [--cases S2 SO3]
 
-Medians of one run, calls taken in turns, everything warm, double precision. Beside the time of each call stands its accuracy:
-of retraction and inverse the largest error of the round trip ``R^-1(x, R(x, v)) = v``. A library is given its arrays in its
-own format; a call that took over 50 ms is left out of larger batches. One JSON line for each manifold, operation and batch
-size.
+Medians of one run, calls taken in turns, everything warm, double precision. Beside the time of each call stands its
+accuracy: of retraction and inverse the largest error of the round trip ``R^-1(x, R(x, v)) = v``. A library is given its
+arrays in its own format; a call that took over 50 ms is left out of larger batches. One JSON line for each manifold,
+operation and batch size.
 """
 
 import argparse
@@ -70,7 +70,8 @@ def waiting_call(function, arguments):
 
 
 def compare(name, count, seconds, slow):
-    """One JSON record for each operation on a batch of this size; the calls in ``slow`` are left out, new ones join it."""
+    """One JSON record for each operation on a batch of this size; the calls in ``slow`` are left out, new ones join
+    it."""
     mine = {f"retrax {kind}": (kind, ours(retraction)) for kind, retraction in CASES[name].items()}
     manifold = next(iter(CASES[name].values())).manifold
     x, a, v = draw(manifold, count)
@@ -87,7 +88,9 @@ def compare(name, count, seconds, slow):
             if function is not None and operation in arguments and (operation, label) not in slow:
                 calls[operation][label] = waiting_call(function, arguments[operation])
         if moved and label in calls["inverse"]:
-            errors[label] = float(np.max(np.abs(np.asarray(functions["inverse"](*arguments["inverse"])) - np.asarray(v))))
+            errors[label] = float(
+                np.max(np.abs(np.asarray(functions["inverse"](*arguments["inverse"])) - np.asarray(v)))
+            )
     for operation in OPERATIONS:
         timed = medians(calls[operation], seconds)
         slow |= {(operation, label) for label, value in timed.items() if value > SLOW}

@@ -16,7 +16,8 @@ RETRACTION = Cayley(STATES)
 
 
 def slew_problem(inertia=INERTIA, torque_limit=None):
-    """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew; limits of each torque, N m."""
+    """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew; limits of each torque,
+    N m."""
     bounds = None if torque_limit is None else (-torque_limit, torque_limit)
     inertia = jnp.asarray(inertia)
 
@@ -40,7 +41,8 @@ def at_rest(attitudes):
 
 
 class RetraxSlew:
-    """The slew by Gauss collocation with some stages, one being the midpoint scheme; built once, ``solve`` for any target."""
+    """The slew by Gauss collocation with some stages, one being the midpoint scheme; built once, ``solve`` for any
+    target."""
 
     def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA, torque_limit=None):
         method = Midpoint(RETRACTION) if stages == 1 else Gauss(stages, RETRACTION)

@@ -2,12 +2,12 @@
 
     python benchmarks/singular.py [--steps 1000] [--repeats 7]
 
-A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first call with its compilation, and the median of
-calls from other starts with other moments of inertia, which are arrays of an ``equinox.Module``.
+A rigid body on SO(3) x R^3 with one cost-free torque is classified: the first call with its compilation, and the median
+of calls from other starts with other moments of inertia, which are arrays of an ``equinox.Module``.
 
-The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the same
-lifted midpoint map. Warm medians of whole trajectories, alternating, in one run; the first call with its compilation apart.
-One JSON line a case.
+The peer of a step is that of the same problem made regular by a cost ``|u|^2/2`` of its controls, integrated by the
+same lifted midpoint map. Warm medians of whole trajectories, alternating, in one run; the first call with its
+compilation apart. One JSON line a case.
 """
 
 import argparse
@@ -88,7 +88,9 @@ def measure(name, strategies, steps, repeats):
     if classification.codimension:
         start = classification.manifold.nearby(jax.tree.map(jnp.asarray, start))
     regular = made_regular(problem), PresymplecticIntegrator(CotangentLift(discretization))
-    systems = {"regular": regular} | {s: (problem, singular_integrator(classification, discretization, s)) for s in strategies}
+    systems = {"regular": regular} | {
+        s: (problem, singular_integrator(classification, discretization, s)) for s in strategies
+    }
     runs = {
         key: lambda system=system, method=method: integrate(system, method, start, STEP, steps, save_every=steps).q
         for key, (system, method) in systems.items()

@@ -2,15 +2,16 @@
 
     python benchmarks/slew.py [--only warm limited new cold many long] [--steps 100 200 400] [--repeats 21]
 
-All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero), in one
-run, calls taken in turns; medians. One JSON line a case.
+All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero),
+in one run, calls taken in turns; medians. One JSON line a case.
 
 - ``warm``: a solve with everything built, the whole call.
-- ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT alone.
+- ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT
+  alone.
 - ``new``: in a running process that solved another problem before, from a body of other inertia to its first solution.
 - ``cold``: a new process from its start to the first solution, and its peak memory.
-- ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad as
-  propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
+- ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad
+  as propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
 - ``long``: time per step from 100 to 10 000 steps.
 """
 
@@ -125,7 +126,9 @@ def new_problem(repeats):
 def cold_process(side, environment):
     """Wall seconds and peak memory (MiB) of a new process that solves once with 100 steps."""
     began = time.perf_counter()
-    process = subprocess.Popen([sys.executable, __file__, COLD, side], env={**os.environ, **environment}, stdout=subprocess.PIPE)
+    process = subprocess.Popen(
+        [sys.executable, __file__, COLD, side], env={**os.environ, **environment}, stdout=subprocess.PIPE
+    )
     output, _ = process.communicate()
     seconds = time.perf_counter() - began
     if process.returncode:
@@ -220,7 +223,8 @@ def many_of_fatrop(stages, angles, axes):
 
 
 def fewest(solutions):
-    """The first solutions of which most reach the error, else the last: their steps, how many reach it, and the call."""
+    """The first solutions of which most reach the error, else the last: their steps, how many reach it, and the
+    call."""
     for steps, found, call in solutions:
         chosen = steps, sum(error <= LARGEST_ERROR for error in found), call
         if chosen[1] >= MOST * COUNT:
@@ -235,7 +239,11 @@ def many():
         for stages in STAGES:
             steps, reached, call = fewest(solves(stages, *targets))
             seconds = statistics.median(timed(call) for _ in range(3))
-            rows[f"{name}, Gauss {stages}"] = {"ms_each": round(1e3 * seconds / COUNT, 4), "steps": steps, "reached": reached}
+            rows[f"{name}, Gauss {stages}"] = {
+                "ms_each": round(1e3 * seconds / COUNT, 4),
+                "steps": steps,
+                "reached": reached,
+            }
     return {"case": f"{COUNT} slews", **rows}
 
 
@@ -265,7 +273,12 @@ def main():
     few = max(3, options.repeats // 4)
     runs = [("warm", lambda steps=steps: warm(steps, options.repeats)) for steps in options.steps]
     runs += [("limited", lambda steps=steps: limited(steps, options.repeats)) for steps in options.steps]
-    runs += [("new", lambda: new_problem(few)), ("cold", lambda: cold(few)), ("many", many), ("long", lambda: long(few))]
+    runs += [
+        ("new", lambda: new_problem(few)),
+        ("cold", lambda: cold(few)),
+        ("many", many),
+        ("long", lambda: long(few)),
+    ]
     for name, run in runs:
         if name in options.only:
             print(json.dumps(run()), flush=True)

@@ -1,8 +1,10 @@
-"""10 000 slews of spacecraft of random inertia to random attitudes: throughput of a worker, and what executor and store cost.
+"""10 000 slews of spacecraft of random inertia to random attitudes: throughput of a worker, and what executor and store
+cost.
 
-Counted is time of the processor, so that other programs on the machine do not count. ``alone`` is ``solve_many`` in one thread,
-chunk by chunk, without a sweep. The overhead of a sweep is all time of its processes that is not spent in solves, from the
-difference of two sweeps of different lengths: what a worker needs once, its imports and its kernels, is shown apart.
+Counted is time of the processor, so that other programs on the machine do not count. ``alone`` is ``solve_many`` in one
+thread, chunk by chunk, without a sweep. The overhead of a sweep is all time of its processes that is not spent in
+solves, from the difference of two sweeps of different lengths: what a worker needs once, its imports and its kernels,
+is shown apart.
 
     python benchmarks/sweep.py [--members 10000] [--workers 2] [--chunk 100] [--steps 60]
 """
@@ -95,7 +97,8 @@ def main():
     overhead = (many - few) / (many_solves - few_solves) - 1
     once = few - FEW / rate * (1 + overhead)
     print(
-        f"in a worker: {rate:.0f} members a second of the processor; overhead of store and executor: {overhead:.2%} of the solves"
+        f"in a worker: {rate:.0f} members a second of the processor; overhead of store and executor: {overhead:.2%} of "
+        "the solves"
     )
     print(f"imports, kernels and first solves of the process that leads and of its workers: {once:.1f} s in all")
 

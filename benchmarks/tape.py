@@ -2,9 +2,10 @@
 
     python benchmarks/tape.py [--points 1 100 10000] [--repeats 11]
 
-Each function is that of one point of a problem of mechanics; wanted are its gradient and its Hessian. `cold` is the first call of
-a new function with all that it builds, after one of another kind has run; `warm` the median of the next ones, in turns, in one
-run. One JSON line for each function and number of points; the largest relative difference from XLA's values comes with it.
+Each function is that of one point of a problem of mechanics; wanted are its gradient and its Hessian. `cold` is the
+first call of a new function with all that it builds, after one of another kind has run; `warm` the median of the next
+ones, in turns, in one run. One JSON line for each function and number of points; the largest relative difference from
+XLA's values comes with it.
 """
 
 import argparse
@@ -72,7 +73,9 @@ def by_casadi(function, examples):
     """The same graph on CasADi's machine, point after point."""
     tape = Tape.trace(function, *examples)
     value, *by = tape.to_casadi()(*tape.graph.inputs), tape.graph.inputs[0]
-    machine = ca.Function("f", tape.graph.inputs, [ca.gradient(value, by[0]), ca.hessian(value, by[0])[0]], {"cse": True})
+    machine = ca.Function(
+        "f", tape.graph.inputs, [ca.gradient(value, by[0]), ca.hessian(value, by[0])[0]], {"cse": True}
+    )
 
     def run(data):
         columns = [np.reshape(leaf, (-1, np.shape(leaf)[-1])) for leaf in jax.tree.leaves(data)]
@@ -113,7 +116,9 @@ def measure(name, function, examples, points, repeats):
         medians = {side: statistics.median(seconds) for side, seconds in warm.items()}
         scale = max(np.max(np.abs(part)) for part in values["XLA"])
         error = max(
-            np.max(np.abs(a - b)) for side in ("tape", "CasADi") for a, b in zip(values[side], values["XLA"], strict=True)
+            np.max(np.abs(a - b))
+            for side in ("tape", "CasADi")
+            for a, b in zip(values[side], values["XLA"], strict=True)
         )
         yield {
             "function": name,

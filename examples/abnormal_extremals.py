@@ -1,19 +1,20 @@
-"""Abnormal extremals: the line x = 0 of the Martinet distribution, which is also normal in a flat metric, and not in a bent one.
+"""Abnormal extremals: the line x = 0 of the Martinet distribution, which is also normal in a flat metric, and not in a
+bent one.
 
     q' = u_1 X_1 + u_2 X_2,    X_1 = d/dx,    X_2 = (d/dy + x^2/2 d/dz) / (1 + epsilon x),    cost (u_1^2 + u_2^2) / 2
 
-Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 x^2/2 = 0 and then x u_1 = x u_2 = 0, whose
-solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2, whose kernel
-d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x = 0 and u = 0:
-there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no ranks, while the
-symbolic one finds it inside both pieces. All are cones: with p also c p is an extremal, and p = 0 is excluded. The piece with
-the lines is chosen, and one of them integrated on it.
+Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 x^2/2 = 0 and then x u_1 = x u_2 = 0,
+whose solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2,
+whose kernel d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x
+= 0 and u = 0: there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no
+ranks, while the symbolic one finds it inside both pieces. All are cones: with p also c p is an extremal, and p = 0 is
+excluded. The piece with the lines is chosen, and one of them integrated on it.
 
-In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for every
-p_3. Otherwise x = 0 is no normal extremal: those that start along it turn back at x = 2 epsilon / p_3, where their velocity
-is along d/dy again: 1 + p_3 x^2/2 = 1 + epsilon x. The line is their limit as p_3 grows, with p / |p| abnormal. It is
-shortest between points near enough nevertheless [Liu, Sussmann, Memoirs of the AMS 564, 1995, where abnormal extremals of
-this kind are treated; Agrachev, Bonnard, Chyba, Kupka, ESAIM: COCV 2, 1997, for the flat case].
+In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for
+every p_3. Otherwise x = 0 is no normal extremal: those that start along it turn back at x = 2 epsilon / p_3, where
+their velocity is along d/dy again: 1 + p_3 x^2/2 = 1 + epsilon x. The line is their limit as p_3 grows, with p / |p|
+abnormal. It is shortest between points near enough nevertheless [Liu, Sussmann, Memoirs of the AMS 564, 1995, where
+abnormal extremals of this kind are treated; Agrachev, Bonnard, Chyba, Kupka, ESAIM: COCV 2, 1997, for the flat case].
 
     python examples/abnormal_extremals.py [--front 80] [--output examples/output]
 """
@@ -65,7 +66,8 @@ def martinet(epsilon, abnormal=False):
 
 
 def geodesics(epsilon, angle, p3, horizon, steps, order=2):
-    """Nodes of the normal extremals from 0 at unit speed, ``angle`` from the line, one per entry of ``angle`` and ``p3``."""
+    """Nodes of the normal extremals from 0 at unit speed, ``angle`` from the line, one per entry of ``angle`` and
+    ``p3``."""
     costates = jnp.stack(jnp.broadcast_arrays(jnp.sin(angle), jnp.cos(angle), p3), axis=-1).reshape(-1, 3)
     problem, q0 = martinet(jnp.asarray(epsilon)), jnp.zeros(3)
 
@@ -76,7 +78,8 @@ def geodesics(epsilon, angle, p3, horizon, steps, order=2):
 
 
 def flat_geodesic(t, angle, p3):
-    """The same in closed form, for the flat metric and ``p3 > 0``: the pendulum ``angle'' = -p3 sin(angle)``, started at rest."""
+    """The same in closed form, for the flat metric and ``p3 > 0``: the pendulum ``angle'' = -p3 sin(angle)``, started
+    at rest."""
     rate, m = np.sqrt(p3), np.sin(angle / 2) ** 2
     quarter = ellipk(m)
     s = rate * t - quarter
@@ -94,7 +97,8 @@ def flat_geodesic(t, angle, p3):
 
 
 def returning_height(m):
-    """``z`` where a flat geodesic is back at ``x = 0``, per ``2 m / p3^(3/2)`` and quarter period, ``m = sin(angle/2)^2``."""
+    """``z`` where a flat geodesic is back at ``x = 0``, per ``2 m / p3^(3/2)`` and quarter period, ``m =
+    sin(angle/2)^2``."""
     quarter = ellipk(m)
     square = (quarter - ellipe(m)) / m
     return quarter - (1 + 2 * m) * square + 2 * (2 * (1 + m) * square - quarter) / 3
@@ -164,7 +168,8 @@ def plot(paths, leaving, fronts, path):
 
 
 def main(arguments=None):
-    """Classify, compare, plot; returns what is printed: classifications, errors by order and steps, departures from the line."""
+    """Classify, compare, plot; returns what is printed: classifications, errors by order and steps, departures from the
+    line."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--front", type=int, default=80, help="values of p3 that the wave fronts are drawn from")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
@@ -182,16 +187,22 @@ def main(arguments=None):
             nodes = geodesics(0.0, angles, P3, HORIZON, steps, order)
             errors[order, steps] = float(np.max(np.abs(nodes[0, -1] - exact)))
         measured = np.log2(errors[order, 100] / errors[order, 200])
-        print(f"flat geodesic of length {HORIZON:g}: error {errors[order, 200]:.1e} after 200 steps, of order {measured:.2f}")
+        print(
+            f"flat geodesic of length {HORIZON:g}: error {errors[order, 200]:.1e} after 200 steps, of order "
+            f"{measured:.2f}"
+        )
     costates = np.array([25.0, 100.0, 400.0, 1600.0])
     straight, leaving = (geodesics(epsilon, 0.0, costates, 1.0, 400) for epsilon in (0.0, EPSILON))
     print(f"epsilon = 0: the line is normal, with every p3: largest |x| {np.max(np.abs(straight[..., 0])):.1e}")
     departures = costates * np.max(np.abs(leaving[..., 0]), axis=1)
     listed = "  ".join(f"{departure:.5f}" for departure in departures)
-    print(f"epsilon = {EPSILON}: it is not; p3 times the largest |x|, exactly {2 * EPSILON}, at p3 = {costates}: {listed}")
+    print(
+        f"epsilon = {EPSILON}: it is not; p3 times the largest |x|, exactly {2 * EPSILON}, at p3 = {costates}: {listed}"
+    )
     heights = returning_height(np.linspace(1e-6, 1 - 1e-12, 10_001))
     print(
-        f"flat geodesics that come back to x = 0 have z > 0 there (at least {heights.min():.4f} in its units), so that none but"
+        f"flat geodesics that come back to x = 0 have z > 0 there (at least {heights.min():.4f} in its units), so that "
+        "none but"
     )
     print("the line joins two of its points, and it is the shortest curve between them")
 

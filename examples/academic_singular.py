@@ -2,10 +2,10 @@
 
     x' = f(x) + u1,  y' = y,     min int (x^2 + y^2 + u1^2)/2 + x u1 + y u2  dt
 
-``P_f = {y = 0}`` carries a presymplectic form of rank 2 with kernel d/dp_y; ``u1 = p_x - x`` is determined and ``u2`` is
-gauge. For ``f = 0``, ``f = x/2`` and ``f = sin`` the solutions are known in closed form or to seven digits, and the scheme
-that the paper prints is the general machinery to rounding.
-[Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, section 5.1]
+``P_f = {y = 0}`` carries a presymplectic form of rank 2 with kernel d/dp_y; ``u1 = p_x - x`` is determined and ``u2``
+is gauge. For ``f = 0``, ``f = x/2`` and ``f = sin`` the solutions are known in closed form or to seven digits, and the
+scheme that the paper prints is the general machinery to rounding. [Barbero-Linan, Martin de Diego, Presymplectic
+integrators for optimal control problems via retraction maps, section 5.1]
 
     python examples/academic_singular.py [--output examples/output]
 """
@@ -121,7 +121,8 @@ def plot(paths, errors, path):
 
 
 def main(arguments=None):
-    """Classify and integrate; returns, by drift, the errors at each step size, and the differences to the printed scheme."""
+    """Classify and integrate; returns, by drift, the errors at each step size, and the differences to the printed
+    scheme."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args(arguments)

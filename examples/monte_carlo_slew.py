@@ -1,12 +1,13 @@
-"""What a slew takes when neither the spacecraft nor the target is known for sure: 1000 optimal slews, and their percentiles.
+"""What a slew takes when neither the spacecraft nor the target is known for sure: 1000 optimal slews, and their
+percentiles.
 
     R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
 
-Each spacecraft has an inertia of its own, off by 3 % on each axis, and a target attitude off by 2 degrees about each axis
-(standard deviations, normal), and is slewed in the way that is optimal for it: what torque must the wheels be built for?
-A sweep solves them into a folder, from which it goes on when it is interrupted, here or in processes of their own. Checked are
-that each slew is a strict local minimum, that a second call solves nothing again, and that the standard deviation of the cost
-is the one to first order, by the derivatives of the nominal extremal.
+Each spacecraft has an inertia of its own, off by 3 % on each axis, and a target attitude off by 2 degrees about each
+axis (standard deviations, normal), and is slewed in the way that is optimal for it: what torque must the wheels be
+built for? A sweep solves them into a folder, from which it goes on when it is interrupted, here or in processes of
+their own. Checked are that each slew is a strict local minimum, that a second call solves nothing again, and that the
+standard deviation of the cost is the one to first order, by the derivatives of the nominal extremal.
 
     python examples/monte_carlo_slew.py [--samples 1000] [--workers 0] [--output examples/output]
 """
@@ -108,7 +109,8 @@ def run(samples, folder, workers):
 
 
 def main(arguments=None):
-    """Solve, or go on, summarise, compare, plot; returns the sweep, the deviation of its costs, and that to first order."""
+    """Solve, or go on, summarise, compare, plot; returns the sweep, the deviation of its costs, and that to first
+    order."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=0, help="processes; 0: this one, with threads")
@@ -122,7 +124,11 @@ def main(arguments=None):
     print(found)
     print("nothing was solved again:", all(path.stat().st_mtime_ns == before for path, before in written.items()))
     print("all are strict minima:", bool(again.kept["minimum"].all()))
-    units = {"cost [N^2 m^2 s]": found.cost, "peak torque [N m]": found.kept["torque"], "peak rate [rad/s]": found.kept["rate"]}
+    units = {
+        "cost [N^2 m^2 s]": found.cost,
+        "peak torque [N m]": found.kept["torque"],
+        "peak rate [rad/s]": found.kept["rate"],
+    }
     print("percent".ljust(20), *(f"{percent:>10}" for percent in PERCENT))
     for name, values in units.items():
         print(name.ljust(20), *(f"{value:10.4g}" for value in np.percentile(values, PERCENT)))

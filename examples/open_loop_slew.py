@@ -1,12 +1,13 @@
-"""Where a slew ends when the spacecraft is not the one it was computed for: mean and principal directions of 500 attitudes.
+"""Where a slew ends when the spacecraft is not the one it was computed for: mean and principal directions of 500
+attitudes.
 
     R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
 
-The optimal torques for the nominal inertia are played back, open loop, on spacecraft whose inertia is off by 2 % on each axis and
-whose first rate is off by 0.5 mrad/s (standard deviations). Their last attitudes are points of SO(3): geomstats' Fréchet mean
-and tangent principal component analysis summarise them, on our manifold. Checked are that the logarithms at the mean
-average to zero, which is what makes it the Fréchet mean, and that the principal standard deviations are those of the
-linearised propagation of the same errors.
+The optimal torques for the nominal inertia are played back, open loop, on spacecraft whose inertia is off by 2 % on
+each axis and whose first rate is off by 0.5 mrad/s (standard deviations). Their last attitudes are points of SO(3):
+geomstats' Fréchet mean and tangent principal component analysis summarise them, on our manifold. Checked are that the
+logarithms at the mean average to zero, which is what makes it the Fréchet mean, and that the principal standard
+deviations are those of the linearised propagation of the same errors.
 
     python examples/open_loop_slew.py [--samples 500] [--output examples/output]
 """
@@ -47,7 +48,8 @@ PROBLEM = OptimalControlProblem(
 
 
 def last_attitude(torques, error):
-    """Last attitude with an error ``(relative inertia, first rate)``: rates by Runge-Kutta, attitudes by the exponential."""
+    """Last attitude with an error ``(relative inertia, first rate)``: rates by Runge-Kutta, attitudes by the
+    exponential."""
     inertia = INERTIA * (1 + error[:3])
 
     def half(rate, torque):
@@ -84,13 +86,16 @@ def summary(attitudes):
 
 
 def plot(errors, deviations, axes, path):
-    """The cloud of rotation vectors from the mean, in the planes of the principal axes, with ellipses of two deviations."""
+    """The cloud of rotation vectors from the mean, in the planes of the principal axes, with ellipses of two
+    deviations."""
     figure, panels = plt.subplots(1, 2, figsize=(10, 5), layout="constrained")
     turn = np.linspace(0, 2 * np.pi, 100)
     along = np.rad2deg(errors @ axes.T)
     for panel, second in zip(panels, (1, 2), strict=True):
         panel.scatter(along[:, 0], along[:, second], s=6, alpha=0.5)
-        panel.plot(*(2 * np.rad2deg(deviations[[0, second]])[:, None] * np.stack([np.cos(turn), np.sin(turn)])), color="C3")
+        panel.plot(
+            *(2 * np.rad2deg(deviations[[0, second]])[:, None] * np.stack([np.cos(turn), np.sin(turn)])), color="C3"
+        )
         panel.set_xlabel("along the first principal axis [deg]")
         panel.set_ylabel(f"along the {('second', 'third')[second - 1]} [deg]")
         panel.set_aspect("equal", "datalim")
@@ -100,7 +105,8 @@ def plot(errors, deviations, axes, path):
 
 
 def main(arguments=None):
-    """Solve, sample, summarise, compare, plot; returns the deviations, those of the linear theory, and the mean logarithm."""
+    """Solve, sample, summarise, compare, plot; returns the deviations, those of the linear theory, and the mean
+    logarithm."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--samples", type=int, default=500)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
@@ -120,7 +126,10 @@ def main(arguments=None):
     slope = jax.jacfwd(lambda error: rotation_vectors(nominal, last_attitude(torques, error)[None])[0])(jnp.zeros(6))
     linear = np.sqrt(np.linalg.eigvalsh((slope * SPREAD**2) @ slope.T)[::-1])
     away = np.rad2deg(np.linalg.norm(rotation_vectors(TARGET, mean[None])[0]))
-    print(f"Fréchet mean of {options.samples} attitudes: {away:.3f} degrees from the target, mean logarithm {mean_log:.1e} rad")
+    print(
+        f"Fréchet mean of {options.samples} attitudes: {away:.3f} degrees from the target, mean logarithm "
+        f"{mean_log:.1e} rad"
+    )
     print("principal standard deviations [deg]:", np.round(np.rad2deg(deviations), 4))
     print("by linearised propagation     [deg]:", np.round(np.rad2deg(linear), 4))
 

@@ -4,7 +4,8 @@
 2. an ellipsoid, with a retraction and its inverse in closed form;
 3. the Heisenberg group, from its Lie algebra.
 
-Each problem is to minimise ``int |u|^2 / 2 dt`` over a unit time, and its optimum is known. docs/own_manifold.md tells the story.
+Each problem is to minimise ``int |u|^2 / 2 dt`` over a unit time, and its optimum is known. docs/own_manifold.md tells
+the story.
 
     python examples/own_manifold.py [--steps 50] [--output examples/output]
 """
@@ -63,7 +64,8 @@ class RadialRetraction(Retraction):
 
 
 class Heisenberg(MatrixLieGroup):
-    """Upper triangular matrices with unit diagonal; coordinates ``(a, b, c)`` of the algebra fill the entries above it."""
+    """Upper triangular matrices with unit diagonal; coordinates ``(a, b, c)`` of the algebra fill the entries above
+    it."""
 
     @property
     def algebra(self):
@@ -115,7 +117,11 @@ def heisenberg(steps):
 def plot(solutions, path):
     """The three extremals, those in space as seen from above."""
     figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
-    titles = {"torus": "geodesic of a torus", "ellipsoid": "geodesic of an ellipsoid", "Heisenberg group": "isoperimetric loop"}
+    titles = {
+        "torus": "geodesic of a torus",
+        "ellipsoid": "geodesic of an ellipsoid",
+        "Heisenberg group": "isoperimetric loop",
+    }
     labels = {"torus": ("x", "y"), "ellipsoid": ("x", "y"), "Heisenberg group": ("a", "b")}
     for axis, (name, solution) in zip(axes, solutions.items(), strict=True):
         x = solution.states

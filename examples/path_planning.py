@@ -2,14 +2,14 @@
 
     x' = x hat(xi),    minimise  int (J |omega|^2 + m |v|^2) / 2 + b(t) dt,    xi = (omega, v),    x = (R, t)
 
-on SE(3): the kinetic energy of the motion, and a barrier b = W exp(S (1 - |t - c|^2 / r^2)) around a ball of radius r, which the
-straight way would cross.
+on SE(3): the kinetic energy of the motion, and a barrier b = W exp(S (1 - |t - c|^2 / r^2)) around a ball of radius r,
+which the straight way would cross.
 
-First the path: the nodes between start and end are one point of Power(SE(3), N - 1). Riemannian trust regions of pymanopt
-minimise its discrete energy plus the barrier over them. Without the barrier the minimum is the geodesic, a straight line turned
-at a constant rate, with the energy J N^2 (1 - cos(angle / N)) + m |d|^2 / 2: the first number that is checked. `solve` takes
-the path, with the twists between its nodes, as its guess. The second number: the way is not shorter than a string pulled taut
-around the ball, two tangents and an arc, and little longer.
+First the path: the nodes between start and end are one point of Power(SE(3), N - 1). Riemannian trust regions of
+pymanopt minimise its discrete energy plus the barrier over them. Without the barrier the minimum is the geodesic, a
+straight line turned at a constant rate, with the energy J N^2 (1 - cos(angle / N)) + m |d|^2 / 2: the first number that
+is checked. `solve` takes the path, with the twists between its nodes, as its guess. The second number: the way is not
+shorter than a string pulled taut around the ball, two tangents and an arc, and little longer.
 
     python examples/path_planning.py [--steps 40] [--output examples/output]
 """
@@ -86,7 +86,8 @@ def plan(steps, weight):
 
 @jax.jit
 def guess_from(path):
-    """The guess that a path makes: poses midway between its nodes, and the twists that lead from one node to the next."""
+    """The guess that a path makes: poses midway between its nodes, and the twists that lead from one node to the
+    next."""
     exponential = Exponential(Q)
     tangents = jax.vmap(exponential.preimage)(path[:-1], path[1:])
     poses = jax.vmap(lambda x, v: exponential(x, v / 2))(path[:-1], tangents)
@@ -145,7 +146,8 @@ def plot(solution, paths, path):
 
 
 def main(arguments=None):
-    """Plan, solve, compare, plot; returns the solution, its least distance, its length, and the error of the first energy."""
+    """Plan, solve, compare, plot; returns the solution, its least distance, its length, and the error of the first
+    energy."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--steps", type=int, default=40)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
@@ -157,7 +159,10 @@ def main(arguments=None):
     error = abs(free.cost / exact - 1)
     print(f"path without obstacle: energy {free.cost:.10f}, relative error {error:.1e}")
     path, planned = plan(options.steps, weight=1.0)
-    print(f"planned path: energy {planned.cost:.4f}, {planned.iterations} iterations, |gradient| {planned.gradient_norm:.1e}")
+    print(
+        f"planned path: energy {planned.cost:.4f}, {planned.iterations} iterations, |gradient| "
+        f"{planned.gradient_norm:.1e}"
+    )
 
     solution = solve(PROBLEM, Midpoint(Exponential(Q)), START, END, 1.0, options.steps, guess=guess_from(path))
     solution.report()

@@ -1,15 +1,17 @@
 """Balls that roll without slipping on a plane: nonholonomic systems, integrated as Dirac systems on T*(SO(3) x R^2).
 
-    H = mu . J^-1 mu / 2 + |p|^2 / 2 - slope . x,    x' = a w x e_3 + Omega e_3 x x    unit mass and radius a = 1, w spatial
+    H = mu . J^-1 mu / 2 + |p|^2 / 2 - slope . x,    x' = a w x e_3 + Omega e_3 x x    unit mass and radius a = 1, w
+    spatial
 
 * A homogeneous ball, J = 2/5, on a table that turns with Omega rolls on circles, with 2/7 of Omega [Earnshaw, 1844].
 * On a plane at rest whose gravity along itself is ``slope`` it accelerates by 5/7 of it, on a parabola.
-* A ball with three different moments of inertia [Chaplygin, 1903] keeps its angular momentum K = m + a e_3 x p about the point
-  of contact: three symmetries whose generators satisfy the constraints.
+* A ball with three different moments of inertia [Chaplygin, 1903] keeps its angular momentum K = m + a e_3 x p about
+  the point of contact: three symmetries whose generators satisfy the constraints.
 
-Kept to rounding: the constraints, and K. Not kept: the energy, with an error of O(h^2) that stays bounded here, where the
-motion is reversible and integrable, as it need not elsewhere; and the symplectic form, which the flow does not keep either.
-On the turning table the energy itself is no constant of motion, but the moving energy H - Omega e_3 . (x x p + m) is.
+Kept to rounding: the constraints, and K. Not kept: the energy, with an error of O(h^2) that stays bounded here, where
+the motion is reversible and integrable, as it need not elsewhere; and the symplectic form, which the flow does not keep
+either. On the turning table the energy itself is no constant of motion, but the moving energy H - Omega e_3 . (x x p +
+m) is.
 
     python examples/rolling_ball.py [--steps 10000] [--output examples/output]
 """
@@ -73,7 +75,9 @@ class Ball(eqx.Module):
     def slip(self, path):
         """Largest violation of the constraints at the nodes."""
         system = DiracSystem(Q, self.energy, self.forms, self.rates)
-        return float(jnp.max(jnp.abs(jax.vmap(lambda q, p: system.constraint(q, system.velocity(q, p)))(path.q, path.p))))
+        return float(
+            jnp.max(jnp.abs(jax.vmap(lambda q, p: system.constraint(q, system.velocity(q, p)))(path.q, path.p)))
+        )
 
 
 def momenta(path):
@@ -97,7 +101,9 @@ def turntable(steps):
     finer = ball.roll([0.3, -0.2, 0.5], [0.4, 0.1], steps, STEP / 2)
     centres = x + p @ turn.T / (2 / 7 * SPIN)
     m, _ = momenta(paths[0])
-    moving = np.asarray(jax.vmap(ball.energy)(paths[0].q, paths[0].p)) - SPIN * (x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0] + m[:, 2])
+    moving = np.asarray(jax.vmap(ball.energy)(paths[0].q, paths[0].p)) - SPIN * (
+        x[:, 0] * p[:, 1] - x[:, 1] * p[:, 0] + m[:, 2]
+    )
     force = np.linalg.norm(paths[0].controls, axis=1) / np.linalg.norm(p[0]) / (2 / 7 * SPIN) - 1
     worst = [float(np.max(np.abs(error))) for error in (centres - centres[0], force, moving - moving[0])]
     return paths, (frequency(paths[0]), frequency(finer)), worst, max(ball.slip(path) for path in paths)
@@ -156,16 +162,27 @@ def main(arguments=None):
     print(f"  2/7 = {2 / 7:.8f}; largest slip {slip:.1e}; the centre of the circle wanders by {centre:.1e},")
     print(f"  the force errs by {force:.1e} of itself, the moving energy by {moving:.1e}")
     acceleration, parabola = slide(options.steps)
-    print(f"inclined plane: acceleration {acceleration:.12f}, 5/7 = {5 / 7:.12f}; off the parabola by {parabola:.1e} of its size")
+    print(
+        f"inclined plane: acceleration {acceleration:.12f}, 5/7 = {5 / 7:.12f}; off the parabola by {parabola:.1e} of "
+        "its size"
+    )
     path, energy, momentum, rolled = chaplygin(options.steps)
     quarters = [float(np.max(np.abs(part))) for part in np.array_split(energy, 4)]
-    print(f"three moments of inertia: largest slip {rolled:.1e}, momentum about the contact changes by {momentum.max():.1e},")
+    print(
+        f"three moments of inertia: largest slip {rolled:.1e}, momentum about the contact changes by "
+        f"{momentum.max():.1e},"
+    )
     print("  energy error in each quarter: " + "  ".join(f"{worst:.2e}" for worst in quarters))
 
     target = options.output / "rolling_ball.png"
     plot(circles, path, energy, momentum, target)
     print(f"written: {target}")
-    return (coarse, fine, centre, force, moving), (acceleration, parabola), (quarters, float(momentum.max())), max(slip, rolled)
+    return (
+        (coarse, fine, centre, force, moving),
+        (acceleration, parabola),
+        (quarters, float(momentum.max())),
+        max(slip, rolled),
+    )
 
 
 if __name__ == "__main__":

@@ -2,14 +2,14 @@
 
     R' = R hat(w),    J w' + w x J w = u
 
-Two problems: with a third torque that costs nothing, ``min int (u1^2 + u2^2)/2 + |w|^2``, and with the third actuator failed
-and the other two free of cost, ``min int |w|^2``. Pontryagin's Hamiltonian does not determine the free torques; its extremals
-live on a symplectic ``P_f``, of dimension 10 and 8 in the 12 of ``T*Q``. RATTLE keeps ``P_f`` and its form to rounding, and the
-spatial angular costate, a momentum of the symmetry of both problems, as well.
+Two problems: with a third torque that costs nothing, ``min int (u1^2 + u2^2)/2 + |w|^2``, and with the third actuator
+failed and the other two free of cost, ``min int |w|^2``. Pontryagin's Hamiltonian does not determine the free torques;
+its extremals live on a symplectic ``P_f``, of dimension 10 and 8 in the 12 of ``T*Q``. RATTLE keeps ``P_f`` and its
+form to rounding, and the spatial angular costate, a momentum of the symmetry of both problems, as well.
 
-With the failed actuator, rotations near the middle axis stay near it, and the energy error oscillates. With the free one
-extremals are saddles, as those of a linear quadratic regulator: they come near rest about two axes and leave again. The start
-is of one that stays for a while, and its energy error comes and goes with the rates.
+With the failed actuator, rotations near the middle axis stay near it, and the energy error oscillates. With the free
+one extremals are saddles, as those of a linear quadratic regulator: they come near rest about two axes and leave again.
+The start is of one that stays for a while, and its energy error comes and goes with the rates.
 
     python examples/singular_attitude.py [--output examples/output]
 """
@@ -50,7 +50,8 @@ PROBLEMS = {
     "free actuator": SINGULAR["free actuator"]().problem,
     "failed actuator": OptimalControlProblem(Q, dynamics, lambda q, u: q[1] @ q[1], controls=2),
 }
-# Body rate, body angular costate and costate of the rate at the start, and the horizon; ``nearby`` moves them to ``P_f``.
+# Body rate, body angular costate and costate of the rate at the start, and the horizon; ``nearby`` moves them to
+# ``P_f``.
 STARTS = {
     "free actuator": ([1.0, -0.5, 1.5], [0.6, -0.4, 3.0], [-1.1015, 0.2385, 0.0], 8.0),
     "failed actuator": ([0.5, 1.0, 0.3], [1.0, 2.0, 0.1], [0.0, 0.0, 0.5], 40.0),
@@ -59,7 +60,8 @@ STARTS = {
 
 @eqx.filter_jit
 def along(problem, classification, path):
-    """Hamiltonian, with the control as a function of the state, equations of ``P_f`` and spatial angular costate at the nodes."""
+    """Hamiltonian, with the control as a function of the state, equations of ``P_f`` and spatial angular costate at the
+    nodes."""
 
     def at(q, p):
         energy = problem.hamiltonian(q, p, classification.control(q, p))
@@ -79,7 +81,9 @@ def examine(problem, start):
     attitude = jnp.eye(3)
     z = final.nearby(((attitude, rate), (SO(3).covector(attitude, body_costate), rate_costate)))
     paths = [integrate(problem, method, z, horizon / n, int(n), save_every=int(n) // 200) for n in COUNTS]
-    energy, gaps, momentum = (np.asarray(a) for a in zip(*(along(problem, classification, path) for path in paths), strict=True))
+    energy, gaps, momentum = (
+        np.asarray(a) for a in zip(*(along(problem, classification, path) for path in paths), strict=True)
+    )
     numbers = {
         "P_f": np.max(gaps),
         "omega_f": np.array([form_defect(classification.presymplectic, method, problem, z, h) for h in SIZES]),

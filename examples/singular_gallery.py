@@ -2,11 +2,12 @@
 
 - Aly and Chan's problem: on P_f an oscillator, u = -sin t from (0, 1), cost 0 at pi/2.
 - Chains of n integrators: P_f is the origin, after 2 n levels.
-- A charged particle without mass, p = A(q): two primary equations of second class; it drifts along the level lines of its
-  potential energy, q' = (-2y, x) / curl A.
-- Brown's Lagrangian of four degrees of freedom: all four classes of equations. The difference d = q4 - q2 is an oscillator,
-  whatever the gauge control is.
-- H = p1 x2 + p2 u: P_f = {p = 0} with zero form, so that the control is free: every motion with x1' = x2 is an extremal.
+- A charged particle without mass, p = A(q): two primary equations of second class; it drifts along the level lines of
+  its potential energy, q' = (-2y, x) / curl A.
+- Brown's Lagrangian of four degrees of freedom: all four classes of equations. The difference d = q4 - q2 is an
+  oscillator, whatever the gauge control is.
+- H = p1 x2 + p2 u: P_f = {p = 0} with zero form, so that the control is free: every motion with x1' = x2 is an
+  extremal.
 - Two problems without extremals.
 
     python examples/singular_gallery.py [--only aly-chan brown] [--steps 120] [--output examples/output]
@@ -35,7 +36,9 @@ ROW = "{:18s} {:>6s} {:>6s} {:>9s} {:>6s}  {}"
 
 def outcome(record):
     """Dimension of P_f, rank of its form, levels, and number of gauge controls; None where P_f is empty."""
-    return None if record.empty else (record.dimension, record.rank, (record.k_f, record.k_f_base), record.gauge_controls)
+    return (
+        None if record.empty else (record.dimension, record.rank, (record.k_f, record.k_f_base), record.gauge_controls)
+    )
 
 
 def known_outcome(known):
@@ -119,7 +122,8 @@ NAMES = (*MOTIONS, *CHAINS, *EMPTY)
 
 
 def main(arguments=None):
-    """Classify, compare, integrate, plot; returns whether each outcome is the known one, and the numbers of each motion."""
+    """Classify, compare, integrate, plot; returns whether each outcome is the known one, and the numbers of each
+    motion."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="PROBLEM", help=", ".join(NAMES))
     parser.add_argument("--steps", type=int, default=120, help="number of steps of each motion")

@@ -2,8 +2,8 @@
 
     q' = f(q) + u e3 x q on S^2,     min int F(q) dt
 
-The control has no cost. ``P_f`` is a curved surface in ``T*S^2`` with a symplectic form. RATTLE keeps both to rounding; a
-projection method keeps ``P_f`` alone, changes its form by O(h^3) a step, and its energy drifts.
+The control has no cost. ``P_f`` is a curved surface in ``T*S^2`` with a symplectic form. RATTLE keeps both to rounding;
+a projection method keeps ``P_f`` alone, changes its form by O(h^3) a step, and its energy drifts.
 
     python examples/singular_sphere.py [--steps 100000] [--output examples/output]
 """
@@ -56,7 +56,9 @@ def plot(defects, runs, path):
     for name, (times, error) in runs.items():
         parts = np.array_split(error, len(error) // BLOCK)
         middles = [np.mean(part) for part in np.array_split(times, len(parts))]
-        right.fill_between(middles, [np.min(part) for part in parts], [np.max(part) for part in parts], alpha=0.7, label=name)
+        right.fill_between(
+            middles, [np.min(part) for part in parts], [np.max(part) for part in parts], alpha=0.7, label=name
+        )
     right.ticklabel_format(axis="y", scilimits=(0, 0))
     right.set(xscale="log", xlabel="time", title=f"energy error, its range over every {BLOCK} nodes")
     right.legend(loc="lower left")
@@ -65,10 +67,14 @@ def plot(defects, runs, path):
 
 
 def main(arguments=None):
-    """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by method."""
+    """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by
+    method."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument(
-        "--steps", type=int, default=100_000, help="steps of RATTLE, a multiple of 500, at least 5000; a tenth projected"
+        "--steps",
+        type=int,
+        default=100_000,
+        help="steps of RATTLE, a multiple of 500, at least 5000; a tenth projected",
     )
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
     options = parser.parse_args(arguments)

@@ -3,8 +3,8 @@
     H(q, p) = |p|^2 / 2 + q_3        unit mass, length and gravity
 
 The midpoint map of the projection retraction, lifted to the cotangent bundle, gives a symplectic integrator of order 2.
-It conserves the vertical angular momentum to rounding, because the retraction commutes with rotations, and its energy error
-stays bounded. The explicit midpoint rule on the embedded equations, projected to T*S^2 after every step, drifts.
+It conserves the vertical angular momentum to rounding, because the retraction commutes with rotations, and its energy
+error stays bounded. The explicit midpoint rule on the embedded equations, projected to T*S^2 after every step, drifts.
 
     python examples/spherical_pendulum.py [--steps 100000] [--output examples/output]
 """

@@ -31,11 +31,14 @@ class BoundaryConditions(eqx.Module):
 
     @classmethod
     def of(cls, constraints: Any, periodic: Any, taken: Collection[str] = ()) -> "BoundaryConditions":
-        """Those of a user, checked; the arguments of the functions are not looked at. ``taken``: names of other multipliers."""
+        """Those of a user, checked; the arguments of the functions are not looked at. ``taken``: names of other
+        multipliers."""
         if isinstance(constraints, cls):
             return constraints
         given = {} if constraints is None else constraints
-        expected = 'boundary_constraints must be a dictionary of functions by their names, {"name": function of (q_0, q_T)}'
+        expected = (
+            'boundary_constraints must be a dictionary of functions by their names, {"name": function of (q_0, q_T)}'
+        )
         if not isinstance(given, Mapping):
             raise InvalidInputError(f"{expected}, got {given!r:.80}")
         for name in given:
@@ -79,7 +82,8 @@ def boundary_words(name: str) -> str:
 
 
 def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:
-    """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its structure."""
+    """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its
+    structure."""
     image = function(q)
     wrong = manifold.describe_mismatch(jax.eval_shape(lambda: image), f"the value of {name}, a point")
     if wrong:

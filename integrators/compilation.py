@@ -1,4 +1,5 @@
-"""Compiled functions of what a user passes: each call reads the functions anew, and equal programs are compiled once."""
+"""Compiled functions of what a user passes: each call reads the functions anew, and equal programs are compiled
+once."""
 
 import time
 from collections.abc import Callable, Hashable
@@ -33,8 +34,9 @@ class _Program(NamedTuple):
 def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
     """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
 
-    Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants only
-    have one executable. Where JAX is transforming the caller, or ``jit`` is disabled, the function is called as it is.
+    Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants
+    only have one executable. Where JAX is transforming the caller, or ``jit`` is disabled, the function is called as it
+    is.
     """
     if is_transformed(arguments) or jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
         return function(*arguments), 0.0, 0.0
@@ -135,7 +137,8 @@ def _executable(program: _Program, data: list) -> Any:
 
 
 def digest(function: Callable, *shapes: Any) -> bytes | None:
-    """A digest that functions share that compute the same of arrays of these shapes, with the values that they read now.
+    """A digest that functions share that compute the same of arrays of these shapes, with the values that they read
+    now.
 
     None where that cannot be told, as with a callback to Python.
     """
@@ -147,8 +150,8 @@ def compiler_options() -> dict[str, str | bool]:
     """Per-function options that halve XLA's time to compile on a CPU and leave the running time unchanged.
 
     The fusion emitters of jaxlib 0.10 spend most of a compilation on the many small loops of per-stage derivatives, and
-    LLVM's higher levels find nothing more to do in them. A jaxlib without the options compiles with its defaults. Nothing
-    global is set, and ``jax_disable_most_optimizations`` asks for less still.
+    LLVM's higher levels find nothing more to do in them. A jaxlib without the options compiles with its defaults.
+    Nothing global is set, and ``jax_disable_most_optimizations`` asks for less still.
     """
     options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
     if not jax.config.read("jax_disable_most_optimizations"):

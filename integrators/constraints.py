@@ -26,8 +26,8 @@ Constraint = Callable[..., Any]
 class Inequalities(eqx.Module):
     """``lower <= u <= upper``, and the entries of functions of ``(q, u)``, each ``<= 0``.
 
-    ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none at all.
-    ``names`` of the ``functions``; ``at_first`` are those that hold at the first point of a trajectory only.
+    ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none
+    at all. ``names`` of the ``functions``; ``at_first`` are those that hold at the first point of a trajectory only.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, default=())
@@ -37,7 +37,9 @@ class Inequalities(eqx.Module):
     at_first: frozenset[str] = eqx.field(static=True, default=frozenset())
 
     @classmethod
-    def of(cls, bounds: Any, constraints: Any, controls: Manifold, at_first: frozenset[str] = frozenset()) -> "Inequalities":
+    def of(
+        cls, bounds: Any, constraints: Any, controls: Manifold, at_first: frozenset[str] = frozenset()
+    ) -> "Inequalities":
         """Those of a user, checked; the arguments of the functions are not looked at."""
         lower, upper = _checked_bounds(bounds, controls)
         given = _checked_constraints(constraints)
@@ -84,7 +86,9 @@ class Inequalities(eqx.Module):
     def words(self, sizes: dict[str, int | None], shape: tuple[int, ...]) -> tuple[str, ...]:
         """A name for each entry, where ``u`` has this shape: ``cone[1]``."""
         of_bounds = (_entry(name, np.unravel_index(i, shape)) for name, side in self.bounded.items() for i in side)
-        of_functions = (_entry(n, () if size is None else (i,)) for n, size in sizes.items() for i in range(_count(size)))
+        of_functions = (
+            _entry(n, () if size is None else (i,)) for n, size in sizes.items() for i in range(_count(size))
+        )
         return (*of_bounds, *of_functions)
 
     def by_name(self, values: np.ndarray, sizes: dict[str, int | None]) -> dict[str, np.ndarray]:
@@ -141,11 +145,13 @@ def _checked_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], 
     for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
         place = _entry("u", np.unravel_index(i, controls.shape))
         if low > high or low == np.inf or high == -np.inf:
-            raise InvalidInputError(f"control_bounds of {place} are {low:.6g} and {high:.6g}, expected the lower one first")
+            raise InvalidInputError(
+                f"control_bounds of {place} are {low:.6g} and {high:.6g}, expected the lower one first"
+            )
         if low == high:
             raise InvalidInputError(
-                f"control_bounds of {place} are both {low:.6g}, expected a lower one that is less than the upper one; write a "
-                "control that is a given number into the dynamics"
+                f"control_bounds of {place} are both {low:.6g}, expected a lower one that is less than the upper one; "
+                "write a control that is a given number into the dynamics"
             )
     return lower, upper
 
@@ -154,7 +160,8 @@ def _checked_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float,
     """The bounds of all entries of the control on one side."""
     if is_traced(given):
         raise InvalidInputError(
-            f"control_bounds: {name} is traced by JAX, expected numbers; try constraints={{...}} for a bound that is a parameter"
+            f"control_bounds: {name} is traced by JAX, expected numbers; try constraints={{...}} for a bound that is a "
+            "parameter"
         )
     expected = f"expected a number or an array of shape {shape}, {NO_BOUND}"
     try:
@@ -180,9 +187,13 @@ def _checked_constraints(given: Any) -> dict[str, Constraint]:
         )
     for name, function in given.items():
         if not isinstance(name, str) or not name.strip():
-            raise InvalidInputError(f'constraints must have names that are words, got {name!r}; try {{"name": function}}')
+            raise InvalidInputError(
+                f'constraints must have names that are words, got {name!r}; try {{"name": function}}'
+            )
         if name in TAKEN:
             raise InvalidInputError(f"constraints have the name {name!r}, which bounds have; try another one")
         if not callable(function):
-            raise InvalidInputError(f"{constraint_words(name)} must be a function of a state and a control, got {function!r:.80}")
+            raise InvalidInputError(
+                f"{constraint_words(name)} must be a function of a state and a control, got {function!r:.80}"
+            )
     return dict(given)

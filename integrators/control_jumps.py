@@ -40,7 +40,9 @@ def control_lines(
     """Lines from each of some controls along every coordinate to both sides, in pieces between these distances."""
     count, n, m = len(times), problem.manifold.dimension, problem.controls.dimension
     grid = np.concatenate([-scales[::-1], [0.0], scales]).astype(working_precision())
-    k, entry, piece = (part.ravel() for part in np.meshgrid(range(count), range(m), range(len(grid) - 1), indexing="ij"))
+    k, entry, piece = (
+        part.ravel() for part in np.meshgrid(range(count), range(m), range(len(grid) - 1), indexing="ij")
+    )
     q, u = (jax.tree.map(lambda leaf: np.asarray(leaf)[k], part) for part in (states, controls))
     turns, none = np.eye(m, dtype=grid.dtype)[entry], np.zeros((len(k), n), grid.dtype)
     return Lines.through(q, u, times[k], none, turns)._replace(low=grid[piece], high=grid[piece + 1])
@@ -50,7 +52,9 @@ def control_jump(crossings: Crossings, given: Given, lines: Lines, sizes: np.nda
     """The largest jump on these lines at controls that the bounds admit."""
     located, _ = crossings.located(given, lines, crossings.seen(given, lines))
     bounds = crossings.problem.control_bounds
-    return largest([jump for jump in crossings.jumps(located, sizes) if bounds is None or _admitted(jump.control, *bounds)])
+    return largest(
+        [jump for jump in crossings.jumps(located, sizes) if bounds is None or _admitted(jump.control, *bounds)]
+    )
 
 
 def _admitted(u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
@@ -63,7 +67,8 @@ def control_words(problem: "OptimalControlProblem", jump: Jump, steps: list[str]
     name = rate_names(problem)[jump.entry]
     place = jax.tree.map(lambda leaf: rounded(leaf, float(np.max(np.abs(leaf), initial=0.0))), jump.control)
     return (
-        f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no derivative tells "
-        "of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a jump; try "
-        "jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of them"
+        f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no "
+        "derivative tells of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a "
+        "jump; try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem "
+        "for each of them"
     )

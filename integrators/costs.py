@@ -25,7 +25,9 @@ def require_cost(
     """Raise if both costs are a number each; ``around``: a state, a control, and coordinates of others around that."""
     q, u, near = around
     directions = np.concatenate([size * near for size in (1, 1e2, 1e4)])
-    moves = np.random.default_rng(0).standard_normal((CURVATURES + 1, problem.manifold.dimension)).astype(directions.dtype)
+    moves = (
+        np.random.default_rng(0).standard_normal((CURVATURES + 1, problem.manifold.dimension)).astype(directions.dtype)
+    )
     moves[0] = 0.0
     costs, slopes = jax.device_get(call_compiled(_cost_rates, problem, q, moves, u, directions)[0])
     if problem.abnormal or problem.initial_cost is not None or not _is_one_number(costs, np.max(slopes)):
@@ -37,14 +39,15 @@ def require_cost(
             return
         terminal = f"the terminal cost is {float(ends[0]):.6g} at every end"
     raise InvalidInputError(
-        f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and {terminal}: over a "
-        "fixed horizon all curves from start to end then cost the same, and none is the solution; expected a cost of states "
-        f"or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
+        f"the running cost is {float(costs[0, 0]):.6g} at every state and control that was tried, and {terminal}: over "
+        "a fixed horizon all curves from start to end then cost the same, and none is the solution; expected a cost of "
+        f"states or controls, such as u @ u / 2; if time is to be short, {HORIZON}"
     )
 
 
 def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...]) -> bool:
-    """Whether an entry of the differential of the terminal cost is one number, not zero, in an array that is not ``fixed``."""
+    """Whether an entry of the differential of the terminal cost is one number, not zero, in an array that is not
+    ``fixed``."""
     if problem.terminal_cost is None:
         return False
     _, tilts = _terminal(problem, _points(problem, problem.manifold.random_point(jax.random.key(1))))
@@ -71,7 +74,8 @@ def _terminal(problem: "OptimalControlProblem", points: Ambient) -> tuple[np.nda
 def _cost_rates(
     problem: "OptimalControlProblem", q: Ambient, moves: Array, u: Ambient, directions: Array
 ) -> tuple[Float[Array, "moves controls"], Array]:
-    """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by both."""
+    """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by
+    both."""
     retraction = default_retraction(problem.manifold)
     frame = retraction.frame(q)
 

@@ -1,4 +1,5 @@
-"""Where the functions of a problem may jump along lines, and whether they do: their values on both sides are compared there."""
+"""Where the functions of a problem may jump along lines, and whether they do: their values on both sides are compared
+there."""
 
 from collections.abc import Callable
 from functools import partial
@@ -33,7 +34,8 @@ Given = tuple[Any, Any]  # the parameters of the problem, and what the function 
 
 
 class Lines(NamedTuple):
-    """K curves through states, controls and times: their coordinates there, polynomials of a place, and from where to where."""
+    """K curves through states, controls and times: their coordinates there, polynomials of a place, and from where to
+    where."""
 
     states: Ambient
     controls: Ambient
@@ -49,14 +51,17 @@ class Lines(NamedTuple):
         return jax.tree.map(lambda leaf: leaf[which], self)
 
     @classmethod
-    def through(cls, states: Ambient, controls: Ambient, times: np.ndarray, ways: np.ndarray, turns: np.ndarray) -> "Lines":
+    def through(
+        cls, states: Ambient, controls: Ambient, times: np.ndarray, ways: np.ndarray, turns: np.ndarray
+    ) -> "Lines":
         """Straight lines to both sides of points, in one direction each."""
         powers = np.concatenate([ways[:, None], np.zeros((len(ways), DEGREE - 1, ways.shape[1]), ways.dtype)], axis=1)
         return cls(states, controls, times, powers, turns, 0 * times, 0 * times - 1, 0 * times + 1)
 
 
 class Seen(NamedTuple):
-    """At both ends of lines: the values, the margins of the steps in them and their sizes, and slopes of the margins."""
+    """At both ends of lines: the values, the margins of the steps in them and their sizes, and slopes of the
+    margins."""
 
     values: np.ndarray  # (K, 2, E)
     margins: np.ndarray  # (K, 2, G)
@@ -89,10 +94,11 @@ class Jump(NamedTuple):
 
 @final
 class Crossings:
-    """Looks for jumps of a function of a problem, a state and a control along lines, on which steps change that it computes.
+    """Looks for jumps of a function of a problem, a state and a control along lines, on which steps change that it
+    computes.
 
-    With a ``retraction`` the states move along the lines, else they are as they are. The function takes one thing more, which
-    is ``given`` in each call behind the parameters of the problem. What is traced is traced once.
+    With a ``retraction`` the states move along the lines, else they are as they are. The function takes one thing more,
+    which is ``given`` in each call behind the parameters of the problem. What is traced is traced once.
     """
 
     def __init__(self, function: Callable, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
@@ -140,12 +146,18 @@ class Crossings:
             own = np.abs(located.values[k]) if sizes is None else sizes
             least = np.maximum(JUMP * own, HIDDEN * EPS * np.max(own[np.isfinite(own)], initial=0.0))
             with np.errstate(all="ignore"):
-                lasts = np.all(np.isfinite(changes), axis=0) & (changes[-1] >= LESS * changes[0]) & (changes[-1] > least)
+                lasts = (
+                    np.all(np.isfinite(changes), axis=0) & (changes[-1] >= LESS * changes[0]) & (changes[-1] > least)
+                )
                 shares = np.where(lasts, changes[-1] / np.maximum(own, changes[-1]), 0.0)
             if np.any(lasts):
                 i = int(np.argmax(shares))
-                state, control = (jax.tree.map(lambda a, k=k: a[k], part) for part in (located.states, located.controls))
-                found.append(Jump(shares[i], i, located.changes[k, levels[-1], i], state, control, float(located.times[k])))
+                state, control = (
+                    jax.tree.map(lambda a, k=k: a[k], part) for part in (located.states, located.controls)
+                )
+                found.append(
+                    Jump(shares[i], i, located.changes[k, levels[-1], i], state, control, float(located.times[k]))
+                )
         return found
 
 
@@ -259,14 +271,17 @@ def _located(known: Any, given: Given, lines: Lines, steps: Array, above: Array,
 def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = None) -> Array:
     """The entries of the velocity, the running cost, and the constraints."""
     leaves = jax.tree.leaves(problem.velocity(q, u))
-    halves = [jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))]
+    halves = [
+        jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))
+    ]
     return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem.limits.of_functions(q, u)])
 
 
 def rate_names(problem: "OptimalControlProblem") -> list[str]:
     """Of each of these entries the name of its function."""
     count = sum(
-        leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating)) for leaf in jax.tree.leaves(problem.manifold.ambient)
+        leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))
+        for leaf in jax.tree.leaves(problem.manifold.ambient)
     )
     sizes = problem.at_time(0.0).inequality_sizes.items()
     limits = [constraint_words(name) for name, size in sizes for _ in range(1 if size is None else size)]

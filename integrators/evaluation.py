@@ -1,4 +1,5 @@
-"""Functions that are evaluated once, at some points: on a tape, for which nothing is compiled, where one can be written."""
+"""Functions that are evaluated once, at some points: on a tape, for which nothing is compiled, where one can be
+written."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
@@ -16,10 +17,11 @@ MOST_ENTRIES = 64  # of the arguments: a program of scalars grows with the size 
 
 
 def at_each(function: Callable, points: Any, *arguments: Any) -> Any:
-    """Values of ``function(point, *arguments)`` at each of ``points``, NumPy arrays with the points along the leading axis.
+    """Values of ``function(point, *arguments)`` at each of ``points``, NumPy arrays with the points along the leading
+    axis.
 
-    ``function`` is a JAX function of arrays. It is computed on a tape, or compiled where that has no rule for what the function
-    calls, or arrays are large.
+    ``function`` is a JAX function of arrays. It is computed on a tape, or compiled where that has no rule for what the
+    function calls, or arrays are large.
     """
     tape = _tape(function, vec.entries(points, 0), *arguments)
     if tape is None:

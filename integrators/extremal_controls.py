@@ -16,11 +16,14 @@ RESTING = 1e-3  # of the largest coordinate of a control: one that is smaller is
 
 @compiled
 def extremal_control(problem: OptimalControlProblem, q: Ambient, p: Ambient) -> Ambient:
-    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none near."""
+    """Control with ``dH/du(q, p, u) = 0`` by Newton's method from the resting control, which is kept if there is none
+    near."""
     return find_control(problem, q, p, resting_control(problem.controls))[0]
 
 
-def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> tuple[Ambient, Bool[Array, ""]]:
+def find_control(
+    problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient
+) -> tuple[Ambient, Bool[Array, ""]]:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
     zero = jnp.zeros(problem.controls.dimension)
     slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem.steer(near, c)))
@@ -29,7 +32,8 @@ def find_control(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: A
 
 
 def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> Array:
-    """Sizes of the coordinates of a control: those of ``near``, and those of the steps that the parts of ``dH/du`` ask for."""
+    """Sizes of the coordinates of a control: those of ``near``, and those of the steps that the parts of ``dH/du`` ask
+    for."""
     q, p, near = jax.lax.stop_gradient((q, p, near))
 
     def asked_along(e: Array) -> Array:

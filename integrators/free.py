@@ -12,10 +12,10 @@ from ..manifolds.numerics.ambient import is_traced
 class Free:
     """A quantity to be found by the optimisation, near ``guess`` and between ``lower`` and ``upper``.
 
-    As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or ``end``,
-    an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or arrays of the shape
-    of the guess, infinite where there is none. A horizon is positive in any case. Raises ``InvalidInputError`` for other
-    numbers, and for a guess outside the bounds.
+    As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or
+    ``end``, an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or
+    arrays of the shape of the guess, infinite where there is none. A horizon is positive in any case. Raises
+    ``InvalidInputError`` for other numbers, and for a guess outside the bounds.
     """
 
     __slots__ = ("guess", "lower", "upper")
@@ -29,7 +29,9 @@ class Free:
         shape = arrays["guess"].shape
         for name, array in arrays.items():
             if array.shape not in ((), shape):
-                raise InvalidInputError(f"Free: {name} has shape {array.shape}, expected that of the guess, {shape}, or a number")
+                raise InvalidInputError(
+                    f"Free: {name} has shape {array.shape}, expected that of the guess, {shape}, or a number"
+                )
             object.__setattr__(self, name, array if array.shape else float(array))
         if not np.all(np.isfinite(arrays["guess"])):
             raise InvalidInputError(f"Free: guess must be finite, got {guess!r:.80}")
@@ -69,7 +71,9 @@ def guessed(value: Any) -> Any:
 def _real(name: str, value: Any) -> np.ndarray:
     """An array of real numbers, none of them NaN, that cannot be written to."""
     if is_traced(value):
-        raise InvalidInputError(f"Free: {name} is traced by JAX, expected numbers; solve runs outside jit, vmap and grad")
+        raise InvalidInputError(
+            f"Free: {name} is traced by JAX, expected numbers; solve runs outside jit, vmap and grad"
+        )
     try:
         array = np.asarray(value)
     except ValueError as error:

@@ -1,4 +1,5 @@
-"""Functions that users write: the number that they return, and whether they are called while JAX is transforming the caller."""
+"""Functions that users write: the number that they return, and whether they are called while JAX is transforming the
+caller."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +20,9 @@ from ..manifolds.numerics.ambient import is_traced
 from ..manifolds.numerics.precision import working_precision
 from .results import warn_of_coarse_values
 
-LIBRARIES = frozenset({"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"})
+LIBRARIES = frozenset(
+    {"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"}
+)
 
 
 def real_number(name: str, value: Any) -> Array:
@@ -46,7 +49,9 @@ def _real(name: str, value: Any, axes: int) -> Array:
     if kind is None:
         raise InvalidInputError(f"{name} must return {expected}, got {got}")
     if jnp.issubdtype(kind, jnp.complexfloating):
-        raise InvalidInputError(f"{name} must return {expected}, got a complex one; try jnp.real(...) of it, or vdot and abs")
+        raise InvalidInputError(
+            f"{name} must return {expected}, got a complex one; try jnp.real(...) of it, or vdot and abs"
+        )
     if not jnp.issubdtype(kind, jnp.number):
         raise InvalidInputError(f"{name} must return {expected}, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
     shape = getattr(value, "shape", ())
@@ -75,13 +80,16 @@ def _stacked(value: Any) -> Any:
 
 
 def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
-    """Where a user's function, one of those that are named, raised an error: its name, a line and a file; else empty."""
+    """Where a user's function, one of those that are named, raised an error: its name, a line and a file; else
+    empty."""
     frames = list(walk_tb(error.__traceback__))
     codes = {code: name for name, function in functions.items() if (code := _code(function)) is not None}
     called = [i for i, (frame, _) in enumerate(frames) if frame.f_code in codes]
     if not called:
         return ""
-    inside = [at for at in frames[called[-1] :] if at[0].f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES]
+    inside = [
+        at for at in frames[called[-1] :] if at[0].f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES
+    ]
     frame, line = (inside or [frames[called[-1]]])[-1]
     return f"{codes[frames[called[-1]][0].f_code]}, line {line} of {frame.f_code.co_filename}"
 

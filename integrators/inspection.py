@@ -1,4 +1,5 @@
-"""The functions of a problem at a state and a control: whether they are sound there, and whether they determine the control."""
+"""The functions of a problem at a state and a control: whether they are sound there, and whether they determine the
+control."""
 
 from functools import cached_property
 from itertools import pairwise
@@ -45,7 +46,8 @@ def probes(problem: "OptimalControlProblem") -> tuple[np.ndarray, Ambient]:
 
 @final
 class Inspection:
-    """A look at the functions of a problem at ``(q, u)``, at a few random controls around ``u`` and with random covectors.
+    """A look at the functions of a problem at ``(q, u)``, at a few random controls around ``u`` and with random
+    covectors.
 
     What several questions need is evaluated once, at the first of them.
     """
@@ -65,12 +67,14 @@ class Inspection:
         normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(
-                f"dynamics leaves the tangent space of {self.problem.manifold}: its normal part is {normal:.3g} (size of the "
-                f"velocity {size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
+                f"dynamics leaves the tangent space of {self.problem.manifold}: its normal part is {normal:.3g} (size "
+                f"of the velocity {size:.3g}), expected 0; return a tangent vector, for instance "
+                "manifold.projection(q, ...) of it"
             )
 
     def require_smooth(self) -> None:
-        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, as that of ``|u|``.
+        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, as that of
+        ``|u|``.
 
         A kink: null directions along which ``dH/du`` is not constant, and no second derivative accounts for it.
         """
@@ -83,7 +87,9 @@ class Inspection:
             if bent is not None and not bent.smooth:
                 places = (0.0, LADDER[bent.place])
                 there = [self.problem.steer(self.u, flat.bases[bent.line] + t * flat.direction) for t in places]
-                raise InvalidInputError(kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there))
+                raise InvalidInputError(
+                    kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there)
+                )
 
     @property
     def is_regular(self) -> bool:

@@ -1,4 +1,5 @@
-"""Steps that functions compute, as of signs and whole numbers: what they are, and numbers that change sign where they jump."""
+"""Steps that functions compute, as of signs and whole numbers: what they are, and numbers that change sign where they
+jump."""
 
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
@@ -56,13 +57,16 @@ def _is_cut(equation: Any) -> bool:
 
 
 def with_margins(function: Callable[..., Array], *arguments: Any) -> tuple[Array, Margins]:
-    """The value of a function, and the margins of the steps that it computes; none of those in loops of unknown length."""
+    """The value of a function, and the margins of the steps that it computes; none of those in loops of unknown
+    length."""
     closed = jax.make_jaxpr(function)(*arguments)
     found: list[Margins] = []
     value = _run(closed, jax.tree.leaves(arguments), found)[0]
     none = jnp.zeros(0, value.dtype)
     parts = [[jnp.ravel(part).astype(value.dtype) for part in margin] for margin in found]
-    return value, Margins(*(jnp.concatenate([none, *side]) for side in (zip(*parts, strict=True) if parts else ((), ()))))
+    return value, Margins(
+        *(jnp.concatenate([none, *side]) for side in (zip(*parts, strict=True) if parts else ((), ())))
+    )
 
 
 def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
@@ -80,7 +84,8 @@ def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
             outputs = _scanned(equation.params, inputs, found)
         else:
             outputs = outputs_of(jaxpr, equation, known)
-        for branch in equation.params["branches"] if name == "cond" else ():  # of those that are not taken no output is used
+        # Of those that are not taken no output is used.
+        for branch in equation.params["branches"] if name == "cond" else ():
             _run(branch, inputs[1:], found)
         known.update(zip(equation.outvars, outputs, strict=True))
     return [value_of(known, v) for v in jaxpr.outvars]

@@ -1,4 +1,5 @@
-"""Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, from however near."""
+"""Kinks beside curvature: where ``dH/du`` changes along a line by what no second derivative accounts for, from however
+near."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,7 +24,8 @@ STAGES = 5  # of a trajectory from whose controls is looked
 REACH = 2.0  # times the largest control: how far
 PIECES, ROUNDS = 16, 13  # of an interval, of which that with the largest unexplained change is taken next
 LASTS = 4  # last intervals, over a factor of 16^3, that tell a kink
-SLOWER = 0.75  # at a kink a slope changes with a lower power of the distance than this, and with the first where it is smooth
+# At a kink a slope changes with a lower power of the distance than this, and with the first where it is smooth.
+SLOWER = 0.75
 ACCOUNTED = 1.2  # times the interval and the larger second derivative at its ends: no smooth function changes by more
 STEEPER = 8.0  # how much that grows over the last intervals where it is not bounded
 JUMP = 1e-6  # of the largest slope: a smaller change may be rounding of a user's function in single precision
@@ -32,7 +34,8 @@ GROWS = 2.0  # how much a change grows towards a kink, and not towards a pole
 
 
 class Zoom(NamedTuple):
-    """Intervals of a line that close in on a point: widths, changes of a slope over them, largest second derivatives at the ends.
+    """Intervals of a line that close in on a point: widths, changes of a slope over them, largest second derivatives at
+    the ends.
 
     Shape ``(ROUNDS,)``; ``places``: their lower ends; ``size``: the largest slope on the line.
     """
@@ -52,7 +55,8 @@ def zoomed(
     ways: Float[Array, "k d m"],
     reach: Array,
 ) -> tuple[Zoom, Ambient]:
-    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls found."""
+    """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls
+    found."""
 
     def one(q: Ambient, p: Ambient, u: Ambient, way: Array, part: Array) -> tuple[Zoom, Ambient]:
         def value(s: Array) -> Array:
@@ -70,7 +74,8 @@ def zoomed(
 
 
 def closing_in(derivatives: Callable[[Array], tuple[Array, Array]], low: Array, high: Array) -> Zoom:
-    """Intervals that close in, between ``low`` and ``high``, on where a function changes by the most that its derivative misses.
+    """Intervals that close in, between ``low`` and ``high``, on where a function changes by the most that its
+    derivative misses.
 
     ``derivatives``: the function and its derivative. At a kink between two points no derivative is asked for.
     """
@@ -94,13 +99,15 @@ def closing_in(derivatives: Callable[[Array], tuple[Array, Array]], low: Array, 
 
 
 def _usual(a: Array, b: Array) -> Array:
-    """The mean of second derivatives at the ends of intervals, by which a slope changes over them where it is smooth."""
+    """The mean of second derivatives at the ends of intervals, by which a slope changes over them where it is
+    smooth."""
     # Beside a point where it is not bounded the mean is that of the larger one alone, and the smaller one is taken.
     return jnp.where(jnp.abs(a - b) <= jnp.abs(a + b) / 2, (a + b) / 2, jnp.where(jnp.abs(a) < jnp.abs(b), a, b))
 
 
 def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, size: float) -> bool:
-    """Whether a slope changes at the point that intervals close in on: by a jump, or with a low power of the distance."""
+    """Whether a slope changes at the point that intervals close in on: by a jump, or with a low power of the
+    distance."""
     distinct = np.flatnonzero(np.diff(widths, prepend=np.inf) < -widths / 2)[-LASTS:]
     w, change, bend = widths[distinct], np.abs(changes[distinct]), curvatures[distinct]
     if len(w) < LASTS or not np.all(np.isfinite(change)):
@@ -112,7 +119,8 @@ def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, siz
 
 
 def is_jump(widths: np.ndarray, changes: np.ndarray, size: float) -> bool:
-    """Whether a value changes at the point that intervals close in on by as much as over the first of the last of them."""
+    """Whether a value changes at the point that intervals close in on by as much as over the first of the last of
+    them."""
     distinct = np.flatnonzero(np.diff(widths, prepend=np.inf) < -widths / 2)[-LASTS:]
     change = np.abs(changes[distinct])
     if len(distinct) < LASTS or not np.all(np.isfinite(change)):
@@ -128,7 +136,10 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
 
     From a few stages along every coordinate of U, and in Euclidean space along the control itself, towards zero.
     """
-    leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((solution.stage_costates, solution.controls, solution.stage_states))]
+    leaves = [
+        np.asarray(leaf)
+        for leaf in jax.tree.leaves((solution.stage_costates, solution.controls, solution.stage_states))
+    ]
     known = np.all([np.isfinite(leaf.reshape(len(leaf), -1)).all(axis=1) for leaf in leaves], axis=0)
     stages = np.flatnonzero(known)
     if not stages.size:
@@ -144,7 +155,10 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
         size, change = float(zoom.size[at]), float(zoom.changes[at][-1])
         if is_kink(zoom.widths[at], zoom.changes[at], zoom.curvatures[at], size) and abs(change) / size > worst:
             place = jax.tree.map(lambda leaf, at=at: rounded(leaf[at], float(reach)), controls)
-            worst, words = abs(change) / size, _words(at[-1], zoom.changes[at], place, float(solution.stage_times[stages[at[0]]]))
+            worst, words = (
+                abs(change) / size,
+                _words(at[-1], zoom.changes[at], place, float(solution.stage_times[stages[at[0]]])),
+            )
     return words
 
 
@@ -168,10 +182,13 @@ def _ways(problem: "OptimalControlProblem", u: Ambient) -> tuple[np.ndarray, np.
 
 def _words(part: int, changes: np.ndarray, control: Ambient, time: float) -> str:
     name, smooth = PARTS[part], SMOOTH[0 if PARTS[part] == "running_cost" else 1]
-    kind = f"has a kink or a jump in the controls at u = {control}: its derivative by them changes there by {changes[-1]:.3g}"
+    kind = (
+        f"has a kink or a jump in the controls at u = {control}: its derivative by them changes there by "
+        f"{changes[-1]:.3g}"
+    )
     if abs(changes[-1]) < LESS * abs(changes[-LASTS]):
         kind = f"has a second derivative by the controls that grows without bound at u = {control}"
     return (
-        f"{name} {kind} (q and p as at t = {time:.6g}); expected a smooth function of u, because the conditions dH/du = 0 do not "
-        f"hold at a kink, and Newton's method does not pass one; try {smooth}"
+        f"{name} {kind} (q and p as at t = {time:.6g}); expected a smooth function of u, because the conditions dH/du "
+        f"= 0 do not hold at a kink, and Newton's method does not pass one; try {smooth}"
     )

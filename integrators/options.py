@@ -11,14 +11,18 @@ from ..manifolds import InvalidInputError
 P = ParamSpec("P")
 R = TypeVar("R")
 
-TIME = "for explicit time give OptimalControlProblem time_dependent=True and functions of (q, u, t), a terminal cost of (q, t)"
+TIME = (
+    "for explicit time give OptimalControlProblem time_dependent=True and functions of (q, u, t), a terminal "
+    "cost of (q, t)"
+)
 ENERGY_TIME = (
-    "a Hamiltonian has no explicit time; make a clock s a coordinate: a factor Euclidean(1) with covector e, and the energy "
-    "H(q, p, s) + e[0]"
+    "a Hamiltonian has no explicit time; make a clock s a coordinate: a factor Euclidean(1) with covector e, and the "
+    "energy H(q, p, s) + e[0]"
 )
 HORIZON = "for a free one give horizon=Free(guess), or Free(guess, lower=..., upper=...)"
 BOUNDS = (
-    'bounds belong to OptimalControlProblem: control_bounds=(lower, upper), or constraints={"name": function} of (q, u) that is '
+    'bounds belong to OptimalControlProblem: control_bounds=(lower, upper), or constraints={"name": function} of '
+    "(q, u) that is "
     "is not positive where a state and a control are admissible"
 )
 # Parts of names, in the order in which they are looked for.
@@ -54,7 +58,8 @@ def asked_for(name: str) -> str:
 
 
 def known_options(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, with an ``InvalidInputError`` in words for keywords that it does not have, and for missing arguments."""
+    """The function, with an ``InvalidInputError`` in words for keywords that it does not have, and for missing
+    arguments."""
     signature, what = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
     names = [name for name in signature.parameters if name != "self"]
 
@@ -86,7 +91,8 @@ def _require_all(signature: inspect.Signature, what: str, arguments: tuple, opti
 def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:
     """Raise unless ``function`` is one of the arguments in ``expected``, ``"(q, u)"``, or of these and ``more``.
 
-    A time, ``t``, is the last of the arguments that are expected, or is not among them. Returns whether it takes ``more``.
+    A time, ``t``, is the last of the arguments that are expected, or is not among them. Returns whether it takes
+    ``more``.
     """
     if not callable(function):
         raise InvalidInputError(f"{name} must be a function of {expected}, got {function!r}")
@@ -98,7 +104,9 @@ def require_arguments(name: str, function: Any, expected: str, more: str = "") -
     if not (takes_them or _binds(function, count)) or clock:
         hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock and not expected.endswith("t)") else ""
         also = f", or of these and {more}" if more else ""
-        raise InvalidInputError(f"{name} must be a function of {expected}{also}, got one of ({', '.join(parameters)}){hint}")
+        raise InvalidInputError(
+            f"{name} must be a function of {expected}{also}, got one of ({', '.join(parameters)}){hint}"
+        )
     return takes_them
 
 

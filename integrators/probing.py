@@ -16,7 +16,8 @@ from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from .constraints import constraint_words
 from .functions import failing_line
 
-FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError  # of functions that are given something else than expected
+# Of functions that are given something else than expected.
+FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -26,7 +27,8 @@ SPREAD = 0.3  # size of the coordinates of these controls around the resting one
 SINGULAR_POWER = 0.67  # of the machine epsilon: smallest singular value of a matrix in units of its rows
 ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
 SAME = 1e-6  # largest distance of a direction from a space that it is in
-REACH = 10.0 ** np.arange(-4.5, 8.5)  # how far along a flat line the functions are looked at: no numbers that users write
+# How far along a flat line the functions are looked at: no numbers that users write.
+REACH = 10.0 ** np.arange(-4.5, 8.5)
 LADDER = np.concatenate([[0.0], REACH, -REACH])  # parameters along a line
 LASTS, SAME_CHANGE = 3, 1e-2  # places on a line over which a change by a kink lasts, and how much it may vary
 PARTS = "dynamics", "running_cost"
@@ -35,8 +37,8 @@ PARTS = "dynamics", "running_cost"
 class Probed(NamedTuple):
     """What the functions of a problem give at a point: with the control asked for, and with another.
 
-    Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``, at the
-    control asked for and at the others, by coordinates in the chart around it.
+    Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``,
+    at the control asked for and at the others, by coordinates in the chart around it.
     """
 
     controls: Ambient
@@ -49,7 +51,8 @@ class Probed(NamedTuple):
 
 
 def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: Array, covectors: Ambient) -> Probed:
-    """The functions at ``(q, u)``, and at controls in ``directions`` from ``u``; of ``covectors`` the projections count."""
+    """The functions at ``(q, u)``, and at controls in ``directions`` from ``u``; of ``covectors`` the projections
+    count."""
     controls = jax.tree.map(lambda *leaves: jnp.stack(leaves), u, problem.steer(u, directions[0]))
     normals, sizes = jax.vmap(lambda control: problem.normal_size(q, control))(controls)
     costs = problem.cost_rate(q, u), problem.final_cost(q)
@@ -82,7 +85,8 @@ def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
 
 
 def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
-    """Directions, shape ``(k, m)``, along which ``H`` has no second derivative but rounding: none where that is not finite.
+    """Directions, shape ``(k, m)``, along which ``H`` has no second derivative but rounding: none where that is not
+    finite.
 
     ``slopes``, shape ``(2, m)``, and ``curvatures`` are those of its two parts, at one control.
     """
@@ -107,8 +111,8 @@ def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
 class Flat(NamedTuple):
     """A direction in which nothing curves at a control of the probe, and two lines along it: from there, and from rest.
 
-    ``sample``: the number of the control. ``bases``, shape ``(2, m)``; ``curvatures``: ``|d' C d|`` of both parts of ``H`` at
-    these, with the rounding of its terms, shape ``(2, 2)``; ``flat``: at which of both nothing curves.
+    ``sample``: the number of the control. ``bases``, shape ``(2, m)``; ``curvatures``: ``|d' C d|`` of both parts of
+    ``H`` at these, with the rounding of its terms, shape ``(2, 2)``; ``flat``: at which of both nothing curves.
     """
 
     direction: np.ndarray
@@ -142,7 +146,8 @@ def _contains(directions: np.ndarray, d: np.ndarray) -> bool:
 
 
 class AlongLine(NamedTuple):
-    """Both parts of ``H`` and their first two derivatives along both lines of a direction, shape ``(2, s, 2)``, parts last."""
+    """Both parts of ``H`` and their first two derivatives along both lines of a direction, shape ``(2, s, 2)``, parts
+    last."""
 
     values: Array
     slopes: Array
@@ -172,8 +177,8 @@ def along_lines(
 class Bend(NamedTuple):
     """Where a part of ``H`` is not affine along a line on which nothing curves at first.
 
-    ``part``, ``line`` and ``place``: their numbers; ``jump``: whether its value says so, and not its slope; ``smooth``: whether
-    a second derivative that accounts for it is seen on one of the lines.
+    ``part``, ``line`` and ``place``: their numbers; ``jump``: whether its value says so, and not its slope; ``smooth``:
+    whether a second derivative that accounts for it is seen on one of the lines.
     """
 
     part: int
@@ -196,7 +201,9 @@ def bend(flat: Flat, found: AlongLine) -> Bend | None:
                 curves = np.abs(found.curvatures[..., part]) * np.maximum(np.abs(LADDER), np.min(REACH))
             if off.any():
                 seen = np.max(curves, where=np.isfinite(curves), initial=0.0)
-                return Bend(part, int(line), int(np.argmax(off)), False, bool(seen > ACCOUNTS * np.max(np.abs(turned[off]))))
+                return Bend(
+                    part, int(line), int(np.argmax(off)), False, bool(seen > ACCOUNTS * np.max(np.abs(turned[off])))
+                )
             if jumps.any():
                 return Bend(part, int(line), int(np.argmax(jumps)), True, False)
     return None
@@ -216,7 +223,8 @@ def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple
 
 
 def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """At which places on a line a change lasts over the next ones outward: rounding of hidden terms grows from place to place."""
+    """At which places on a line a change lasts over the next ones outward: rounding of hidden terms grows from place to
+    place."""
     outward = change[1:].reshape(2, -1)
     lasting = np.isfinite(outward) & (np.abs(outward) > rounding[1:].reshape(2, -1))
     for further in range(1, LASTS):
@@ -226,8 +234,8 @@ def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 SMOOTH = (
-    "jnp.sqrt(u**2 + d**2) in place of |u|, at first with d as large as the controls, then with smaller ones and the last "
-    "solution as guess",
+    "jnp.sqrt(u**2 + d**2) in place of |u|, at first with d as large as the controls, then with smaller ones and the "
+    "last solution as guess",
     "a * jnp.tanh(u / a) in place of jnp.clip(u, -a, a)",
 )
 
@@ -240,9 +248,9 @@ def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: 
     if bent.jump:
         change = "does not account for the change of its value"
     return (
-        f"{name} has a kink or a jump in the controls: its second derivative by u{along} is 0 wherever it was looked at, and its "
-        f"first one {change} between u = {controls[0]} and u = {controls[1]}; expected a smooth function of u, because the "
-        f"conditions dH/du = 0 do not hold at a kink; try {smooth}"
+        f"{name} has a kink or a jump in the controls: its second derivative by u{along} is 0 wherever it was looked "
+        f"at, and its first one {change} between u = {controls[0]} and u = {controls[1]}; expected a smooth function "
+        f"of u, because the conditions dH/du = 0 do not hold at a kink; try {smooth}"
     )
 
 
@@ -280,14 +288,14 @@ def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
         )
     if not np.all(np.isfinite(probed.slopes[0])):
         raise InvalidInputError(
-            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions that "
-            "are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
+            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions "
+            "that are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
         )
     for name, values, slopes in zip(names, *probed.limits, strict=True):
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
             raise InvalidInputError(
                 f"{constraint_words(name)} {what} at q = {q}, u = {u}, where "
-                f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in place "
-                "of sqrt(u @ u) - a"
+                f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
+                "place of sqrt(u @ u) - a"
             )

@@ -35,25 +35,28 @@ TerminalCost = Callable[[Any], Any]
 
 @final
 class OptimalControlProblem(eqx.Module):
-    """Minimise ``Phi_0(q(0)) + int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` and ``g(q, u) <= 0`` on a manifold.
+    """Minimise ``Phi_0(q(0)) + int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` and ``g(q, u) <= 0`` on a
+    manifold.
 
-    ``dynamics(q, u)`` returns a tangent vector at ``q``; ``running_cost(q, u)``, ``terminal_cost(q)`` and ``initial_cost(q)``
-    return a scalar; all are JAX functions. ``controls`` is the control manifold U. ``abnormal`` sets the cost multiplier p_0
-    to 0. ``control_bounds``, of controls in R^m only: a pair ``(lower, upper)`` of numbers or arrays of the shape of a control,
-    infinite where there is none. ``constraints``: functions ``g(q, u)`` by their names, of which each returns a number or a
-    vector, whose entries are not positive along a trajectory. With ``time_dependent`` the functions take the time after ``u``:
-    ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the initial cost does not.
+    ``dynamics(q, u)`` returns a tangent vector at ``q``; ``running_cost(q, u)``, ``terminal_cost(q)`` and
+    ``initial_cost(q)`` return a scalar; all are JAX functions. ``controls`` is the control manifold U. ``abnormal``
+    sets the cost multiplier p_0 to 0. ``control_bounds``, of controls in R^m only: a pair ``(lower, upper)`` of numbers
+    or arrays of the shape of a control, infinite where there is none. ``constraints``: functions ``g(q, u)`` by their
+    names, of which each returns a number or a vector, whose entries are not positive along a trajectory. With
+    ``time_dependent`` the functions take the time after ``u``: ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the
+    initial cost does not.
 
-    ``boundary_constraints``: functions ``b(q_0, q_T)`` of the first and the last state by their names, of which each returns a
-    number or a vector that is to be zero; with ``time_dependent`` they take the time T of the end after these.
-    ``periodic``: True for ``q(T) = q(0)``, or a function ``g`` of a point for ``q(T) = g(q(0))``.
+    ``boundary_constraints``: functions ``b(q_0, q_T)`` of the first and the last state by their names, of which each
+    returns a number or a vector that is to be zero; with ``time_dependent`` they take the time T of the end after
+    these. ``periodic``: True for ``q(T) = q(0)``, or a function ``g`` of a point for ``q(T) = g(q(0))``.
 
-    ``labels`` name the ``"states"`` and ``"controls"``: a word for an array, or a tuple with one for each entry of a vector; in
-    a tuple, one for each array, where a point has several. ``units`` say in the same way what they are measured in, and what the
-    ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables use them.
+    ``labels`` name the ``"states"`` and ``"controls"``: a word for an array, or a tuple with one for each entry of a
+    vector; in a tuple, one for each array, where a point has several. ``units`` say in the same way what they are
+    measured in, and what the ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables
+    use them.
 
-    Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of numbers and
-    arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them. Raises
+    Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of
+    numbers and arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them. Raises
     ``InvalidInputError`` for arguments that are something else.
     """
 
@@ -101,14 +104,19 @@ class OptimalControlProblem(eqx.Module):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
         self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given: Any = constraints
-        self.limits = given if isinstance(given, Inequalities) else Inequalities.of(control_bounds, given, self.controls)
+        self.limits = (
+            given if isinstance(given, Inequalities) else Inequalities.of(control_bounds, given, self.controls)
+        )
         self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.names)
-        expected = ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
+        expected = (
+            ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
+        )
         takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
         self.takes_parameters = any(takes)
 
     def _functions(self) -> Iterator[tuple[str, Callable, int]]:
-        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of the last state, 0 of one."""
+        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of the last state, 0
+        of one."""
         names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
         for name, kind in names:
             if getattr(self, name) is not None or kind == 2:
@@ -152,7 +160,8 @@ class OptimalControlProblem(eqx.Module):
         return self._changed(lambda f, kind: _bound(f, counts[kind], parameters), self.time_dependent)
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
-        """The problem whose functions have the time, behind which they take nothing more; itself if they take no time."""
+        """The problem whose functions have the time, behind which they take nothing more; itself if they take no
+        time."""
         if not self.time_dependent:
             return self
         return self._changed(lambda f, kind: Bound(f, t) if kind else f, False)
@@ -170,14 +179,25 @@ class OptimalControlProblem(eqx.Module):
         return self.replaced(**more, **{name: given[name] for name in names if name in given})
 
     def replaced(self, **changes: Any) -> "OptimalControlProblem":
-        """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a ``boundary``."""
-        names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "abnormal", "initial_cost", "time_dependent"
+        """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
+        ``boundary``."""
+        names = (
+            "manifold",
+            "dynamics",
+            "running_cost",
+            "controls",
+            "terminal_cost",
+            "abnormal",
+            "initial_cost",
+            "time_dependent",
+        )
         given: Any = {name: getattr(self, name) for name in names}
         given |= {"constraints": self.limits, "boundary_constraints": self.boundary, "labels": self.quantities}
         return OptimalControlProblem(**given | changes)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
-        """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in order."""
+        """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in
+        order."""
         return self.limits.values(q, u)
 
     @property
@@ -203,12 +223,13 @@ class OptimalControlProblem(eqx.Module):
         left = [words for words, there in has.items() if there and words not in treated]
         if left:
             raise InvalidInputError(
-                f"the problem has {' and '.join(left)}, which {what} does not treat; expected a problem without; try one that "
-                "has none"
+                f"the problem has {' and '.join(left)}, which {what} does not treat; expected a problem without; try "
+                "one that has none"
             )
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
-        """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a point."""
+        """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a
+        point."""
         v = self.dynamics(q, u)
         wrong = self.manifold.describe_mismatch(jax.eval_shape(lambda: v), "the value of dynamics, a tangent vector")
         if wrong:
@@ -259,30 +280,40 @@ class OptimalControlProblem(eqx.Module):
             low = [kind for kind in kinds if jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > eps]
             if low:
                 return (
-                    f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be met to more "
-                    f"digits than these have; compute it in {working_precision()}, or give a tolerance above "
-                    f"{float(jnp.finfo(low[0]).eps):.0e}"
+                    f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be "
+                    f"met to more digits than these have; compute it in {working_precision()}, or give a tolerance "
+                    f"above {float(jnp.finfo(low[0]).eps):.0e}"
                 )
         return ""
 
     def digest(self) -> bytes | None:
-        """A digest of what the functions compute, with the values that they read now; None where that cannot be told."""
+        """A digest of what the functions compute, with the values that they read now; None where that cannot be
+        told."""
         return digest(self._values, self.manifold.ambient, self.controls.ambient)
 
     def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
         """What all functions return."""
         ends = self.boundary.values(q, q), None if self.boundary.turn is None else self.turned(q)
-        return self.velocity(q, u), self.cost_rate(q, u), self.final_cost(q), self.first_cost(q), self.inequalities(q, u), ends
+        return (
+            self.velocity(q, u),
+            self.cost_rate(q, u),
+            self.final_cost(q),
+            self.first_cost(q),
+            self.inequalities(q, u),
+            ends,
+        )
 
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
             raise InvalidInputError(
-                f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one manifold"
+                f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one "
+                "manifold"
             )
 
     def check(self, q: Ambient, u: Ambient) -> None:
-        """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls there."""
+        """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls
+        there."""
         Inspection(self, q, u).require_sound()
 
     def is_regular_at(self, q: Ambient, u: Ambient) -> bool:
@@ -297,7 +328,8 @@ class OptimalControlProblem(eqx.Module):
         require_cost(self, (q, resting_control(self.controls), probes(self)[0]), end, fixed)
 
     def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
-        """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not zero.
+        """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not
+        zero.
 
         Where that is free, of arrays that are not ``fixed``, no extremal ends with ``p = 0``.
         """
@@ -315,11 +347,14 @@ class OptimalControlProblem(eqx.Module):
 
 
 def is_same_problem(a: object, b: object) -> bool:
-    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read now."""
+    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read
+    now."""
     if a is b or not (isinstance(a, OptimalControlProblem) and isinstance(b, OptimalControlProblem)):
         return a is b
     return (
-        same_manifold(a.manifold, b.manifold) and same_manifold(a.controls, b.controls) and a.digest() == b.digest() is not None
+        same_manifold(a.manifold, b.manifold)
+        and same_manifold(a.controls, b.controls)
+        and a.digest() == b.digest() is not None
     )
 
 

@@ -1,4 +1,5 @@
-"""Programs that JAX traced, in a form in which equal ones are equal: what is compiled is found again by what it computes."""
+"""Programs that JAX traced, in a form in which equal ones are equal: what is compiled is found again by what it
+computes."""
 
 import itertools
 from enum import Enum
@@ -11,22 +12,26 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
-# Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every trace.
+# Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every
+# trace.
 UNUSED = {
     "custom_jvp_call": {"jvp_jaxpr_fun"},
     "custom_vjp_call": {"fwd_jaxpr_thunk", "bwd"},
     "custom_vjp_call_jaxpr": {"fwd_jaxpr_thunk", "bwd"},
 }
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}  # of a program each
+# Of a program each.
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 PLAIN = bool | int | float | complex | str | bytes | None
-NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"  # no device is asked for
+# No device is asked for.
+NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"
 _serial = itertools.count()
 
 
 def program_key(closed: ClosedJaxpr) -> bytes:
     """A digest that two programs share only if they compute the same of equal constants and arguments.
 
-    Names of variables and places in the source play no part. What is not known here makes a program differ from all others.
+    Names of variables and places in the source play no part. What is not known here makes a program differ from all
+    others.
     """
     return _Writer().jaxpr(closed.jaxpr)
 

@@ -17,10 +17,11 @@ UNITS = (*ABOUT, "time", "cost")
 @final
 @dataclass(frozen=True)
 class Quantity:
-    """An array of a state or a control: its ``name``, the ``units`` of its entries, one for all or one each, and its ``space``.
+    """An array of a state or a control: its ``name``, the ``units`` of its entries, one for all or one each, and its
+    ``space``.
 
-    ``entries``: names of the entries, row by row; without names of their own their places, as ``1`` or ``0,2``. A unit is empty
-    where none was given. ``space``: its manifold in words, as ``SO(3)``.
+    ``entries``: names of the entries, row by row; without names of their own their places, as ``1`` or ``0,2``. A unit
+    is empty where none was given. ``space``: its manifold in words, as ``SO(3)``.
     """
 
     name: str
@@ -107,9 +108,14 @@ class Quantities:
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless arrays along a leading axis have as many entries as there are names for them."""
         for name, own, given in (("states", self.states, states), ("controls", self.controls, controls)):
-            expected, got = [len(quantity.entries) for quantity in own], [leaf[0].size for leaf in jax.tree.leaves(given)]
+            expected, got = (
+                [len(quantity.entries) for quantity in own],
+                [leaf[0].size for leaf in jax.tree.leaves(given)],
+            )
             if expected != got:
-                raise InvalidInputError(f"{what}{name} have {got} entries, expected {expected}, of which quantities has names")
+                raise InvalidInputError(
+                    f"{what}{name} have {got} entries, expected {expected}, of which quantities has names"
+                )
 
     @property
     def lines(self) -> list[str]:
@@ -167,7 +173,11 @@ def _quantity(about: str, array: tuple[str, tuple[int, ...]], label: Any, unit: 
     """One array with its label and unit, words or a tuple of a word for each entry."""
     space, shape = array
     places = _places(shape)
-    units = (_word(f"units[{about!r}]", unit),) if isinstance(unit, str) else _several(f"units[{about!r}]", unit, space, places)
+    units = (
+        (_word(f"units[{about!r}]", unit),)
+        if isinstance(unit, str)
+        else _several(f"units[{about!r}]", unit, space, places)
+    )
     if isinstance(label, str):
         return Quantity(label or default, units, places, space)
     return Quantity(default, units, _several(f"labels[{about!r}]", label, space, places), space)
@@ -179,9 +189,14 @@ def _places(shape: tuple[int, ...]) -> tuple[str, ...]:
 
 
 def _several(what: str, given: Any, space: str, places: tuple[str, ...]) -> tuple[str, ...]:
-    if not isinstance(given, list | tuple) or len(given) != len(places) or not all(isinstance(word, str) for word in given):
+    if (
+        not isinstance(given, list | tuple)
+        or len(given) != len(places)
+        or not all(isinstance(word, str) for word in given)
+    ):
         raise InvalidInputError(
-            f"{what} of {space} must be a text, or a tuple of {len(places)} texts, one for each of its entries, got {given!r:.80}"
+            f"{what} of {space} must be a text, or a tuple of {len(places)} texts, one for each of its entries, got "
+            f"{given!r:.80}"
         )
     return tuple(given)
 

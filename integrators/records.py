@@ -1,4 +1,5 @@
-"""Records: how they print, and their files, checked as a whole against the annotations of the fields before they are used."""
+"""Records: how they print, and their files, checked as a whole against the annotations of the fields before they are
+used."""
 
 import io
 import zipfile
@@ -22,8 +23,9 @@ NUMBERS = (*REAL, *map(np.dtype, (np.complex64, np.complex128)))
 class Along(NamedTuple):
     """Annotation of an array of numbers, or of nested tuples or a dictionary of them: its leading ``axis``.
 
-    ``ndim``: the number of axes, if that is fixed; then the numbers are real. ``like``: an entry before it with the same
-    structure and with arrays that have the same shapes and types of numbers along theirs. ``optional``: None fits too.
+    ``ndim``: the number of axes, if that is fixed; then the numbers are real. ``like``: an entry before it with the
+    same structure and with arrays that have the same shapes and types of numbers along theirs. ``optional``: None fits
+    too.
     """
 
     axis: str
@@ -56,7 +58,8 @@ class RecordFile:
     disagreement: Callable[[dict[str, Any]], str]
 
     def write(self, path: str | Path, values: dict[str, Any]) -> None:
-        """Write the values of all fields; raises ``InvalidInputError`` if they are no record that could be read again."""
+        """Write the values of all fields; raises ``InvalidInputError`` if they are no record that could be read
+        again."""
         try:
             self._require(values)
         except InvalidInputError as error:
@@ -66,7 +69,8 @@ class RecordFile:
             np.savez(file, allow_pickle=False, **flat)
 
     def read(self, path: str | Path) -> dict[str, Any]:
-        """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something else."""
+        """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something
+        else."""
         try:
             return self._require(self._values(_entries(_path(path))))
         except (InvalidInputError, RecursionError) as error:  # the second for tuples in tuples, a thousand deep
@@ -97,7 +101,8 @@ class RecordFile:
         steps = sizes["nodes"] - 1
         if sizes["stages"] % steps or not sizes["stages"] if steps > 0 else sizes["stages"] or steps:
             raise InvalidInputError(
-                f"it has {sizes['nodes']} nodes and {sizes['stages']} stages, expected as many stages for each step between nodes"
+                f"it has {sizes['nodes']} nodes and {sizes['stages']} stages, expected as many stages for each step "
+                "between nodes"
             )
         for name in ("times", "stage_times"):
             if not _ordered(values[name]):
@@ -146,7 +151,9 @@ def _entries(path: Path) -> dict[str, np.ndarray]:
             names = archive.namelist()
             entries = {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
     except Exception as error:  # zipfile, zlib and NumPy raise about everything for bytes that they did not write
-        raise InvalidInputError(f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error})") from error
+        raise InvalidInputError(
+            f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error})"
+        ) from error
     if len(entries) != len(names):
         raise InvalidInputError("it has several entries of one name")
     return entries
@@ -162,7 +169,8 @@ def _array(content: bytes) -> np.ndarray:
 
 
 def _flattened(values: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Entries ``name/0``, ... for the parts of a tuple or dictionary, with their number or keys; those of None say so."""
+    """Entries ``name/0``, ... for the parts of a tuple or dictionary, with their number or keys; those of None say
+    so."""
     flat: dict[str, np.ndarray] = {}
     for name, value in values.items():
         parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
@@ -234,17 +242,24 @@ def _require_numbers(name: str, tree: Any) -> None:
         for part in tree.values() if isinstance(tree, dict) else tree:
             _require_numbers(name, part)
     elif tree is not None and np.asarray(tree).dtype.kind not in "biuf":
-        raise InvalidInputError(f"{name} is {_words(tree)}, expected real numbers and arrays in tuples and dictionaries")
+        raise InvalidInputError(
+            f"{name} is {_words(tree)}, expected real numbers and arrays in tuples and dictionaries"
+        )
 
 
 def _which(value: Any, hints: tuple[Any, ...]) -> Any:
     """The first of several annotations, or the one among them that is a dataclass with these fields."""
-    fit = (hint for hint in hints if isinstance(value, dict) and is_dataclass(hint) and set(get_type_hints(hint)) == set(value))
+    fit = (
+        hint
+        for hint in hints
+        if isinstance(value, dict) and is_dataclass(hint) and set(get_type_hints(hint)) == set(value)
+    )
     return next(fit, hints[0])
 
 
 def _require_along(name: str, tree: Any, along: Along, context: _Context) -> None:
-    """Raise unless these are arrays of numbers, as long as others along the axis, and shaped like those they go with."""
+    """Raise unless these are arrays of numbers, as long as others along the axis, and shaped like those they go
+    with."""
     if tree is None and along.optional:
         return
     like = context.values[along.like] if along.like else None

@@ -20,12 +20,12 @@ class Result(eqx.Enumeration):
 
     successful = "The equations are solved to the tolerance asked for."
     step_not_solved = (
-        "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or another "
-        "retraction if the motion of one step leaves its domain."
+        "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or "
+        "another retraction if the motion of one step leaves its domain."
     )
     jump = (
-        "The Hamiltonian jumps where the trajectory passes, and no derivative tells of the jump: the momenta jump with it, and "
-        "those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of a step."
+        "The Hamiltonian jumps where the trajectory passes, and no derivative tells of the jump: the momenta jump with "
+        "it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of a step."
     )
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
@@ -37,27 +37,30 @@ class Result(eqx.Enumeration):
         "better guess, more steps, or a longer horizon."
     )
     singular = (
-        "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached from "
-        "this trajectory, or the cost does not determine the controls; check that the end point is reachable and that the "
-        "running cost is strictly convex in every control, or give a guess that moves."
+        "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached "
+        "from this trajectory, or the cost does not determine the controls; check that the end point is reachable and "
+        "that the running cost is strictly convex in every control, or give a guess that moves."
     )
     infeasible = (
-        "The inequalities contradict each other or the ends, or a better guess is needed: this is the trajectory near the guess "
-        "that violates them least; try wider bounds, a longer horizon, or free ends."
+        "The inequalities contradict each other or the ends, or a better guess is needed: this is the trajectory near "
+        "the guess that violates them least; try wider bounds, a longer horizon, or free ends."
     )
     wrong_point = (
-        "The equations have a solution here that does not end at the requested boundary point; try a guess that ends there."
+        "The equations have a solution here that does not end at the requested boundary point; try a "
+        "guess that ends there."
     )
     no_extremal = (
-        "The boundary conditions cannot all be met by an interior singular extremal near this trajectory: their residual is "
-        "stationary and does not vanish. On P_f they contradict each other; free the components that are missed, where the "
-        "optimum has an impulse or a bang arc, or give a guess if the problem has several extremals."
+        "The boundary conditions cannot all be met by an interior singular extremal near this trajectory: their "
+        "residual is stationary and does not vanish. On P_f they contradict each other; free the components that are "
+        "missed, where the optimum has an impulse or a bang arc, or give a guess if the problem has several extremals."
     )
     claim_broken = (
-        "A trajectory was found that is no extremal: one of its conditions does not hold where it is evaluated; check that the "
-        "functions of the problem are smooth in the controls, or try more steps."
+        "A trajectory was found that is no extremal: one of its conditions does not hold where it is evaluated; check "
+        "that the functions of the problem are smooth in the controls, or try more steps."
     )
-    not_finite = "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
+    not_finite = (
+        "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
+    )
 
 
 @cache
@@ -91,8 +94,8 @@ def warn_if_single_precision(dtype: str) -> None:
 def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
     """Warn once if a user's function computes in a lower precision than everything else."""
     warnings.warn(
-        f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not be met to "
-        f"the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
+        f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not "
+        f"be met to the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
         stacklevel=_callers(),
     )
 

@@ -44,7 +44,8 @@ def _bounds(bounds: tuple[np.ndarray, np.ndarray] | None) -> list[str]:
     if len(set(pairs)) == 1:
         return [text for text in [_between("u", *pairs[0])] if text]
     texts = [
-        _between(f"u[{', '.join(map(str, place))}]", *pair) for place, pair in zip(np.ndindex(lower.shape), pairs, strict=True)
+        _between(f"u[{', '.join(map(str, place))}]", *pair)
+        for place, pair in zip(np.ndindex(lower.shape), pairs, strict=True)
     ]
     return [", ".join(text for text in texts if text)]
 

@@ -1,4 +1,5 @@
-"""Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a control."""
+"""Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a
+control."""
 
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple, final
@@ -29,13 +30,15 @@ MADE_BY = {
 }
 SPANS = 10.0 ** np.arange(-11.5, 1.0)  # of the sizes of coordinates: how far the functions are looked at
 MOVE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
-SETTLED, LASTS = 0.1, 2  # difference quotients over neighbouring spans that change by less of what the derivative misses
+# Difference quotients over neighbouring spans that change by less of what the derivative misses.
+SETTLED, LASTS = 0.1, 2
 BASES = 3
 PLACES = 8  # along a trajectory
 
 
 class Line(NamedTuple):
-    """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives there."""
+    """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives
+    there."""
 
     below: Array
     above: Array
@@ -57,11 +60,14 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
 
 @final
 class TrueDerivatives:
-    """Looks at some points of trajectories whether the derivatives of a problem's functions tell of their values; traced once."""
+    """Looks at some points of trajectories whether the derivatives of a problem's functions tell of their values;
+    traced once."""
 
     def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
         self.problem, bound = problem, problem.with_parameters(parameters).at_time(0.0)
-        points = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls))
+        points = (
+            jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls)
+        )
         self.rules = own_rules(partial(_values, bound), *points)
         self._traced = held(self._lines)
 
@@ -72,7 +78,8 @@ class TrueDerivatives:
     def __call__(self, states: Ambient, controls: Ambient, times: np.ndarray, parameters: Any) -> str:
         """Words on the function whose derivative is off by most; empty if none is."""
         known = np.all(
-            [np.isfinite(leaf.reshape(len(times), -1)).all(axis=1) for leaf in jax.tree.leaves((states, controls))], axis=0
+            [np.isfinite(leaf.reshape(len(times), -1)).all(axis=1) for leaf in jax.tree.leaves((states, controls))],
+            axis=0,
         )
         stages = np.flatnonzero(known)
         if not (self.rules and len(stages)):
@@ -101,10 +108,10 @@ def _words(problem: "OptimalControlProblem", q: Ambient, lines: Any, found: list
         place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
         if wrong[place, entry] > 0:
             return (
-                f"{_names(problem, q)[entry]} changes with the {about} at another rate than its derivative{places[place]}, "
-                f"which is off by {wrong[place, entry]:.1e} of it, where the functions use {' and '.join(found)}; expected the "
-                "derivatives of the values, because dH/du = 0 and the costates are made of them; try it without, or a rule that "
-                "agrees with the values"
+                f"{_names(problem, q)[entry]} changes with the {about} at another rate than its "
+                f"derivative{places[place]}, which is off by {wrong[place, entry]:.1e} of it, where the functions use "
+                f"{' and '.join(found)}; expected the derivatives of the values, because dH/du = 0 and the costates "
+                "are made of them; try it without, or a rule that agrees with the values"
             )
     return ""
 
@@ -116,7 +123,8 @@ def own_rules(function: Any, *arguments: Any) -> list[str]:
 
 
 def usually_missed(line: Any) -> np.ndarray:
-    """Of each function the share of its change that is not in its derivative, the middle one of those along several lines."""
+    """Of each function the share of its change that is not in its derivative, the middle one of those along several
+    lines."""
     below, above = (np.moveaxis(part, -2, 0).reshape(len(SPANS), -1) for part in (line.below, line.above))
     return np.median(_missed(below, above, np.ravel(line.slopes)).reshape(line.slopes.shape), axis=-2)
 
@@ -176,7 +184,9 @@ def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
     """The entries of all functions in a row, those of both ends with one point for both."""
     costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
     velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
-    return jnp.concatenate([*velocity, jnp.stack(costs), *problem.limits.of_functions(q, u), problem.boundary.values(q, q)])
+    return jnp.concatenate(
+        [*velocity, jnp.stack(costs), *problem.limits.of_functions(q, u), problem.boundary.values(q, q)]
+    )
 
 
 def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:

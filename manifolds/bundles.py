@@ -1,7 +1,7 @@
 """Tangent and cotangent bundles as embedded manifolds.
 
-A covector is stored as its tangent representative, so as subsets of the ambient space ``T*Q`` and ``TQ`` are the same set
-``{(x, v) : x in Q, v in T_xQ}``. They differ in what lives on them: the canonical forms belong to ``T*Q``.
+A covector is stored as its tangent representative, so as subsets of the ambient space ``T*Q`` and ``TQ`` are the same
+set ``{(x, v) : x in Q, v in T_xQ}``. They differ in what lives on them: the canonical forms belong to ``T*Q``.
 """
 
 from typing import Any, ClassVar, final
@@ -34,12 +34,14 @@ class VectorBundle(Manifold):
         return self.base.ambient, self.base.ambient
 
     def lift(self, z: Pair, a: Ambient, b: Ambient) -> Pair:
-        """The vector ``(a, b + D_xP_x(v)[a])`` tangent to the bundle at ``z = (x, v)``, for ``a``, ``b`` tangent at ``x``."""
+        """The vector ``(a, b + D_xP_x(v)[a])`` tangent to the bundle at ``z = (x, v)``, for ``a``, ``b`` tangent at
+        ``x``."""
         x, v = z
         return a, vec.add(b, jax.jvp(lambda y: self.base.projection(y, v), (x,), (a,))[1])
 
     def parts(self, z: Pair, covector: Pair) -> Pair:
-        """The tangent ``(s, t)`` with ``<covector, lift(a, b)> = <s, a> + <t, b>`` for all ``a``, ``b`` tangent at ``x``."""
+        """The tangent ``(s, t)`` with ``<covector, lift(a, b)> = <s, a> + <t, b>`` for all ``a``, ``b`` tangent at
+        ``x``."""
         x, v = z
         t = self.base.projection(x, covector[1])
         _, tilt = vec.pullback(lambda y: self.base.projection(y, v), x)
@@ -88,8 +90,8 @@ class TangentBundle(VectorBundle):
 class CotangentBundle(VectorBundle):
     """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``.
 
-    The canonical forms are ``theta = p dq`` and ``omega = -d theta = dq ^ dp``; of a base of dimension n its dimension is
-    ``2 n``.
+    The canonical forms are ``theta = p dq`` and ``omega = -d theta = dq ^ dp``; of a base of dimension n its dimension
+    is ``2 n``.
     """
 
     one_point: ClassVar = {

@@ -34,10 +34,14 @@ class ProductMetric(Metric):
         return Product(*(factor.manifold for factor in self.factors))
 
     def inner_product(self, x: tuple, v: tuple, w: tuple) -> Array:
-        return sum((g.inner_product(*parts) for g, *parts in zip(self.factors, x, v, w, strict=True)), start=jnp.zeros(()))
+        return sum(
+            (g.inner_product(*parts) for g, *parts in zip(self.factors, x, v, w, strict=True)), start=jnp.zeros(())
+        )
 
     def kinetic_energy(self, x: tuple, p: tuple) -> Array:
-        return sum((g.kinetic_energy(*parts) for g, *parts in zip(self.factors, x, p, strict=True)), start=jnp.zeros(()))
+        return sum(
+            (g.kinetic_energy(*parts) for g, *parts in zip(self.factors, x, p, strict=True)), start=jnp.zeros(())
+        )
 
 
 @final

@@ -38,15 +38,18 @@ class LevelSet(Manifold):
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
     def __check_init__(self) -> None:
-        values, size = shapes_of(self.constraint, f"the constraint of {type(self).__name__}", self.ambient), prod(self.shape)
+        values, size = (
+            shapes_of(self.constraint, f"the constraint of {type(self).__name__}", self.ambient),
+            prod(self.shape),
+        )
         if not hasattr(values, "size"):
             raise InvalidInputError(
                 f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])"
             )
         if not 0 < values.size <= size:
             raise InvalidInputError(
-                f"the constraint of {type(self).__name__} has {values.size} equations for points of {size} numbers; expected at "
-                "least one and at most as many as numbers"
+                f"the constraint of {type(self).__name__} has {values.size} equations for points of {size} numbers; "
+                "expected at least one and at most as many as numbers"
             )
 
     @abstractmethod

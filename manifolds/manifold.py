@@ -110,7 +110,9 @@ class Manifold(eqx.Module):
         for words, value in violations.items():
             if not float(value) <= limit:
                 hint = "; restore(x) brings a point near the manifold onto it" if float(value) < NEAR else ""
-                return Verdict(False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}{hint}")
+                return Verdict(
+                    False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}{hint}"
+                )
         return Verdict(True, f"a point of the manifold to {limit:.1g}")
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
@@ -127,32 +129,44 @@ class Manifold(eqx.Module):
         return Verdict(True, f"tangent to the manifold to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
-        """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does not."""
+        """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does
+        not."""
         if self._holds(a):
             return ""
         wrong = self.describe_shapes(a, role) or self._describe_kinds(a, role)
         if wrong:
             return wrong
-        known = [leaf for leaf in jax.tree.leaves(a) if not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))]
+        known = [
+            leaf for leaf in jax.tree.leaves(a) if not (vec.is_traced(leaf) or isinstance(leaf, jax.ShapeDtypeStruct))
+        ]
         if not all(np.all(np.isfinite(np.asarray(leaf))) for leaf in known):
             return f"{self._named(role)} has entries that are NaN or infinite"
         return ""
 
     def _holds(self, a: Ambient) -> bool:
-        """Whether ``a`` is one of NumPy's arrays of finite real numbers for each of a point's: seen at once, in most calls."""
+        """Whether ``a`` is one of NumPy's arrays of finite real numbers for each of a point's: seen at once, in most
+        calls."""
         leaves, structure = jax.tree.flatten(a)
         expected, wanted = jax.tree.flatten(self.ambient)
         return structure == wanted and all(
-            type(leaf) is np.ndarray and leaf.dtype.kind == "f" and leaf.shape == kind.shape and bool(np.isfinite(leaf).all())
+            type(leaf) is np.ndarray
+            and leaf.dtype.kind == "f"
+            and leaf.shape == kind.shape
+            and bool(np.isfinite(leaf).all())
             for leaf, kind in zip(leaves, expected, strict=True)
         )
 
     def describe_shapes(self, a: Ambient, role: str) -> str:
-        """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do not."""
+        """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do
+        not."""
         if jax.tree.structure(self.ambient) != jax.tree.structure(a):
             numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
             hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
-            hint = "; the parts of a point are a tuple" if isinstance(a, list) and isinstance(self.ambient, tuple) else hint
+            hint = (
+                "; the parts of a point are a tuple"
+                if isinstance(a, list) and isinstance(self.ambient, tuple)
+                else hint
+            )
             return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             if np.shape(leaf) != shape.shape:
@@ -162,13 +176,17 @@ class Manifold(eqx.Module):
         return ""
 
     def _describe_kinds(self, a: Ambient, role: str) -> str:
-        """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there are none."""
+        """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there
+        are none."""
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
             if not jnp.issubdtype(kind, jnp.number):
                 return f"{self._named(role)} has numbers as entries, got an array of {kind}"
             if jnp.issubdtype(kind, jnp.complexfloating) and not jnp.issubdtype(expected.dtype, jnp.complexfloating):
-                return f"{self._named(role)} has real entries, got complex ones; try jnp.real of it where the rest is rounding"
+                return (
+                    f"{self._named(role)} has real entries, got complex ones; try jnp.real of it where the "
+                    "rest is rounding"
+                )
         return ""
 
     def _named(self, role: str) -> str:

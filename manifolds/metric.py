@@ -18,8 +18,8 @@ class Metric(eqx.Module):
 
     It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.
 
-    ``g_x(v, w)``, symmetric and positive definite on ``T_xM``; the covector of ``v`` is the ``p`` with ``<p, w> = g_x(v,
-    w)``.
+    ``g_x(v, w)``, symmetric and positive definite on ``T_xM``; the covector of ``v`` is the ``p`` with ``<p, w> =
+    g_x(v, w)``.
 
     >>> isinstance(EmbeddedMetric(Sphere(2)), Metric)
     True

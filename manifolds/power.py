@@ -18,8 +18,8 @@ from .numerics.sizes import are_whole
 class Power(Manifold):
     """``k`` copies of a manifold: every array of a point has one more axis, the first, of length ``k``.
 
-    A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done to all
-    copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``. Raises
+    A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done
+    to all copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``. Raises
     ``InvalidInputError`` for what is not a manifold and for a number below 1.
 
     Its points are ``(x_1, ..., x_k)``, ``M^k`` with ``dim M^k = k dim M``.
@@ -61,7 +61,8 @@ class Power(Manifold):
         return jax.vmap(self.factor.random_point)(jax.random.split(key, self.k))
 
     def pad(self, frames: Frame) -> Frame:
-        """Frames of the copies, leaves of shape ``(k, m, *leaf)``, as one frame: each vector is zero on the other copies."""
+        """Frames of the copies, leaves of shape ``(k, m, *leaf)``, as one frame: each vector is zero on the other
+        copies."""
 
         def padded(leaf: Array) -> Array:
             apart = jnp.einsum("ij,im...->imj...", jnp.eye(self.k, dtype=leaf.dtype), leaf)

@@ -19,7 +19,8 @@ from .numerics.tolerances import tolerance
 
 @final
 class Submanifold(Manifold):
-    """``{x in M : c(x) = 0}`` for a smooth function of points of ``M`` with values in ``R^m``, in the ambient space of ``M``.
+    """``{x in M : c(x) = 0}`` for a smooth function of points of ``M`` with values in ``R^m``, in the ambient space of
+    ``M``.
 
     The equations must be independent: the differentials of the ``m`` components along ``M`` have rank ``m`` on the set.
 
@@ -76,8 +77,8 @@ class Submanifold(Manifold):
     def nearby(self, x: Ambient) -> Ambient:
         """A point of the submanifold near ``x``, by Newton steps along the normals until they are rounding.
 
-        Where they do not converge the last iterate is returned: ``contains`` says so. Raises ``InvalidInputError`` if ``x``
-        has not the structure of a point.
+        Where they do not converge the last iterate is returned: ``contains`` says so. Raises ``InvalidInputError`` if
+        ``x`` has not the structure of a point.
         """
         wrong = self.describe_mismatch(x, "a point beside it")
         if wrong:
@@ -97,7 +98,10 @@ class Submanifold(Manifold):
         values, normals = self.values(x)
         lengths = jnp.sqrt(jax.vmap(lambda normal: vec.pairing(normal, normal))(normals))
         off = values / jnp.where(lengths > 0, lengths, 1.0)
-        return {**self.parent.violations(x), "max |equation / its gradient|": vec.size(off) / jnp.maximum(vec.size(x), 1.0)}
+        return {
+            **self.parent.violations(x),
+            "max |equation / its gradient|": vec.size(off) / jnp.maximum(vec.size(x), 1.0),
+        }
 
     def random_point(self, key: Array) -> Ambient:
         """A random point of ``M`` moved to the submanifold; an error if 20 draws find none."""

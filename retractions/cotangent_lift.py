@@ -1,8 +1,8 @@
 """The cotangent lift of a discretization map, a symplectomorphism from TT*Q to T*Q x T*Q.
 
 ``R_d^{T*} = Phi^-1 o hat(R_d) o alpha^-1`` with ``hat(F) = (TF^-1)^*``, ``alpha: T*TQ -> TT*Q`` and
-``Phi: T*Q x T*Q -> T*(Q x Q)`` [Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems via
-retraction maps", section 3.1, with alpha read in the direction in which its formula is written].
+``Phi: T*Q x T*Q -> T*(Q x Q)`` [Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems
+via retraction maps", section 3.1, with alpha read in the direction in which its formula is written].
 """
 
 from collections.abc import Callable
@@ -27,8 +27,8 @@ def cotangent_lift(
 ) -> Callable[[Ambient, Ambient], Pair]:
     """Cotangent lift ``hat(F) = (TF^-1)^*: T*M1 -> T*M2`` of a (local) diffeomorphism ``F: M1 -> M2``.
 
-    The result takes a point ``x`` of ``source`` and a covector ``p`` there (any ambient array) to ``F(x)`` and the covector
-    ``p'`` with ``<p', DF(x) e> = <p, e>`` for every tangent vector ``e`` at ``x``.
+    The result takes a point ``x`` of ``source`` and a covector ``p`` there (any ambient array) to ``F(x)`` and the
+    covector ``p'`` with ``<p', DF(x) e> = <p, e>`` for every tangent vector ``e`` at ``x``.
 
     Each is an array of the shape of a point of its manifold.
 
@@ -51,13 +51,13 @@ def cotangent_lift(
 class CotangentLift(DiscretizationMap):
     """Cotangent lift ``R_d^{T*}: TT*Q -> T*Q x T*Q`` of a discretization map on ``Q``: a discretization map on ``T*Q``.
 
-    At ``z = (x, p)`` and ``zdot = (xdot, pdot)`` its value ``(q0, p0; q1, p1)`` is ``(q0, q1) = R_d(x, xdot)`` and, for every
-    ``(dx, dv)`` tangent to ``TQ`` at ``(x, xdot)``,
+    At ``z = (x, p)`` and ``zdot = (xdot, pdot)`` its value ``(q0, p0; q1, p1)`` is ``(q0, q1) = R_d(x, xdot)`` and, for
+    every ``(dx, dv)`` tangent to ``TQ`` at ``(x, xdot)``,
 
         -<p0, D R1[dx, dv]> + <p1, D R2[dx, dv]> = <pdot, dx> + <p, dv>.
 
-    It pulls ``pr2* omega - pr1* omega`` back to the tangent lift of ``omega``. Raises ``InvalidInputError`` for what is not a
-    discretization map.
+    It pulls ``pr2* omega - pr1* omega`` back to the tangent lift of ``omega``. Raises ``InvalidInputError`` for what is
+    not a discretization map.
     """
 
     discretization: DiscretizationMap
@@ -85,7 +85,8 @@ class CotangentLift(DiscretizationMap):
         return Phi_inverse(*lift((q, qdot), (p_q, p_v)))
 
     def preimage(self, x0: Pair, x1: Pair) -> tuple[Pair, Pair]:
-        """Inverse from the inverse of ``R_d``: the covector on ``T(Q x Q)`` is pulled back, then made tangent to ``T*Q``."""
+        """Inverse from the inverse of ``R_d``: the covector on ``T(Q x Q)`` is pulled back, then made tangent to
+        ``T*Q``."""
         ends, covector = Phi(x0, x1)
         base = self.discretization.manifold
         q, qdot = self.discretization.preimage(*ends)

@@ -33,8 +33,8 @@ class DifferentiatedRetraction(Retraction):
 def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
     """Differentiated retraction ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``, a tangent vector at ``R(x, v)``.
 
-    ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that belongs
-    to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
+    ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that
+    belongs to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
 
     All of them, and the value, have the shape of a point.
 
@@ -49,7 +49,8 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
 
 
 def fibre_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-    """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at ``x``.
+    """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at
+    ``x``.
 
     ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.
 

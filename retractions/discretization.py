@@ -118,7 +118,8 @@ class Theta(DiscretizationMap):
         kinds = [(type(r.manifold), r.manifold.ambient) for r in (retraction, forward or retraction)]
         if kinds[0] != kinds[1]:
             raise InvalidInputError(
-                f"both retractions must act on one manifold, got {retraction.manifold} and {(forward or retraction).manifold}"
+                f"both retractions must act on one manifold, got {retraction.manifold} and "
+                f"{(forward or retraction).manifold}"
             )
         self.backward, self.other, self.theta = retraction, forward, float(theta)
 
@@ -139,7 +140,8 @@ class Theta(DiscretizationMap):
         return start, end
 
     def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
-        """Closed form for Euler, backward Euler and, where the retraction knows midpoints, the midpoint map; else Newton."""
+        """Closed form for Euler, backward Euler and, where the retraction knows midpoints, the midpoint map; else
+        Newton."""
         if self.theta == 0:
             return x0, self.forward.preimage(x0, x1)
         if self.theta == 1:
@@ -168,7 +170,8 @@ def Midpoint(retraction: Retraction) -> Theta:
 
 @final
 class Adjoint(DiscretizationMap):
-    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own adjoint.
+    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own
+    adjoint.
 
     >>> Adjoint(Euler(Addition(Euclidean(1)))).theta
     1.0

@@ -66,8 +66,8 @@ from .vectors import (
 class RetractionFamily:
     """Retractions that share a name. Called with a manifold it gives the one for it.
 
-    A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A class of one's own joins with
-    ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
+    A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A class of one's own
+    joins with ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
 
     The member is a retraction: ``R(x, 0) = x`` and ``D_v R(x, 0) = Id``.
 
@@ -86,7 +86,8 @@ class RetractionFamily:
         retraction: Callable[..., Retraction],
         where: Callable[[Any], bool] = lambda _: True,
     ) -> None:
-        """Make ``retraction(m)`` the member of this family for those manifolds ``m`` of the given class with ``where(m)``."""
+        """Make ``retraction(m)`` the member of this family for those manifolds ``m`` of the given class with
+        ``where(m)``."""
         self._members[manifold], self._conditions[manifold] = retraction, where
 
     def _member(self, manifold: Manifold) -> Callable[..., Retraction] | None:
@@ -164,7 +165,8 @@ FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 
 
 def default_retraction(manifold: Manifold) -> Retraction:
-    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, or ``Restored`` where none is.
+    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, or ``Restored`` where none
+    is.
 
     Factor by factor on products.
 

@@ -14,7 +14,8 @@ from .retraction import Retraction, nan_unless
 
 @final
 class LevelSetProjection(Retraction):
-    """``R(x, v)`` = critical point of the distance to ``x + v`` reached from ``x + v``: the nearest point for small ``v``.
+    """``R(x, v)`` = critical point of the distance to ``x + v`` reached from ``x + v``: the nearest point for small
+    ``v``.
 
     It solves ``y = x + v + c'(y)' l``, ``c(y) = 0`` for ``y`` and ``l``; entries are NaN where Newton's method fails.
     Inverse: ``v = y - x + c'(y)' l`` with ``l`` such that ``v`` is tangent at ``x``, a linear equation.

@@ -22,10 +22,10 @@ LENGTHS = 2.0 ** -np.arange(5, 12)
 class MeasuredOrder(NamedTuple):
     """Order of a retraction with what it was read from, the worst of all points at which it was measured.
 
-    ``order`` is 2 where the curves ``R(x, tv)`` agree with geodesics to second order, 1 where they have the velocity ``v`` at
-    ``x``, 0 else. ``base`` is the largest ``|R(x, 0) - x|``, ``velocity`` the largest ``|D_v R(x, 0)[v] - v|`` and
-    ``acceleration`` the largest acceleration of the curves, all for unit vectors ``v``. ``slope`` is that of the error against
-    the geodesic's Taylor polynomial over ``t``: infinite if there is none.
+    ``order`` is 2 where the curves ``R(x, tv)`` agree with geodesics to second order, 1 where they have the velocity
+    ``v`` at ``x``, 0 else. ``base`` is the largest ``|R(x, 0) - x|``, ``velocity`` the largest ``|D_v R(x, 0)[v] - v|``
+    and ``acceleration`` the largest acceleration of the curves, all for unit vectors ``v``. ``slope`` is that of the
+    error against the geodesic's Taylor polynomial over ``t``: infinite if there is none.
 
     The errors are ``|R(x, t v) - gamma(t)| = O(t^(order + 1))`` beside a geodesic ``gamma``.
 
@@ -50,8 +50,9 @@ def order(
 ) -> MeasuredOrder:
     """Measure the order of ``retraction`` for ``metric`` (default: that of the ambient space).
 
-    At the point and tangent vector ``at = (x, v)``, or at as many random ``points``, it is measured twice: by derivatives at
-    ``v = 0`` and by the values ``R(x, tv)`` for ``t`` from ``2^-5`` to ``2^-11``. The order is the smaller of both.
+    At the point and tangent vector ``at = (x, v)``, or at as many random ``points``, it is measured twice: by
+    derivatives at ``v = 0`` and by the values ``R(x, tv)`` for ``t`` from ``2^-5`` to ``2^-11``. The order is the
+    smaller of both.
 
     ``at``: a point and a vector of its shape.
     """
@@ -93,7 +94,9 @@ def _measure(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> 
 
         def error(t: Array) -> Array:
             chord = retraction.manifold.projection(x, vec.subtract(retraction(x, vec.scale(t, v)), x))
-            return vec.size(vec.subtract(chord, vec.add(vec.scale(t, v), vec.scale(t * t / 2, ahead)))) / (1 + vec.size(x))
+            return vec.size(vec.subtract(chord, vec.add(vec.scale(t, v), vec.scale(t * t / 2, ahead)))) / (
+                1 + vec.size(x)
+            )
 
         velocity = vec.subtract(differentiated(retraction, x, rest, v), v)
         base = vec.subtract(retraction(x, rest), x)

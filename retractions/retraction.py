@@ -22,9 +22,9 @@ from ..manifolds.numerics.shapes import check_shapes, require_shapes
 class Retraction(eqx.Module):
     """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
 
-    However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with ``manifold`` and
-    ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a round trip); a class that knows closed
-    forms writes them in their place.
+    However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with
+    ``manifold`` and ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a round trip);
+    a class that knows closed forms writes them in their place.
     """
 
     @attribute
@@ -33,12 +33,14 @@ class Retraction(eqx.Module):
         """The manifold on which this is a retraction."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without
+        ``jax.vmap``."""
         super().__init_subclass__(**options)
         check_shapes(cls, {"__call__": ("a point", "a tangent vector")}, lambda retraction: retraction.manifold)
 
     def __check_init__(self) -> None:
-        """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their annotations."""
+        """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their
+        annotations."""
         annotated = [item for kind in reversed(type(self).__mro__) for item in inspect.get_annotations(kind).items()]
         for name, wanted in dict(annotated).items():
             made_of = isinstance(wanted, type) and issubclass(wanted, Manifold | Retraction | Metric)
@@ -47,14 +49,17 @@ class Retraction(eqx.Module):
 
     @abstractmethod
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
-        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off ``TM``."""
+        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off
+        ``TM``."""
 
     def frame(self, x: Ambient) -> Any:
-        """What ``chart`` needs of the basis at ``x``: computed once for a chart, because a basis may jump near ``x``."""
+        """What ``chart`` needs of the basis at ``x``: computed once for a chart, because a basis may jump near
+        ``x``."""
         return self.manifold.basis(x)
 
     def chart(self, x: Ambient, frame: Any, c: Array) -> Ambient:
-        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``; ``frame`` from ``frame``."""
+        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``; ``frame`` from
+        ``frame``."""
         return self(x, vec.combine(frame, c))
 
     def both_ways(self, x: Ambient, v: Ambient) -> tuple[Ambient, Ambient]:
@@ -72,7 +77,8 @@ class Retraction(eqx.Module):
         return newton_preimage(self, x, y)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
-        """Whether ``preimage`` inverts ``R_x`` at ``v`` to more than half of the digits: ``sqrt(eps)`` relative to ``1 + |v|``.
+        """Whether ``preimage`` inverts ``R_x`` at ``v`` to more than half of the digits: ``sqrt(eps)`` relative to ``1
+        + |v|``.
 
         Closed forms end where ``R_x`` ceases to be injective, or where rounding of ``R(x, v)`` leaves less of ``v``.
         """
@@ -81,8 +87,8 @@ class Retraction(eqx.Module):
     def inverse(self, x: Ambient, y: Ambient) -> Ambient:
         """Inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
 
-        Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised, the
-        entries are NaN there.
+        Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised,
+        the entries are NaN there.
         """
         require_shapes(self.manifold, {"a base point": x, "a point": y})
         v = self.preimage(x, y)
@@ -90,10 +96,14 @@ class Retraction(eqx.Module):
             gap = vec.size(vec.subtract(self(x, v), y))
             # Far out, as on a hyperboloid, the value from x has the rounding errors of both points' sizes.
             if not gap <= default_tolerance() * (1 + vec.size(x)) * (1 + vec.size(y)):
-                miss = "no tangent vector leads to it" if jnp.isnan(gap) else f"the inverse misses it by {gap:.3g}, expected 0"
+                miss = (
+                    "no tangent vector leads to it"
+                    if jnp.isnan(gap)
+                    else f"the inverse misses it by {gap:.3g}, expected 0"
+                )
                 raise DomainError(
-                    f"the point is outside the image of {type(self).__name__} at the base point, or too far for the precision in "
-                    f"use: {miss}; take a nearer point, or a retraction with a larger image"
+                    f"the point is outside the image of {type(self).__name__} at the base point, or too far for the "
+                    f"precision in use: {miss}; take a nearer point, or a retraction with a larger image"
                 )
         return v
 
@@ -118,14 +128,16 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambie
 
 
 def implicit_preimage(retraction: Retraction, x: Ambient, y: Ambient, v: Ambient) -> Ambient:
-    """``v``, an inverse ``R(x, v) = y`` found by whatever means, with the derivatives of the implicit function theorem."""
+    """``v``, an inverse ``R(x, v) = y`` found by whatever means, with the derivatives of the implicit function
+    theorem."""
     source = retraction.manifold.basis(jax.lax.stop_gradient(x))
     c = known_root(miss(retraction, x, y), vec.components(source, v))
     return retraction.manifold.projection(x, vec.combine(source, c))
 
 
 def miss(retraction: Retraction, x: Ambient, y: Ambient) -> Callable[[Array], Array]:
-    """By how much ``R(x, v)`` misses ``y``, in coordinates at ``y``, as a function of the coordinates of ``v`` at ``x``."""
+    """By how much ``R(x, v)`` misses ``y``, in coordinates at ``y``, as a function of the coordinates of ``v`` at
+    ``x``."""
     here, there = jax.lax.stop_gradient((x, y))
     source, target = retraction.manifold.basis(here), retraction.manifold.basis(there)
 

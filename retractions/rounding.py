@@ -1,8 +1,8 @@
 """Where rounding ends the domain of a retraction.
 
-One rule for all: a tangent vector ``v`` is in the domain where the inverse gives it back to more than half of its digits, that
-is to ``sqrt(eps)`` relative to ``1 + |v|``. Each retraction says in its own terms by how much its inverse magnifies a rounding of
-the point, or has the round trip say it.
+One rule for all: a tangent vector ``v`` is in the domain where the inverse gives it back to more than half of its
+digits, that is to ``sqrt(eps)`` relative to ``1 + |v|``. Each retraction says in its own terms by how much its inverse
+magnifies a rounding of the point, or has the round trip say it.
 """
 
 import jax
@@ -14,7 +14,8 @@ POINT = 4  # rounding units to which a retraction computes a point
 
 
 def keeps_half_the_digits(magnification: Array) -> Bool[Array, ""]:
-    """Whether rounding of a point that is magnified so much stays below ``sqrt(eps)``; no magnification that is NaN does."""
+    """Whether rounding of a point that is magnified so much stays below ``sqrt(eps)``; no magnification that is NaN
+    does."""
     return jnp.abs(magnification) * POINT <= jnp.finfo(magnification.dtype).eps ** -0.5
 
 
@@ -24,5 +25,6 @@ def length(v: Shaped[Array, "..."]) -> Array:
 
 
 def is_seen_beside(v: Shaped[Array, "..."]) -> Bool[Array, ""]:
-    """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than ``1 / (EDGE eps)``."""
+    """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than ``1 / (EDGE
+    eps)``."""
     return length(jax.lax.stop_gradient(v)) * EDGE * jnp.finfo(v.dtype).eps < 1

@@ -20,9 +20,9 @@ class Orthographic(Retraction):
     """``R(x, v) = R_M(x, v + sum_i l_i n_i(x))`` with the multipliers ``l`` that put it on the submanifold.
 
     ``R_M`` is a retraction of the parent manifold and ``n_i`` are the gradients of the equations at ``x``: the step is
-    corrected along the normals where it starts [Absil, Malick, "Projection-like retractions on matrix manifolds", 2012].
-    Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``, NaN where ``R`` does not
-    lead back.
+    corrected along the normals where it starts [Absil, Malick, "Projection-like retractions on matrix manifolds",
+    2012]. Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``, NaN
+    where ``R`` does not lead back.
 
     >>> line = Submanifold(Euclidean(2), lambda x: x[1:])
     >>> isinstance(Projection(line), Orthographic)

@@ -11,12 +11,14 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 jax.config.update("jax_enable_x64", True)
-# Most of the time of these tests is compilation: in one piece a kernel takes an eighth less, of all processors together.
+# Most of the time of these tests is compilation: in one piece a kernel takes an eighth less, of all processors
+# together.
 jax.config.update("jax_disable_most_optimizations", True)
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} --xla_cpu_parallel_codegen_split_count=1"
 
 MEMORY_MAPS = Path("/proc/self/maps")
-MOST_MEMORY_MAPS = 20_000  # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit
+# Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit.
+MOST_MEMORY_MAPS = 20_000
 
 
 # Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache.
@@ -25,7 +27,8 @@ KERNELS = "kernels"
 
 def pytest_addoption(parser):
     parser.addoption(
-        "--part", help="K/M: the K-th of M parts of the tests that were selected, K from 0; a function's cases stay together"
+        "--part",
+        help="K/M: the K-th of M parts of the tests that were selected, K from 0; a function's cases stay together",
     )
 
 
@@ -34,7 +37,9 @@ def pytest_configure(config):
         jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir(KERNELS)))
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
-    config.addinivalue_line("markers", "usual(*cases): of the cases of this test these are run by default, the others are slow")
+    config.addinivalue_line(
+        "markers", "usual(*cases): of the cases of this test these are run by default, the others are slow"
+    )
     config.addinivalue_line("markers", "long(*cases): of the cases of this test these are slow")
 
 
@@ -77,7 +82,8 @@ def few_memory_maps():
         jax.clear_caches()
 
 
-# A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no fault.
+# A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no
+# fault.
 settings.register_profile(
     "local",
     max_examples=10,

@@ -49,7 +49,8 @@ def test_tests_and_files_that_a_page_names_exist(page):
         file = ROOT / path if not path.startswith("retrax/") else ROOT / "src" / path
         assert file.exists(), path
         assert not name or f"def {name}(" in file.read_text(), f"{path} has no {name}"
-    for target in re.findall(r"\]\((?!https?:|api/)([^)#\s]+)", text):  # api/: made with the site, which checks its own links
+    # api/: made with the site, which checks its own links.
+    for target in re.findall(r"\]\((?!https?:|api/)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
 
 
@@ -60,7 +61,9 @@ def texts() -> str:
         for path in (ROOT / room).rglob("*.py"):
             for node in ast.walk(ast.parse(path.read_text())):
                 if isinstance(node, ast.JoinedStr):
-                    found.append("".join(part.value if isinstance(part, ast.Constant) else "..." for part in node.values))
+                    found.append(
+                        "".join(part.value if isinstance(part, ast.Constant) else "..." for part in node.values)
+                    )
                 elif isinstance(node, ast.Constant) and isinstance(node.value, str):
                     found.append(node.value)
     return "\n".join(found)
@@ -79,8 +82,12 @@ def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     links = importlib.import_module("links")
     first, second = tmp_path / "first.html", tmp_path / "second.html"
-    first.write_text('<a id="here"></a><a href="#here"></a><a href="second.html#there"></a><a href="https://elsewhere#"></a>')
-    second.write_text('<p id="there"></p><a href="first.html#gone"></a><a href="third.html"></a><a href="first.html"></a>')
+    first.write_text(
+        '<a id="here"></a><a href="#here"></a><a href="second.html#there"></a><a href="https://elsewhere#"></a>'
+    )
+    second.write_text(
+        '<p id="there"></p><a href="first.html#gone"></a><a href="third.html"></a><a href="first.html"></a>'
+    )
     found, count = links.broken(tmp_path, [first, second])
     assert count == 5
     assert [words.partition(",")[0] for words in found] == [
@@ -92,7 +99,10 @@ def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
 def test_the_pages_that_use_a_name_are_found(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     uses = importlib.import_module("uses")
-    code = "from retrax import plotting as p\nfrom retrax.manifolds import SO as G, hat\np.path(G(3)); p.path(x); other.path(G)"
+    code = (
+        "from retrax import plotting as p\nfrom retrax.manifolds import SO as G, hat\np.path(G(3)); p.path(x); "
+        "other.path(G)"
+    )
     assert uses.count(code) == {("plotting", "path"): 2, ("manifolds", "SO"): 2}
     assert "/singular" in uses.used("integrators", "classify")
     assert uses.used("integrators", "SO") == []
@@ -107,7 +117,9 @@ def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
         *("Restored", "SecondOrder", "Stabilized", "Translated"),
     }
     public = {name: getattr(retractions, name) for name in retractions.__all__}
-    kinds = {name for name, kind in public.items() if inspect.isclass(kind) and issubclass(kind, retractions.Retraction)}
+    kinds = {
+        name for name, kind in public.items() if inspect.isclass(kind) and issubclass(kind, retractions.Retraction)
+    }
     concrete = {name for name in kinds if not inspect.isabstract(public[name])}
     assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
 

@@ -54,7 +54,8 @@ def test_monte_carlo_slew(tmp_path, capsys):
     found, deviation, linear = module.main(["--samples", "1000", "--output", str(tmp_path)])
     assert found.complete
     assert found.converged == found.kept["minimum"].sum() == 1000
-    # The sample deviation of 1000 is known to 1 / sqrt(2000), and a part in a hundred is not linear: three and a half of these.
+    # The sample deviation of 1000 is known to 1 / sqrt(2000), and a part in a hundred is not linear: three and a half
+    # of these.
     assert deviation == pytest.approx(linear, rel=0.08)
     assert "nothing was solved again: True" in capsys.readouterr().out
     assert (tmp_path / "monte_carlo_slew.png").exists()
@@ -82,7 +83,9 @@ def test_own_manifold(tmp_path, capsys):
 @pytest.mark.slow
 def test_abnormal_extremals(tmp_path):
     module = example("abnormal_extremals")
-    (exact, numeric), line, errors, (straight, departures), heights = module.main(["--front", "8", "--output", str(tmp_path)])
+    (exact, numeric), line, errors, (straight, departures), heights = module.main(
+        ["--front", "8", "--output", str(tmp_path)]
+    )
     for found in exact:
         pieces = [(len(piece.coordinates), len(piece.kernel), piece.k_f, len(piece.controls)) for piece in found.strata]
         # Dimension, kernel of the form, level, determined controls: at rest, and the abnormal lines.
@@ -127,7 +130,9 @@ def test_academic_singular(tmp_path):
 
 @pytest.mark.slow
 def test_rolling_ball(tmp_path):
-    turntable, incline, (energy, momentum), slip = example("rolling_ball").main(["--steps", "1000", "--output", str(tmp_path)])
+    turntable, incline, (energy, momentum), slip = example("rolling_ball").main(
+        ["--steps", "1000", "--output", str(tmp_path)]
+    )
     coarse, fine, centre, force, moving = turntable
     assert (4 * fine - coarse) / 3 == pytest.approx(2 / 7, rel=1e-6)
     assert 7 / 2 * coarse - 1 == pytest.approx(4 * (7 / 2 * fine - 1), rel=0.02), "of order 2"

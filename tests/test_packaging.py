@@ -43,7 +43,9 @@ def test_the_oldest_versions_that_are_tested_are_those_that_are_claimed():
     parts = [re.split(r"(?:\[\w+\])?>=|[,;]", claim)[:2] for claim in claims]
     lines = [line for line in (ROOT / "tests" / "oldest.txt").read_text().splitlines() if not line.startswith("#")]
     tested = dict(line.split("==") for line in lines)
-    assert {(name, version) for name, version in parts if name in tested} == {*tested.items()} - {("pyparsing", "3.1.4")}
+    assert {(name, version) for name, version in parts if name in tested} == {*tested.items()} - {
+        ("pyparsing", "3.1.4")
+    }
     assert {name for name, _ in parts[: len(project["dependencies"])]} <= {*tested}
 
 
@@ -89,7 +91,10 @@ def test_importing_retrax_imports_neither_casadi_nor_numba():
 
 
 def test_the_downward_test_sees_an_upward_import(tmp_path):
-    assert imported_layers(ROOT / "integrators" / "boundary_value" / "solver.py", "integrators") >= {"manifolds", "retractions"}
+    assert imported_layers(ROOT / "integrators" / "boundary_value" / "solver.py", "integrators") >= {
+        "manifolds",
+        "retractions",
+    }
 
 
 @pytest.mark.parametrize("layer", LAYERS)
@@ -111,6 +116,8 @@ def test_public_names_exist():
         module = importlib.import_module(f"retrax.{layer}")
         # Constants first, then classes, as the linter wants it; a single capital letter is a class.
         constants = {name for name in module.__all__ if name.isupper() and len(name) > 1}
-        assert module.__all__ == sorted(module.__all__, key=lambda name: (name not in constants, not name[0].isupper(), name))
+        assert module.__all__ == sorted(
+            module.__all__, key=lambda name: (name not in constants, not name[0].isupper(), name)
+        )
         for name in module.__all__:
             assert getattr(module, name).__doc__, name

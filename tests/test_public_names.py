@@ -1,4 +1,5 @@
-"""What the docstring of each public name says, and what it lacks: words, shapes, errors, a source or equation, an example."""
+"""What the docstring of each public name says, and what it lacks: words, shapes, errors, a source or equation, an
+example."""
 
 import ast
 import doctest
@@ -42,7 +43,9 @@ def code() -> str:
     """The code of the pages and of the examples."""
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md")]
     blocks = [
-        block for page in pages for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
+        block
+        for page in pages
+        for block in re.findall(r"^```python\n(.*?)^```", page.read_text(), re.DOTALL | re.MULTILINE)
     ]
     return "\n".join([*blocks, *(path.read_text() for path in (ROOT / "examples").glob("*.py"))])
 
@@ -60,7 +63,8 @@ def raises(thing: object) -> bool:
 
 
 def takes_arrays(thing: object) -> bool:
-    """Whether arguments or values are arrays, of a function or of the fields of a class, without a shape in the annotation."""
+    """Whether arguments or values are arrays, of a function or of the fields of a class, without a shape in the
+    annotation."""
     notes = inspect.get_annotations(thing if inspect.isclass(thing) else inspect.unwrap(thing))
     texts = [note if isinstance(note, str) else str(note) for note in notes.values()]
     return any(ARRAYS.search(text) and not SIZED.search(text) for text in texts)
@@ -99,7 +103,9 @@ def lacking(room: str) -> dict[str, list[str]]:
 def test_no_public_name_lacks_more_than_is_recorded(room):
     recorded = RECORDED.get(room, {})
     new = {what: sorted(set(names) - set(recorded.get(what, []))) for what, names in lacking(room).items()}
-    assert not any(new.values()), f"{new}: write it in the docstring; for an example, use the name in a page or an example"
+    assert not any(new.values()), (
+        f"{new}: write it in the docstring; for an example, use the name in a page or an example"
+    )
 
 
 @cache

@@ -1,4 +1,5 @@
-"""Docstrings as reStructuredText: formulas that are set off become literal blocks, and signs of mathematics are no markup."""
+"""Docstrings as reStructuredText: formulas that are set off become literal blocks, and signs of mathematics are no
+markup."""
 
 import re
 from typing import Any

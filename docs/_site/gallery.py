@@ -12,8 +12,8 @@ HEAD = """Examples
 ========
 
 Each script states its equation, solves it, checks the result against a known value, and draws it. They run as they are:
-``python examples/attitude_slew.py``. What a page shows, its script has printed and drawn when the site was built. Each page has
-its script as a notebook too.
+``python examples/attitude_slew.py``. What a page shows, its script has printed and drawn when the site was built. Each
+page has its script as a notebook too.
 """
 shown: set[Path] = set()
 
@@ -34,7 +34,8 @@ def prepare(source: Path, target: Path) -> None:
 
 
 def as_page(text: str) -> str:
-    """A script that runs where it lies, without a name of its file and without arguments, as notebooks have some of their own."""
+    """A script that runs where it lies, without a name of its file and without arguments, as notebooks have some of
+    their own."""
     changed = text.replace("Path(__file__).parent", "Path()")
     if not changed.rstrip().endswith("    main()"):
         raise ValueError(f"a script of the gallery ends with a call of main(), got {changed[-60:]!r}")
@@ -42,7 +43,8 @@ def as_page(text: str) -> str:
 
 
 def set_off(text: str) -> str:
-    """The text with its indented lines as literal blocks, and signs of mathematics that are no markup; lists stay lists."""
+    """The text with its indented lines as literal blocks, and signs of mathematics that are no markup; lists stay
+    lists."""
     lines: list[str] = []
     for line in text.split("\n"):
         if line.startswith("    ") and not (lines and lines[-1].strip()):

@@ -1,4 +1,5 @@
-"""The table of manifolds and retractions: what the classes say of themselves, and what they cost where the site is built."""
+"""The table of manifolds and retractions: what the classes say of themselves, and what they cost where the site is
+built."""
 
 import inspect
 import re
@@ -42,15 +43,15 @@ OTHERS: dict[type[Manifold], tuple[type[Retraction], ...]] = {  # that no family
 HEAD = f"""Manifolds and retractions
 =========================
 
-``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential, Projection,
-Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy.
-A level set, and any other manifold with a ``restore``, has ``Projection`` or ``Restored`` by Newton's method.
+``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential,
+Projection, Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy. A level
+set, and any other manifold with a ``restore``, has ``Projection`` or ``Restored`` by Newton's method.
 
-Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of derivatives
-(D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two columns are
-microseconds of the map and of its inverse for a point, on the manifold in the heading, in a compiled batch of {BATCH}, on the
-computer on which this page was made: compare them with each other. The sentences on images, those of ``R_x``, and on domains
-come from the classes; :doc:`/conformance` has the rule for all domains.
+Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of
+derivatives (D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two
+columns are microseconds of the map and of its inverse for a point, on the manifold in the heading, in a compiled batch
+of {BATCH}, on the computer on which this page was made: compare them with each other. The sentences on images, those of
+``R_x``, and on domains come from the classes; :doc:`/conformance` has the rule for all domains.
 """
 
 

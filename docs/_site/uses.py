@@ -30,7 +30,8 @@ def blocks(page: str) -> list[str]:
 
 
 def count(text: str) -> Counter[tuple[str, str]]:
-    """How often code uses the names that it imports from rooms, and attributes of rooms that it imports, by room and name."""
+    """How often code uses the names that it imports from rooms, and attributes of rooms that it imports, by room and
+    name."""
     nodes, names, rooms = list(ast.walk(ast.parse(text))), dict[str, tuple[str, str]](), dict[str, str]()
     for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "retrax":

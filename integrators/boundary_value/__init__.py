@@ -1,4 +1,5 @@
-"""Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and report."""
+"""Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and
+report."""
 
 from .batch_file import load_solutions
 from .continuation import Continuation, continuation

@@ -1,4 +1,5 @@
-"""Arcs along which controls stay at their bounds, with free durations: switches are then nodes, and found to all digits."""
+"""Arcs along which controls stay at their bounds, with free durations: switches are then nodes, and found to all
+digits."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple, final
@@ -24,7 +25,8 @@ OWN, DURATIONS, LAST = "own", "durations", "duration of the last arc"
 
 
 class _Arc(NamedTuple):
-    """What holds at a time: the duration of the arc, the time of the problem, and the controls that are fixed, with values."""
+    """What holds at a time: the duration of the arc, the time of the problem, and the controls that are fixed, with
+    values."""
 
     duration: Array
     time: Array
@@ -34,15 +36,16 @@ class _Arc(NamedTuple):
 
 @final
 class Arcs:
-    """A problem whose controls are at known bounds along K arcs, as a problem over ``[0, K]`` in which each arc lasts 1.
+    """A problem whose controls are at known bounds along K arcs, as a problem over ``[0, K]`` in which each arc lasts
+    1.
 
     Over arc j, with the durations ``d`` as free parameters, ``t = d_1 + ... + d_(j-1) + (tau - j) d_j`` and
 
         dq/dtau = d_j X(q, u, t),    cost  int d_j F dtau,    u_i = its bound where it is fixed, else v_i,
 
-    so that nothing jumps within a step, and stationarity by ``d_j`` says that the switches are where they should be. Nothing
-    depends on the ``v_i`` of a control that is fixed, which a cost ``v_i^2`` holds amid its bounds. With a given horizon the last
-    duration is what the others leave. ``unit``: that of the cost over time.
+    so that nothing jumps within a step, and stationarity by ``d_j`` says that the switches are where they should be.
+    Nothing depends on the ``v_i`` of a control that is fixed, which a cost ``v_i^2`` holds amid its bounds. With a
+    given horizon the last duration is what the others leave. ``unit``: that of the cost over time.
     """
 
     def __init__(self, problem: OptimalControlProblem, sides: np.ndarray, horizon: Any, unit: float) -> None:
@@ -60,7 +63,12 @@ class Arcs:
         names, limits = problem.limits.names, [self._limit(place) for place in range(len(problem.limits.names))]
         own, every = problem.limits, (*limits, self._last) if last else tuple(limits)
         held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last))
-        changes: Any = {"dynamics": self._velocity, "running_cost": self._rate, "constraints": held, "time_dependent": True}
+        changes: Any = {
+            "dynamics": self._velocity,
+            "running_cost": self._rate,
+            "constraints": held,
+            "time_dependent": True,
+        }
         costs = ("terminal_cost", self._final), ("initial_cost", self._first)
         changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
         self.problem = problem.replaced(boundary_constraints=self._boundary(), **changes)
@@ -74,7 +82,11 @@ class Arcs:
 
     def durations(self, found: Any) -> Any:
         """The durations of all arcs from those that are free."""
-        return found if is_free(self.horizon) else jnp.concatenate([found, jnp.reshape(self.horizon - jnp.sum(found), (1,))])
+        return (
+            found
+            if is_free(self.horizon)
+            else jnp.concatenate([found, jnp.reshape(self.horizon - jnp.sum(found), (1,))])
+        )
 
     def guess(self, solution: Solution, ends: np.ndarray, nodes: np.ndarray, stages: np.ndarray) -> Guess:
         """A solution of the problem as a guess at times of nodes and stages in ``[0, K]``, for arcs with some ends."""
@@ -93,7 +105,8 @@ class Arcs:
         return np.clip(np.floor(tau).astype(int), 0, self.count - 1)
 
     def solution(self, found: Solution) -> Solution:
-        """The solution of the problem, with the multipliers of bounds that switching functions ``d(<p, X> - F)/du`` are."""
+        """The solution of the problem, with the multipliers of bounds that switching functions ``d(<p, X> - F)/du``
+        are."""
         durations = np.asarray(self.durations(found.parameters[DURATIONS]))
         ends = np.concatenate([[0.0], np.cumsum(durations)])
         arc, rates = self.arc(found.stage_times), durations[self.arc(found.stage_times)]
@@ -134,9 +147,11 @@ class Arcs:
         return replace(solution, multipliers=multipliers, checks=replace(solution.checks, active=active))
 
     def lack(self, solution: Solution, arcs: np.ndarray) -> float:
-        """By how much the cost falls, to first order and relative to it, if controls leave bounds to which nothing pulls them.
+        """By how much the cost falls, to first order and relative to it, if controls leave bounds to which nothing
+        pulls them.
 
-        ``int max(-side d(<p, X> - F)/du, 0) room dt`` along the polynomials of the steps, of which ``arcs`` are the arcs.
+        ``int max(-side d(<p, X> - F)/du, 0) room dt`` along the polynomials of the steps, of which ``arcs`` are the
+        arcs.
         """
         interpolant: Any = solution.interpolant
         stages = len(solution.stage_times) // solution.steps
@@ -145,18 +160,26 @@ class Arcs:
         rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.stage_multipliers.items()}
         at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
         shares = lagrange(at, places)
-        own = {name: np.einsum("is,ksc->kic", shares, values).reshape(-1, values.shape[2]) for name, values in rows.items()}
+        own = {
+            name: np.einsum("is,ksc->kic", shares, values).reshape(-1, values.shape[2]) for name, values in rows.items()
+        }
         flat = (
-            jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), part) for part in (found.states, found.costates, found.controls)
+            jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), part)
+            for part in (found.states, found.costates, found.controls)
         )
         slopes = self._slopes((*flat, found.times.ravel()), own, solution.parameters).reshape(*found.times.shape, -1)
         wrong = np.mean(np.maximum(-self.sides[arcs][:, None] * slopes, 0.0), axis=1) @ self.room
         return float(np.diff(solution.times) @ wrong / (self.unit * (solution.times[-1] - solution.times[0])))
 
-    def _slopes(self, along: tuple[Any, Any, Any, np.ndarray], multipliers: dict[str, np.ndarray], parameters: Any) -> np.ndarray:
-        """The switching functions with the share of the constraints, at states, costates, controls and times in a row."""
+    def _slopes(
+        self, along: tuple[Any, Any, Any, np.ndarray], multipliers: dict[str, np.ndarray], parameters: Any
+    ) -> np.ndarray:
+        """The switching functions with the share of the constraints, at states, costates, controls and times in a
+        row."""
         parameter = parameter_layout(parameters)
-        held = np.concatenate([np.zeros((len(along[3]), 0)), *(multipliers[name] for name in self.own.limits.names)], axis=1)
+        held = np.concatenate(
+            [np.zeros((len(along[3]), 0)), *(multipliers[name] for name in self.own.limits.names)], axis=1
+        )
         key = structure_of(parameters), held.shape[1]
         if key not in self._slope:
             self._slope[key] = self._slope_of(parameter, held.shape[1])
@@ -201,7 +224,10 @@ class Arcs:
     def _rate(self, q: Any, v: Array, tau: Array, given: Any) -> Array:
         arc = self._arc(tau, given)
         idle = arc.fixed * (jnp.ravel(v) - self.middle) / self.room
-        return arc.duration * self._bound(arc.time, given).cost_rate(q, self._control(v, arc)) + self.unit * idle @ idle / 2
+        return (
+            arc.duration * self._bound(arc.time, given).cost_rate(q, self._control(v, arc))
+            + self.unit * idle @ idle / 2
+        )
 
     def _final(self, q: Any, tau: Array, given: Any) -> Array:
         return self._bound(jnp.sum(self.durations(given[DURATIONS])), given).final_cost(q)

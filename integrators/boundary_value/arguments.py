@@ -42,16 +42,17 @@ def copied(parameters: Any) -> Any:
 
 
 def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
-    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not numbers."""
+    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not
+    numbers."""
     if problem.takes_parameters and parameters is None:
         raise InvalidInputError(
-            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or tuples or "
-            "dictionaries of them"
+            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or "
+            "tuples or dictionaries of them"
         )
     if not problem.takes_parameters and parameters is not None:
         raise InvalidInputError(
-            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions of "
-            "(q, u, parameters)"
+            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions "
+            "of (q, u, parameters)"
         )
     for leaf in jax.tree.leaves(parameters):
         if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
@@ -78,7 +79,13 @@ def fractions_of(steps: Any) -> np.ndarray:
             raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
         return np.full(int(steps), 1 / int(steps))
     given = np.asarray(steps)
-    if np.ndim(steps) == 1 and given.size and given.dtype.kind in "fiu" and np.all(np.isfinite(given)) and np.all(given > 0):
+    if (
+        np.ndim(steps) == 1
+        and given.size
+        and given.dtype.kind in "fiu"
+        and np.all(np.isfinite(given))
+        and np.all(given > 0)
+    ):
         return given / np.sum(given)
     raise InvalidInputError(
         f"steps must be a whole number of at least 1, got {steps!r:.80}; or the lengths of the steps, positive numbers"
@@ -90,17 +97,23 @@ def check_problem(problem: Any, method: Any) -> None:
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
     if not isinstance(method, DiscretizationMap | Gauss):
         raise InvalidInputError(
-            f"solve takes a Gauss method or a discretization map, got {method!r}; try Midpoint(default_retraction(manifold))"
+            f"solve takes a Gauss method or a discretization map, got {method!r}; try "
+            "Midpoint(default_retraction(manifold))"
         )
     problem.require_treated("solve", *ALONG, *BETWEEN)
     problem.check_discretization(method)
 
 
 def check_method(
-    problem: OptimalControlProblem, method: Method, classification: Classification | None, integrator: SingularIntegrator | None
+    problem: OptimalControlProblem,
+    method: Method,
+    classification: Classification | None,
+    integrator: SingularIntegrator | None,
 ) -> None:
     """Raise if the classification or the integrator belongs to something else than the problem."""
-    if classification is not None and not (isinstance(classification, Classification) and classification.is_of(problem)):
+    if classification is not None and not (
+        isinstance(classification, Classification) and classification.is_of(problem)
+    ):
         raise InvalidInputError(
             f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
             "classify(problem)"
@@ -108,7 +121,9 @@ def check_method(
     if integrator is None:
         return
     if classification is None or classification.regular:
-        raise InvalidInputError(f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out")
+        raise InvalidInputError(
+            f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out"
+        )
     if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
         raise InvalidInputError(
             f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
@@ -117,9 +132,10 @@ def check_method(
 
 
 def require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
-    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked before."""
+    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked
+    before."""
     if normal > default_tolerance():
         raise NotOnManifoldError(
-            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part reaches "
-            f"{normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part "
+            f"reaches {normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
         )

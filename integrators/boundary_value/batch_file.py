@@ -28,11 +28,13 @@ def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
                 archive.write(place, place.name)
 
 
-def load_solutions(path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None) -> "Solutions":
+def load_solutions(
+    path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None
+) -> "Solutions":
     """Read a batch that ``Solutions.save`` wrote; nothing in the file is executed.
 
-    ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file is
-    something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
+    ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file
+    is something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
     """
     from .solution import Solutions, load_solution
 
@@ -57,11 +59,17 @@ def _unpacked(path: Path, folder: Path) -> list[Path]:
     count = len(content) - 1
     expected = [f"{k}.npz" for k in range(count)]
     head = content.pop(HEAD, b"").decode("utf-8", errors="replace")
-    if head != f"{SCHEMA}\n{count} members\n" or sorted(content) != sorted(expected) or len(names) != count + 1 or not count:
+    if (
+        head != f"{SCHEMA}\n{count} members\n"
+        or sorted(content) != sorted(expected)
+        or len(names) != count + 1
+        or not count
+    ):
         begins = head.partition("\n")[0]
         raise InvalidInputError(
-            f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected {SCHEMA!r} and a "
-            "file for each of one or more members, from Solutions.save; try load_solution for a single one"
+            f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected "
+            f"{SCHEMA!r} and a file for each of one or more members, from Solutions.save; try load_solution for a "
+            "single one"
         )
     for name in expected:
         (folder / name).write_bytes(content[name])

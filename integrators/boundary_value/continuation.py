@@ -32,8 +32,8 @@ NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no ot
 class Continuation:
     """The extremals along a path, at ``places`` in [0, 1], shape ``(K,)``, up to the last that was reached.
 
-    ``success``: whether that is the end of the path; ``result`` says in words why not. ``solutions`` belong to the places;
-    ``solution`` is the last of them.
+    ``success``: whether that is the end of the path; ``result`` says in words why not. ``solutions`` belong to the
+    places; ``solution`` is the last of them.
     """
 
     places: np.ndarray
@@ -47,12 +47,15 @@ class Continuation:
         return self.solutions[-1]
 
     def __repr__(self) -> str:
-        reached = f"reached {self.places[-1]:.6g} of the path by {len(self.places) - 1} steps, cost {self.solution.cost:.9g}"
+        reached = (
+            f"reached {self.places[-1]:.6g} of the path by {len(self.places) - 1} steps, cost {self.solution.cost:.9g}"
+        )
         return f"Continuation({reached}, result={self.result!r})"
 
 
 class _Trial(NamedTuple):
-    """A solution further along the path, its correction relative to what is allowed, and why it is not taken, if it is not."""
+    """A solution further along the path, its correction relative to what is allowed, and why it is not taken, if it is
+    not."""
 
     solution: Solution
     correction: float
@@ -69,18 +72,20 @@ def continuation(
     max_iterations: int = 20,
     callback: Callable[[float, Solution], Any] | None = None,
 ) -> Continuation:
-    """The solution at the end of a path of problems, followed from its beginning [Allgower, Georg, Numerical Continuation, 1990].
+    """The solution at the end of a path of problems, followed from its beginning [Allgower, Georg, Numerical
+    Continuation, 1990].
 
-    ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and ``parameters`` of
-    ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and with the problem that is
-    wanted at 1. Each step predicts the next extremal by the tangent, from ``solver.sensitivity``, and corrects it by Newton's
-    method. Steps become longer where the correction is small beside what was predicted [den Heijer, Rheinboldt, On steplength
-    algorithms for a class of continuation methods, SIAM J. Numer. Anal. 18, 1981], and shorter where it is large, leads to
-    another extremal, takes more than ``max_iterations``, or loses the strict minimum.
+    ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and
+    ``parameters`` of ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and
+    with the problem that is wanted at 1. Each step predicts the next extremal by the tangent, from
+    ``solver.sensitivity``, and corrects it by Newton's method. Steps become longer where the correction is small beside
+    what was predicted [den Heijer, Rheinboldt, On steplength algorithms for a class of continuation methods, SIAM J.
+    Numer. Anal. 18, 1981], and shorter where it is large, leads to another extremal, takes more than
+    ``max_iterations``, or loses the strict minimum.
 
-    Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``: called
-    with each place and solution; the way ends where it returns something true. Regular problems only. Raises what
-    ``solver.solve`` raises at the beginning of the path.
+    Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``:
+    called with each place and solution; the way ends where it returns something true. Regular problems only. Raises
+    what ``solver.solve`` raises at the beginning of the path.
     """
     if not (isinstance(solver, Solver) and callable(path)):
         raise InvalidInputError(
@@ -99,7 +104,9 @@ def continuation(
         if not trial.refusal:
             places.append(place)
             found.append(trial.solution)
-            step = max(step * min(LONGER, max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))), smallest_step)
+            step = max(
+                step * min(LONGER, max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))), smallest_step
+            )
             stopped = callback is not None and callback(place, trial.solution)
         elif trial.solution.result == Result[Result.stopped]:
             stopped = True
@@ -109,7 +116,11 @@ def continuation(
         else:
             step = max(SHORTER * min(step, place - places[-1]), smallest_step)
     reached = places[-1] == 1
-    words = "The end of the path was reached." if reached else result or f"The way was stopped at {places[-1]:.6g} of the path."
+    words = (
+        "The end of the path was reached."
+        if reached
+        else result or f"The way was stopped at {places[-1]:.6g} of the path."
+    )
     return Continuation(np.array(places), Solutions.of(found), reached, words)
 
 
@@ -120,8 +131,8 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
     if not isinstance(given, dict) or not names <= set(given) <= set(Given._fields):
         came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
         raise InvalidInputError(
-            f"the path returned {came} at {place:.6g}, expected a dictionary with start, end, horizon and, where functions take "
-            "them, parameters"
+            f"the path returned {came} at {place:.6g}, expected a dictionary with start, end, horizon and, where "
+            "functions take them, parameters"
         )
     return Given(**{"parameters": None, **given})
 
@@ -186,7 +197,9 @@ class Predictor:
 
     def _moved_of(self, q: Array, v: Array) -> tuple[Array]:
         point = self.state.point(q)
-        return (self.state.flat(self.solver.method.retraction(point, self.manifold.projection(point, self.state.point(v)))),)
+        return (
+            self.state.flat(self.solver.method.retraction(point, self.manifold.projection(point, self.state.point(v)))),
+        )
 
     def _projected_of(self, q: Array, p: Array) -> tuple[Array]:
         return (self.state.flat(self.manifold.projection(self.state.point(q), self.state.point(p))),)
@@ -208,7 +221,9 @@ def _informed(given: Given, last: Solution) -> Given:
     def near(value: Any, found: Any) -> Any:
         return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
 
-    horizon, parameters = jax.tree.map(near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free)
+    horizon, parameters = jax.tree.map(
+        near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free
+    )
     return given._replace(horizon=horizon, parameters=parameters)
 
 

@@ -25,10 +25,15 @@ class ControlCurvature:
         self._curvatures: Evaluated = Automatic().values(self._curvatures_of, *sizes)
 
     def __call__(self, solution: Solution, parameters: Any) -> np.ndarray:
-        """Sums of their sizes at the stages, shape ``(N s, m)``: 0 where it is linear in an entry; on a curved space nowhere."""
+        """Sums of their sizes at the stages, shape ``(N s, m)``: 0 where it is linear in an entry; on a curved space
+        nowhere."""
         if not isinstance(self.problem.controls, Euclidean):
             return np.ones((len(solution.stage_times), self.control.size))
-        layouts = (self.state, solution.stage_states), (self.state, solution.stage_costates), (self.control, solution.controls)
+        layouts = (
+            (self.state, solution.stage_states),
+            (self.state, solution.stage_costates),
+            (self.control, solution.controls),
+        )
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         rows = (layout.rows(points, 1) for layout, points in layouts)
         return self._curvatures(*rows, solution.stage_times[:, None], given[None])[0]

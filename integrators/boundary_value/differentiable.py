@@ -16,7 +16,8 @@ from .solution import Solution
 
 
 class Extremal(NamedTuple):
-    """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same shapes.
+    """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same
+    shapes.
 
     ``cost`` is a scalar; ``states`` and ``costates`` belong to the N + 1 nodes, ``controls`` to the stages.
     """
@@ -37,7 +38,10 @@ class Given(NamedTuple):
 
 
 def extremal_of(
-    manifold: Manifold, given: Given, solved: Callable[[Given], Solution], sensitivity: Callable[[Solution], Sensitivity]
+    manifold: Manifold,
+    given: Given,
+    solved: Callable[[Given], Solution],
+    sensitivity: Callable[[Solution], Sensitivity],
 ) -> Extremal:
     """The extremal that ``solved`` finds, with the derivatives of the implicit function theorem.
 
@@ -74,8 +78,8 @@ def _values(given: Given) -> Given:
     """In NumPy; raises where only JAX could know them."""
     if is_transformed(given):
         raise InvalidInputError(
-            "extremal is called with values that JAX is tracing, as under jit and vmap and for second derivatives, expected "
-            "numbers; it has first derivatives, outside jit and vmap: try differences of those"
+            "extremal is called with values that JAX is tracing, as under jit and vmap and for second derivatives, "
+            "expected numbers; it has first derivatives, outside jit and vmap: try differences of those"
         )
     return jax.tree.map(np.asarray, given)
 

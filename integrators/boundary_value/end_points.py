@@ -51,7 +51,9 @@ class NodeCondition(eqx.Module):
     def node(self, reached: Ambient) -> Ambient:
         """The node: prescribed where fixed, the reached end of the stage where free."""
         wanted, structure = jax.tree.flatten(self.point)
-        leaves = [w if fixed else r for w, r, fixed in zip(wanted, jax.tree.leaves(reached), self.fixed_leaves, strict=True)]
+        leaves = [
+            w if fixed else r for w, r, fixed in zip(wanted, jax.tree.leaves(reached), self.fixed_leaves, strict=True)
+        ]
         return jax.tree.unflatten(structure, leaves)
 
     def mask(self) -> Array:
@@ -60,7 +62,8 @@ class NodeCondition(eqx.Module):
 
 
 class Prescribed(NamedTuple):
-    """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else 0.
+    """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else
+    0.
 
     ``known``: which entries are prescribed, or free and guessed.
     """
@@ -86,8 +89,8 @@ def _of_parts(marks: Sequence[bool], parts: tuple[Part, ...], what: str) -> np.n
 class EndPoints(NamedTuple):
     """Ends of trajectories as flat points, shape (B, E), or (1, E) for all, and what is prescribed of each.
 
-    What is free at one end is as at the other where that is prescribed, else as it is guessed with ``Free``; the entries of
-    which neither end says anything are ``unknown``.
+    What is free at one end is as at the other where that is prescribed, else as it is guessed with ``Free``; the
+    entries of which neither end says anything are ``unknown``.
     """
 
     start: np.ndarray
@@ -97,12 +100,17 @@ class EndPoints(NamedTuple):
 
     def completed(self, first: np.ndarray, last: np.ndarray) -> "EndPoints":
         """The ends with entries of these flat points where they are unknown."""
-        return self._replace(start=np.where(self.unknown, first, self.start), end=np.where(self.unknown, last, self.end))
+        return self._replace(
+            start=np.where(self.unknown, first, self.start), end=np.where(self.unknown, last, self.end)
+        )
 
     def require_known(self, start: Any) -> None:
-        """Raise if a factor is free at both ends, so that there is nothing to guess it from; ``start`` is as it was given."""
+        """Raise if a factor is free at both ends, so that there is nothing to guess it from; ``start`` is as it was
+        given."""
         if np.any(self.unknown):
-            raise InvalidInputError(f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess")
+            raise InvalidInputError(
+                f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess"
+            )
 
 
 @final
@@ -120,7 +128,8 @@ class EndReader:
         return self.layout.rows(resting_control(self.manifold), 0)
 
     def ends(self, start: Any, end: Any, batched: bool) -> EndPoints:
-        """Both ends. Raises ``NotOnManifoldError`` for a part of another structure than a point, with entries not finite."""
+        """Both ends. Raises ``NotOnManifoldError`` for a part of another structure than a point, with entries not
+        finite."""
         (first, start_rows), (last, end_rows) = (self._read(*at, batched) for at in ((start, "start"), (end, "end")))
         own = first.entries | (first.known & ~last.entries), last.entries | (last.known & ~first.entries)
         rows = np.where(own[0], start_rows, end_rows), np.where(own[1], end_rows, start_rows)

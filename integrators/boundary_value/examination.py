@@ -1,4 +1,5 @@
-"""What a solution that meets its conditions does not tell by itself: jumps that it passes, controls that nothing determines."""
+"""What a solution that meets its conditions does not tell by itself: jumps that it passes, controls that nothing
+determines."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,8 +37,9 @@ class Examination:
     def __call__(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any] = (None, None)) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
 
-        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is ``given``
-        of the start or the end violates a constraint of the states, of which the conditions at the stages know nothing.
+        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is
+        ``given`` of the start or the end violates a constraint of the states, of which the conditions at the stages
+        know nothing.
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
@@ -55,7 +57,10 @@ class Examination:
 
     def _wrong(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
-        looked, rules = self._looked(free_horizon, solution.parameters), self._once(TrueDerivatives, solution.parameters)
+        looked, rules = (
+            self._looked(free_horizon, solution.parameters),
+            self._once(TrueDerivatives, solution.parameters),
+        )
         jump = looked(solution, self._fixed(given)) if looked else ""
         points = solution.stage_states, solution.controls, solution.stage_times
         return jump or (rules(*points, solution.parameters) if rules else "")
@@ -80,15 +85,20 @@ class Examination:
             if np.max(over, initial=0.0) > 0:
                 worst = int(np.argmax(over))
                 return (
-                    f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the stages alone, and the "
-                    f"trajectory cannot keep it; expected {'a start' if end == 'start' else 'an end'} where it is not positive; "
-                    "try another one, or a wider constraint."
+                    f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the stages "
+                    f"alone, and the trajectory cannot keep it; expected {'a start' if end == 'start' else 'an end'} "
+                    "where it is not positive; try another one, or a wider constraint."
                 )
         return ""
 
     def _fixed(self, given: tuple[Any, Any]) -> np.ndarray:
         """Which coordinates of both ends are prescribed, shape ``(2, n)``."""
-        return np.stack([part.coordinates for part in EndReader(self.problem.manifold).ends(*given, batched=True).prescribed]) > 0
+        return (
+            np.stack(
+                [part.coordinates for part in EndReader(self.problem.manifold).ends(*given, batched=True).prescribed]
+            )
+            > 0
+        )
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
@@ -115,16 +125,18 @@ class Examination:
         meaning = (
             "this is a singular arc, and the discrete problem has a strict minimum here all the same."
             if solution.checks.strict_minimum
-            else "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and another may "
+            else "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and "
+            "another may "
             "cost less; try a guess in which this control moves, and compare the costs."
         )
         return (
-            f"A switching function vanishes, {' and '.join(found)}, where the conditions of first order do not determine the "
-            f"control: {meaning}"
+            f"A switching function vanishes, {' and '.join(found)}, where the conditions of first order do not "
+            f"determine the control: {meaning}"
         )
 
     def _flat(self, solution: Solution) -> np.ndarray:
-        """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s, m)``."""
+        """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
+        m)``."""
         limits, controls = self.problem.limits, self.problem.controls
         count = len(solution.stage_times)
         if not (limits.along and isinstance(controls, Euclidean)):

@@ -1,4 +1,5 @@
-"""Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more states."""
+"""Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more
+states."""
 
 from collections.abc import Callable
 from dataclasses import astuple, replace
@@ -18,13 +19,14 @@ from .sensitivity import Sensitivity
 from .solution import Solution, Solutions, Statistics
 
 SINGULAR = (
-    "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters or an "
-    "explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold the controls; a "
-    "running cost that is constant with a free horizon is minimum time, and needs control_bounds or constraints"
+    "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
+    "or an explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold "
+    "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
+    "constraints"
 )
 LOST = (
-    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an upper "
-    "bound, or a guess of the trajectory."
+    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an "
+    "upper bound, or a guess of the trajectory."
 )
 FAR, TOO_FAR, AGAIN = 10.0, 1e6, 3  # from the guess: a horizon that is found again, or not believed; and how often
 
@@ -41,7 +43,9 @@ class Formulated:
     def on(self, reader: MemberReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
         """The same on another mesh."""
         other = Formulated(reader, self.method, make)
-        other._made = {kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()}
+        other._made = {
+            kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()
+        }
         other._found = self._found
         return other
 
@@ -56,7 +60,8 @@ class Formulated:
         return self._made[kind]
 
     def solve(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
-        """The extremal of a single trajectory; ``choice``: of the classification and the integrator of a singular one."""
+        """The extremal of a single trajectory; ``choice``: of the classification and the integrator of a singular
+        one."""
         return self._in_own_units(asked, self._solved(asked, options, *choice), options, *choice)
 
     def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any], *choice: Any) -> Solution:

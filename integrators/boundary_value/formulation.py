@@ -46,7 +46,9 @@ class Kind(NamedTuple):
         free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
         limits = (horizon.lower > 0, bool(np.isfinite(horizon.upper))) if is_free(horizon) else (False, False)
         shapes = tuple(np.shape(guessed(leaf)) for leaf in leaves)
-        return cls(is_free(horizon), limits, structure, shapes, free, *(tuple(np.flatnonzero(side).tolist()) for side in sides))
+        return cls(
+            is_free(horizon), limits, structure, shapes, free, *(tuple(np.flatnonzero(side).tolist()) for side in sides)
+        )
 
     @property
     def entries(self) -> int:
@@ -80,14 +82,14 @@ def is_formulated(problem: OptimalControlProblem, horizon: Any, parameters: Any)
 class Formulation:
     """The problem on ``Q x R^j x R`` with states ``(q, c, tau)`` that a problem with free quantities or a time is.
 
-    The constants ``c`` are the entries of the free parameters ``theta`` and ``s = log(T / T_0)``, ``T_0`` the guess of the free
-    horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t = e^s tau``,
+    The constants ``c`` are the entries of the free parameters ``theta`` and ``s = log(T / T_0)``, ``T_0`` the guess of
+    the free horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t = e^s tau``,
 
         q' = e^s X(q, u, t, theta),   c' = 0,   tau' = 1,   cost Phi_0(q(0), theta) + int e^s F dtau + Phi(q, t, theta),
 
     so that ``T > 0`` without a bound, and the clock is right whatever ``s`` is. The steps are those of the problem over
-    ``[0, T]``. Its costates are those of the problem, and its Hamiltonian is ``e^s H + p_tau``. Stationarity by ``s`` says that
-    the mean of the Hamiltonian of a free horizon is zero, or what the terminal cost changes by with the time.
+    ``[0, T]``. Its costates are those of the problem, and its Hamiltonian is ``e^s H + p_tau``. Stationarity by ``s``
+    says that the mean of the Hamiltonian of a free horizon is zero, or what the terminal cost changes by with the time.
     """
 
     def __init__(self, problem: OptimalControlProblem, method: Method, kind: Kind) -> None:
@@ -131,7 +133,8 @@ class Formulation:
         return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
 
     def guess(self, guess: Guess, constants: np.ndarray, times: tuple[np.ndarray, np.ndarray]) -> Guess:
-        """A guess with the constants, and the times of the nodes and of the stages; covectors of what is added are zero."""
+        """A guess with the constants, and the times of the nodes and of the stages; covectors of what is added are
+        zero."""
 
         def with_states(given: Any, times: np.ndarray) -> Any:
             added = [np.broadcast_to(constants, (len(times), self.constants))] if self.constants else []
@@ -149,7 +152,9 @@ class Formulation:
             "stage_costates": (with_covectors, at_stages),
         }
         given = {name: getattr(guess, name) for name in make}
-        return guess._replace(**{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None})
+        return guess._replace(
+            **{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None}
+        )
 
     @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result
     def solution(self, found: Solution, parameters: Any, interpolant: Interpolant) -> Solution:
@@ -158,7 +163,9 @@ class Formulation:
         rate = np.exp(constants[-1]) if self.kind.horizon else np.float64(1.0)
         clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
         fixed = [np.array(leaf) for leaf in jax.tree.leaves(parameters, is_leaf=is_free) if not is_free(leaf)]
-        states: Any = {name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")}
+        states: Any = {
+            name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
+        }
         named: Any = {name: _named(getattr(found, name)) for name in ("momenta", "body_costates", "spatial_costates")}
         return replace(
             found,
@@ -214,7 +221,9 @@ class Formulation:
         q, *added = y
         bound, entries, rate = self.own, self.kind.entries, self.rate(y)
         if bound.takes_parameters:
-            bound = bound.with_parameters(self.kind.parameters(added[0][:entries] if self.constants else None, given[0]))
+            bound = bound.with_parameters(
+                self.kind.parameters(added[0][:entries] if self.constants else None, given[0])
+            )
         return q, bound.at_time(rate * added[-1][0] if self.own.time_dependent else None), rate
 
     def _velocity(self, y: tuple, u: Ambient, given: Any) -> tuple:
@@ -269,7 +278,9 @@ class Formulation:
                 names.append(name)
                 functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
                 begin += len(entries)
-        return Inequalities(own.lower, own.upper, (*own.names, *names), tuple(functions), own.at_first | frozenset(names))
+        return Inequalities(
+            own.lower, own.upper, (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
+        )
 
     def _limit(self, place: int) -> Callable:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:

@@ -15,7 +15,8 @@ from .guess import Guess, check_arrays
 
 
 class FlatGuess(NamedTuple):
-    """The parts of guesses, each of shape (B, ...) with the stages or nodes along the second axis; B = 1 for all members.
+    """The parts of guesses, each of shape (B, ...) with the stages or nodes along the second axis; B = 1 for all
+    members.
 
     The last two are None where they are not known of every guess.
     """
@@ -49,14 +50,17 @@ class GuessReader:
         at_stages, at_nodes = steps * stages, steps + 1
         places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
         self._parts = [
-            _Part(name, own[of][0], length, own[of][1]) for name, (of, length) in zip(Guess._fields, places, strict=True)
+            _Part(name, own[of][0], length, own[of][1])
+            for name, (of, length) in zip(Guess._fields, places, strict=True)
         ]
 
     def flat(self, guesses: Sequence[Any]) -> FlatGuess:
         """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""
         for guess in guesses:
             if not isinstance(guess, Guess):
-                raise InvalidInputError(f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)")
+                raise InvalidInputError(
+                    f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)"
+                )
             if (guess.nodes is None) != (guess.stage_costates is None):
                 raise InvalidInputError(
                     "guess: nodes and stage_costates come together, and one of them is None; give both or neither"
@@ -76,7 +80,8 @@ class GuessReader:
         return Guess(*(_points(rows, k, part) for rows, part in zip(flat, self._parts, strict=True)))
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
-        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it has."""
+        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it
+        has."""
         begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
         for name in ("states", "nodes"):
             rows = getattr(flat, name)

@@ -22,8 +22,9 @@ from .engine.start import Start
 class Guess(NamedTuple):
     """A guess for ``solve``: states and controls at the stages, and costates at the N + 1 nodes (None: zero).
 
-    Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``. What is
-    known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or neither.
+    Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``.
+    What is known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or
+    neither.
     """
 
     states: Ambient
@@ -38,10 +39,10 @@ class Guess(NamedTuple):
     ) -> "Guess":
         """The trajectory to which controls lead from ``start`` over ``[0, horizon]``.
 
-        ``controls``: points of U with the stages along the leading axis, as in a ``Guess`` or a ``Solution``, or a function of
-        time. Each is held for the share of the step that its stage has as a weight of quadrature. ``steps``: their number, or
-        their lengths. Costates are zero. Raises ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments, and
-        ``DomainError`` where the controls lead to no finite state.
+        ``controls``: points of U with the stages along the leading axis, as in a ``Guess`` or a ``Solution``, or a
+        function of time. Each is held for the share of the step that its stage has as a weight of quadrature.
+        ``steps``: their number, or their lengths. Costates are zero. Raises ``InvalidInputError`` or
+        ``NotOnManifoldError`` for other arguments, and ``DomainError`` where the controls lead to no finite state.
         """
         return rolled_out(problem, method, start, controls, horizon, steps)
 
@@ -51,29 +52,33 @@ class Guess(NamedTuple):
     ) -> "Guess":
         """The trajectory through ``points``, from each to the next along the curve of the method's retraction.
 
-        ``times`` of the points: ascending, counted relative to the last minus the first; by default evenly spaced. Where the
-        curve does not arrive, the way is that of ``default_guess``. Controls rest, costates are zero. Raises
+        ``times`` of the points: ascending, counted relative to the last minus the first; by default evenly spaced.
+        Where the curve does not arrive, the way is that of ``default_guess``. Controls rest, costates are zero. Raises
         ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments, and ``DomainError`` if no curve arrives.
         """
         return through(problem, method, points, steps, times)
 
     def __repr__(self) -> str:
-        return f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
+        return (
+            f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
+        )
 
 
 def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:
     """The guess that ``solve`` begins with: along the curve of a retraction from start to end, or a walk to the end.
 
-    The retraction is the method's own; where its curve does not arrive, or in very unequal steps, the default one of the
-    manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out
-    in a direction that is random but always the same: there are several ways round, and this is one of them. Controls rest,
-    costates are zero. Raises ``DomainError`` if no curve arrives near the end.
+    The retraction is the method's own; where its curve does not arrive, or in very unequal steps, the default one of
+    the manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out in
+    a direction that is random but always the same: there are several ways round, and this is one of them. Controls
+    rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
     fractions, ends = fractions_of(steps), EndReader(problem.manifold).ends(start, end, batched=False)
     ends.require_known(start)
     places = stage_places(method, fractions)
     states = Start(problem.manifold, method.retraction).states(ends.start, ends.end, places)[0]
-    return Guess(Layout.of(problem.manifold).points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
+    return Guess(
+        Layout.of(problem.manifold).points(states), _rest(problem, len(places)), _zero(problem, len(fractions))
+    )
 
 
 def through(problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any) -> Guess:
@@ -81,7 +86,9 @@ def through(problem: OptimalControlProblem, method: Method, points: Sequence[Amb
     check_problem(problem, method)
     given, fractions, layout = list(points), fractions_of(steps), Layout.of(problem.manifold)
     if len(given) < 2:
-        raise InvalidInputError(f"a guess goes through at least two points, got {len(given)}; give the start, the end and more")
+        raise InvalidInputError(
+            f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
+        )
     rows = np.stack([*map(EndReader(problem.manifold).point, given)])
     passed = _shares(times, len(given))
     places = stage_places(method, fractions)
@@ -131,8 +138,8 @@ def rolled_out(
     if not np.all(np.isfinite(states)):
         lost = int(np.argmin(np.all(np.isfinite(states), axis=1)))
         raise DomainError(
-            f"the controls lead to no finite state at time {float(horizon) * places[lost]:.6g}; try smaller controls, a shorter "
-            "horizon, or more steps"
+            f"the controls lead to no finite state at time {float(horizon) * places[lost]:.6g}; try smaller controls, "
+            "a shorter horizon, or more steps"
         )
     return Guess(layout.points(states), jax.tree.map(np.asarray, controls), _zero(problem, len(fractions)))
 
@@ -161,6 +168,8 @@ def check_arrays(name: str, given: Any, manifold: Any, length: int) -> None:
     numbers = [np.issubdtype(np.asarray(leaf).dtype, np.number) for leaf in jax.tree.leaves(given)]
     kept = zip(jax.tree.leaves(given), jax.tree.leaves(manifold.ambient), strict=True)
     if not (all(numbers) and all(np.isrealobj(leaf) or np.issubdtype(s.dtype, np.complexfloating) for leaf, s in kept)):
-        raise InvalidInputError(f"guess: {name} must be real numbers, complex where points of {manifold} are; try jnp.real")
+        raise InvalidInputError(
+            f"guess: {name} must be real numbers, complex where points of {manifold} are; try jnp.real"
+        )
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(given)):
         raise InvalidInputError(f"guess: {name} has entries that are NaN or infinite")

@@ -29,15 +29,17 @@ def equation_words(phases: Sequence[Own]) -> list[str]:
 
 
 def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
-    """What is said where equations between the ends depend on each other at those that a member reached; else nothing."""
+    """What is said where equations between the ends depend on each other at those that a member reached; else
+    nothing."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]
     power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := _independent(_scaled(rows), power)) == len(rows):
         return ""
     left = ", ".join(name for place, name in enumerate(_all(joint, names)) if place not in independent)
     return (
-        f" At the ends that were reached the boundary conditions depend on each other, and their multipliers are not determined: "
-        f"{left}; try to leave out what follows from the others, or periodic=True for q(T) = q(0) on a manifold."
+        " At the ends that were reached the boundary conditions depend on each other, and their multipliers are not "
+        f"determined: {left}; try to leave out what follows from the others, or periodic=True for q(T) = q(0) on a "
+        "manifold."
     )
 
 
@@ -71,10 +73,10 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
         left = [name for k, name in enumerate(names) if k not in best]
         count, verb = len(best), "depends" if len(left) == 1 else "depend"
         raise InvalidInputError(
-            f"the boundary conditions are {many(len(names), 'equation')}, of which {count} {'is' if count == 1 else 'are'} "
-            f"independent where the ends are free: {', '.join(left)} {verb} on the others, or on what is prescribed alone; "
-            "expected independent equations; try to leave out what follows from the others, and periodic=True for q(T) = q(0) "
-            "on a manifold"
+            f"the boundary conditions are {many(len(names), 'equation')}, of which {count} "
+            f"{'is' if count == 1 else 'are'} independent where the ends are free: {', '.join(left)} {verb} on the "
+            "others, or on what is prescribed alone; expected independent equations; try to leave out what follows "
+            "from the others, and periodic=True for q(T) = q(0) on a manifold"
         )
 
 

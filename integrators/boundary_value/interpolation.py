@@ -50,18 +50,19 @@ class _Step(NamedTuple):
 class Interpolant:
     """What a method says of an extremal between its nodes.
 
-    The states of a step are a polynomial of time in the chart of the retraction around the step's centre, for ``s > 1`` stages
-    of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of degree 1, around
-    the base point of the discretization map. The costates are, as covectors of that chart, a polynomial through those at the
-    nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the map [Hairer, Norsett, Wanner 1993,
-    II.7]. The controls are the polynomial through those of the stages, of order ``s``, in a chart of their manifold.
+    The states of a step are a polynomial of time in the chart of the retraction around the step's centre, for ``s > 1``
+    stages of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of
+    degree 1, around the base point of the discretization map. The costates are, as covectors of that chart, a
+    polynomial through those at the nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the
+    map [Hairer, Norsett, Wanner 1993, II.7]. The controls are the polynomial through those of the stages, of order
+    ``s``, in a chart of their manifold.
     """
 
     def __init__(self, retraction: Retraction, controls: Manifold) -> None:
         if not (isinstance(retraction, Retraction) and isinstance(controls, Manifold)):
             raise InvalidInputError(
-                f"a solution is interpolated with a retraction and the manifold of the controls, got {retraction!r:.60} and "
-                f"{controls!r:.60}; try those of its method and its problem"
+                "a solution is interpolated with a retraction and the manifold of the controls, got "
+                f"{retraction!r:.60} and {controls!r:.60}; try those of its method and its problem"
             )
         self.retraction, self.controls = retraction, controls
         self.state, self.control = Layout.of(retraction.manifold), Layout.of(controls)
@@ -89,15 +90,25 @@ class Interpolant:
         """The interpolant that wrote ``text``; raises ``InvalidInputError`` for another one."""
         found = from_text(text)
         if len(found) != 2:
-            raise InvalidInputError(f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls")
+            raise InvalidInputError(
+                f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls"
+            )
         return cls(*found)
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless these are points of its manifolds, along a leading axis."""
-        for name, manifold, given in (("states", self.retraction.manifold, states), ("controls", self.controls, controls)):
-            expected, got = jax.tree.map(lambda s: s.shape, manifold.ambient), jax.tree.map(lambda a: np.shape(a)[1:], given)
+        for name, manifold, given in (
+            ("states", self.retraction.manifold, states),
+            ("controls", self.controls, controls),
+        ):
+            expected, got = (
+                jax.tree.map(lambda s: s.shape, manifold.ambient),
+                jax.tree.map(lambda a: np.shape(a)[1:], given),
+            )
             if expected != got:
-                raise InvalidInputError(f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}")
+                raise InvalidInputError(
+                    f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}"
+                )
             for s, a in zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(given), strict=True):
                 if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
                     raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
@@ -105,7 +116,8 @@ class Interpolant:
     def __call__(self, record: "Solution", t: Any) -> Sample:
         """The extremal at a time, or at an array of times.
 
-        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a chart.
+        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a
+        chart.
         """
         times = checked_times(t, record.times)
         flat = times.ravel()
@@ -117,15 +129,16 @@ class Interpolant:
         lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
         if np.any(lost):
             raise DomainError(
-                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, and has no "
-                "polynomial there; try more steps, or a retraction with a larger image"
+                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, "
+                "and has no polynomial there; try more steps, or a retraction with a larger image"
             )
         rows = (a.reshape(*times.shape, a.shape[1]) for a in (states, controls, costates))
         q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
         return Sample(times, q, u, p)
 
     def within(self, record: "Solution", places: np.ndarray) -> Sample:
-        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own controls.
+        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
+        controls.
 
         Entries are NaN where a step does not fit into a chart.
         """
@@ -151,7 +164,9 @@ class Interpolant:
         controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
         return _Step(nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1], states, costates, controls, places)
 
-    def _evaluated(self, steps: _Step, where: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _evaluated(
+        self, steps: _Step, where: np.ndarray, places: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them."""
         covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
         if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node

@@ -42,8 +42,8 @@ class Asked(NamedTuple):
 class Members:
     """What the B trajectories of a batch are asked for; of ``solve`` there is one.
 
-    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters of one
-    member, which are ``rows`` of shape (B, P).
+    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters
+    of one member, which are ``rows`` of shape (B, P).
     """
 
     reader: "MemberReader"
@@ -127,13 +127,15 @@ class MemberReader:
         lengths += [(len(guesses),)] if several else []
         if len(set(lengths)) != 1 or len(lengths[0]) != 1 or not lengths[0][0]:
             raise InvalidInputError(
-                f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, expected "
-                "one length B, wherever there is such an axis; for a single trajectory call solve"
+                f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, "
+                "expected one length B, wherever there is such an axis; for a single trajectory call solve"
             )
         (count,) = lengths[0]
         for horizon in np.asarray(horizons).tolist() if np.ndim(horizons) else [horizons]:
             _require_horizon(horizon)
-        return self._read(asked, 1, np.broadcast_to(np.asarray(horizons, float), count), guesses if several else [guesses])
+        return self._read(
+            asked, 1, np.broadcast_to(np.asarray(horizons, float), count), guesses if several else [guesses]
+        )
 
     def _read(self, asked: Asked, axes: int, horizons: np.ndarray, guesses: Sequence[Any]) -> Members:
         check_parameters(self.problem, asked.parameters)
@@ -141,7 +143,9 @@ class MemberReader:
         guess = self.guesses.flat(given) if any(guess is not None for guess in given) else None
         ends = self.ends.ends(asked.start, asked.end, bool(axes))
         if np.any(ends.unknown):
-            ends = ends.completed(*((self.ends.at_rest,) * 2 if guess is None else (guess.states[:, 0], guess.states[:, -1])))
+            ends = ends.completed(
+                *((self.ends.at_rest,) * 2 if guess is None else (guess.states[:, 0], guess.states[:, -1]))
+            )
         structure = structure_of(asked.parameters, axes)
         if structure not in self._parameters:
             self._parameters[structure] = parameter_layout(asked.parameters, axes)

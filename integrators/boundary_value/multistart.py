@@ -32,15 +32,16 @@ def multistart(
     tolerance: float | None = None,
     max_iterations: int = 100,
 ) -> Solutions:
-    """The extremals to which ``count`` guesses lead, in one batch: those that converged first, the cheapest before all others.
+    """The extremals to which ``count`` guesses lead, in one batch: those that converged first, the cheapest before all
+    others.
 
-    The first guess is the default one; the others go through one to three points of the manifold, drawn in turns from ``seed``,
-    with controls at rest. A point of a flat factor is drawn around both ends, by their distance and sizes. What is found are
-    local extremals: the least cost is an upper bound of the optimum, and no proof of it [Rinnooy Kan, Timmer, Stochastic
-    global optimization methods, Math. Program. 39, 1987].
+    The first guess is the default one; the others go through one to three points of the manifold, drawn in turns from
+    ``seed``, with controls at rest. A point of a flat factor is drawn around both ends, by their distance and sizes.
+    What is found are local extremals: the least cost is an upper bound of the optimum, and no proof of it [Rinnooy Kan,
+    Timmer, Stochastic global optimization methods, Math. Program. 39, 1987].
 
-    ``start``, ``end``, ``horizon``, ``parameters``: as for ``solver.solve``. Of what is returned ``distinct`` counts the
-    extremals that differ, and ``[0]`` is the best. Nothing is raised where none converged: read ``success``. Raises
+    ``start``, ``end``, ``horizon``, ``parameters``: as for ``solver.solve``. Of what is returned ``distinct`` counts
+    the extremals that differ, and ``[0]`` is the best. Nothing is raised where none converged: read ``success``. Raises
     ``InvalidInputError`` for other arguments. Regular problems only.
     """
     require_concrete("multistart", start, end, horizon, parameters)

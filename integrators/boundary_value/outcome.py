@@ -18,7 +18,9 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
         return solution
     q, u = (vec.entries(part, 0) for part in (solution.stage_states, solution.controls))
     reason = problem.imprecise(q, u) or kinks_near(problem, solution)
-    return replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
+    return (
+        replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
+    )
 
 
 def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.ndarray, list[str]]:

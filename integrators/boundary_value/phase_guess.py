@@ -18,7 +18,8 @@ from .solution import Solution
 
 
 def guessed_phases(phases: Sequence[Any], links: Sequence[Any]) -> list[Any]:
-    """The phases with guesses, where these have none: on the way between what is known of their ends and of those they link."""
+    """The phases with guesses, where these have none: on the way between what is known of their ends and of those they
+    link."""
     if all(phase.guess is not None for phase in phases):
         return list(phases)
     read, before = [_Known.of(k, phase) for k, phase in enumerate(phases)], None
@@ -90,8 +91,8 @@ def _way(number: int, run: Sequence[Any], read: list[_Known], image: np.ndarray 
         pairs[order[0]] = row, known
     if not np.all(pairs[0][1]):
         raise InvalidInputError(
-            f"phase {number} has a start that is free, and nothing that is linked to it says where it may be; expected a guess; "
-            "try start=Free(point), or guess=Guess(states, controls)"
+            f"phase {number} has a start that is free, and nothing that is linked to it says where it may be; expected "
+            "a guess; try start=Free(point), or guess=Guess(states, controls)"
         )
     times = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in run)])
     return _between(run[0], pairs, times)

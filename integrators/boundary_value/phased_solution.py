@@ -16,9 +16,9 @@ from .solution import Solution, Statistics
 class PhasedSolution:
     """The extremal of P phases that follow one another: a ``Solution`` of each, whose times go on from phase to phase.
 
-    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names, each of
-    shape ``(k,)`` for k equations, and of the ``horizon`` if it was given: the cost changes by ``multiplier . e`` where the
-    constraint ``b = 0`` is to be ``b = -e``. ``times`` has the shape ``(P + 1,)``.
+    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names,
+    each of shape ``(k,)`` for k equations, and of the ``horizon`` if it was given: the cost changes by ``multiplier .
+    e`` where the constraint ``b = 0`` is to be ``b = -e``. ``times`` has the shape ``(P + 1,)``.
     """
 
     phases: tuple[Solution, ...]
@@ -75,7 +75,9 @@ class PhasedSolution:
     def __repr__(self) -> str:
         """The essential numbers."""
         spans = ", ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(self.times, self.times[1:], strict=False))
-        return f"PhasedSolution({len(self.phases)} phases, times {spans}; cost={self.cost:.12g}, success={self.success})"
+        return (
+            f"PhasedSolution({len(self.phases)} phases, times {spans}; cost={self.cost:.12g}, success={self.success})"
+        )
 
     def __str__(self) -> str:
         kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
@@ -84,7 +86,10 @@ class PhasedSolution:
             ("cost", f"{self.cost:.12g}"),
             ("times", ", ".join(f"{t:.9g}" for t in self.times)),
             ("second order", f"{kind} of the discrete problem of all phases (inertia of the KKT matrix)"),
-            *(("boundary", f"{name}: multipliers {np.array2string(row, precision=8)}") for name, row in self.multipliers.items()),
+            *(
+                ("boundary", f"{name}: multipliers {np.array2string(row, precision=8)}")
+                for name, row in self.multipliers.items()
+            ),
         ]
         parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
         return "\n\n".join([table(rows), *parts])

@@ -1,4 +1,5 @@
-"""Trajectories in phases, each with its own problem, method and duration, linked to one another and solved as one problem."""
+"""Trajectories in phases, each with its own problem, method and duration, linked to one another and solved as one
+problem."""
 
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -31,17 +32,18 @@ from .regular_extremals import phase_of
 
 HORIZON = "horizon"
 LOST = (
-    "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to leave the "
-    "phase out, another guess of its duration, or a lower or an upper bound."
+    "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to "
+    "leave the phase out, another guess of its duration, or a lower or an upper bound."
 )
 
 
 @final
 class Phase(NamedTuple):
-    """A phase of a trajectory: a problem over a duration, fixed or ``Free``, with the method and the steps it is solved by.
+    """A phase of a trajectory: a problem over a duration, fixed or ``Free``, with the method and the steps it is solved
+    by.
 
-    ``start``, ``end``: what is prescribed there, as in ``solve``; None where only links and boundary constraints say something.
-    ``guess``: a ``Guess`` or ``Solution``, by default on the way between the ends that are known.
+    ``start``, ``end``: what is prescribed there, as in ``solve``; None where only links and boundary constraints say
+    something. ``guess``: a ``Guess`` or ``Solution``, by default on the way between the ends that are known.
     """
 
     problem: OptimalControlProblem
@@ -70,20 +72,22 @@ def solve_phases(
 ) -> PhasedSolution:
     """Solve phases that follow one another as one optimal control problem, the sum of their costs being least.
 
-    ``links``: for each phase and the next, True where the next begins as this one ends, the default; a function ``g`` where it
-    begins at ``g(q)``, a point of its own manifold, as at the staging of a rocket; False where nothing links them. One more,
-    from the last phase to the first, makes them periodic. ``horizon``: the sum of all durations, if it is given.
-    ``boundary_constraints``: functions by their names of the list of the ends of all phases, each with ``start``, ``end`` and
-    ``duration``, that return a number or a vector which is to be zero; ``multipliers`` of the solution are theirs. The time of
-    phases whose functions depend on it goes on from phase to phase.
+    ``links``: for each phase and the next, True where the next begins as this one ends, the default; a function ``g``
+    where it begins at ``g(q)``, a point of its own manifold, as at the staging of a rocket; False where nothing links
+    them. One more, from the last phase to the first, makes them periodic. ``horizon``: the sum of all durations, if it
+    is given. ``boundary_constraints``: functions by their names of the list of the ends of all phases, each with
+    ``start``, ``end`` and ``duration``, that return a number or a vector which is to be zero; ``multipliers`` of the
+    solution are theirs. The time of phases whose functions depend on it goes on from phase to phase.
 
-    The costate before a link is ``dg' p`` of that after it. With free durations the Hamiltonian is continuous where nothing
-    depends on the time. Raises what ``solve`` raises.
+    The costate before a link is ``dg' p`` of that after it. With free durations the Hamiltonian is continuous where
+    nothing depends on the time. Raises what ``solve`` raises.
     """
     require_concrete("solve_phases", guess)
     options = checked_options(tolerance, max_iterations, callback, verbose)
     if horizon is not None and not (is_finite_number(horizon) and horizon > 0):
-        raise InvalidInputError(f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}")
+        raise InvalidInputError(
+            f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}"
+        )
     given = _checked(phases, guess)
     task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints, len(given)))
     solution = task.solved(guessed_phases(given, task.links), options)
@@ -111,11 +115,14 @@ class _Task:
         began = time.perf_counter()
         begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
         parts = [
-            posed_phase(k, phase, float(begin), self.made) for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
+            posed_phase(k, phase, float(begin), self.made)
+            for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
         ]
         owns = [Own(part.inner.problem, part.asked.parameters) for part in parts]
         sizes = dict[str, int]()
-        coupling = coupling_of(owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at))
+        coupling = coupling_of(
+            owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
+        )
         joint = JointConditions(tuple(part.posed.conditions for part in parts), coupling)
         first = joint.guess(tuple(part.posed.guess for part in parts))
         names = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
@@ -168,18 +175,24 @@ def _link(before: int, after: int, link: Any, parts: list[PosedPhase]) -> Link:
     one, other = parts[before], parts[after]
     name, manifold = f"links[{before}]", other.problem.manifold
     turn = (lambda q: q) if link is True else link
-    return Link(manifold, 2 * before + 1, 2 * after, lambda y, _: linked(name, turn, manifold, one.state(y)), other.state)
+    return Link(
+        manifold, 2 * before + 1, 2 * after, lambda y, _: linked(name, turn, manifold, one.state(y)), other.state
+    )
 
 
 def _checked(phases: Any, guess: Any) -> list[Phase]:
     """The phases, with the guesses of a solution."""
     if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
-        raise InvalidInputError(f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]")
+        raise InvalidInputError(
+            f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]"
+        )
     for k, phase in enumerate(phases):
         check_problem(phase.problem, phase.method)
         duration = guessed(phase.duration)
         if not (is_finite_number(duration) and duration > 0):
-            raise InvalidInputError(f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}")
+            raise InvalidInputError(
+                f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}"
+            )
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
@@ -212,19 +225,20 @@ def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
     given = [True] * (count - 1) if links is None else links
     if not (isinstance(given, Sequence) and len(given) in (count - 1, count)):
         raise InvalidInputError(
-            f"links must be a list of {count - 1}, one from each phase to the next, or one more from the last to the first, got "
-            f"{links!r:.80}"
+            f"links must be a list of {count - 1}, one from each phase to the next, or one more from the last to the "
+            f"first, got {links!r:.80}"
         )
     for k, link in enumerate(given):
         if not (isinstance(link, bool) or callable(link)):
             raise InvalidInputError(
-                f"links[{k}] must be True for a continuous state, a function of the state before it, or False, got {link!r:.80}"
+                f"links[{k}] must be True for a continuous state, a function of the state before it, or False, got "
+                f"{link!r:.80}"
             )
         one, other = (phases[at].problem.manifold for at in (k, (k + 1) % count))
         if link is True and one.ambient != other.ambient:
             raise InvalidInputError(
-                f"links[{k}] is True for a continuous state, and leads from {one} to {other}; expected one manifold; try a "
-                "function that makes of a point of the one a point of the other"
+                f"links[{k}] is True for a continuous state, and leads from {one} to {other}; expected one manifold; "
+                "try a function that makes of a point of the one a point of the other"
             )
     return list(given)
 
@@ -234,5 +248,7 @@ def _checked_constraints(given: Any, count: int) -> dict[str, Any]:
     functions = BoundaryConditions.of(given, False, (HORIZON, *map(_start_words, range(count))))
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
-            raise InvalidInputError(f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}")
+            raise InvalidInputError(
+                f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}"
+            )
     return dict(zip(functions.names, functions.functions, strict=True))

@@ -1,4 +1,5 @@
-"""A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their guesses."""
+"""A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their
+guesses."""
 
 from collections.abc import Callable
 from functools import cached_property, partial
@@ -31,7 +32,8 @@ class Traced(NamedTuple):
     nodes: Nodes
     diagnosis: Diagnosis
     mask: Callable[..., np.ndarray] | None  # of so many steps and stages: where each inequality holds, if there are any
-    named: Callable[[np.ndarray], dict[str, np.ndarray]]  # what belongs to the inequalities, along the last axis, by their names
+    # What belongs to the inequalities, along the last axis, by their names.
+    named: Callable[[np.ndarray], dict[str, np.ndarray]]
     own: Own
     coupling: Coupling | None  # of the ends, if they are coupled
 
@@ -48,13 +50,16 @@ class Posed(NamedTuple):
 class Posing:
     """Poses trajectories of a problem as equations of a method."""
 
-    def __init__(self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator) -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
+    ) -> None:
         self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self.stages = np.array(method.nodes) if isinstance(method, Gauss) else np.array([method.theta])
         self._start = Start(problem.manifold, method.retraction)
         starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
-        self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()  # of all stages, fractions of the horizon
+        # Of all stages, fractions of the horizon.
+        self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()
         self._found: dict[Any, Traced] = {}
 
     def on(self, fractions: np.ndarray) -> "Posing":
@@ -85,7 +90,11 @@ class Posing:
 
     def of(self, members: Members) -> Traced:
         """The functions with the parameters of members."""
-        return self._found[members.structure] if members.structure in self._found else self.traced(members.parameters_of(0))
+        return (
+            self._found[members.structure]
+            if members.structure in self._found
+            else self.traced(members.parameters_of(0))
+        )
 
     def posed(self, members: Members) -> Posed:
         """The conditions and guesses of members."""
@@ -97,7 +106,9 @@ class Posing:
         data = Data(members.horizons[:, None] * self.fractions, members.rows, asked)
         first, last = ends.prescribed
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
-        return Posed(traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, members, rows, data))
+        return Posed(
+            traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, members, rows, data)
+        )
 
     @cached_property
     def _resting(self) -> np.ndarray:
@@ -118,5 +129,7 @@ class Posing:
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
             costates = own.costates
             both = own.nodes, own.stage_costates
-            known = Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
+            known = (
+                Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
+            )
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates)

@@ -39,13 +39,17 @@ class PhaseEnds(NamedTuple):
 class _Inner:
     """What a phase is solved with, in the states that it is posed in."""
 
-    def __init__(self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator) -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
+    ) -> None:
         self.problem, self.posing = problem, Posing(problem, method, fractions, evaluator)
         self.interpolant = Interpolant(method.retraction, problem.controls)
         self.reader = MemberReader(problem, Mesh(fractions, self.posing.stages, self.interpolant), evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
-        self.formulated = Formulated(self.reader, method, lambda own: _Inner(own.problem, own.method, fractions, evaluator))
+        self.formulated = Formulated(
+            self.reader, method, lambda own: _Inner(own.problem, own.method, fractions, evaluator)
+        )
 
 
 @final

@@ -20,7 +20,9 @@ def printed(callback: Callable[[Iteration], Any] | None) -> Callable[[Iteration]
             print(TITLES + (LIMITED if limited else ""))
         worst = int(np.argmax(np.maximum(iteration.gap, iteration.stationarity)))
         line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.gap[worst]:>9.1e}"
-        line += f" {iteration.stationarity[worst]:>12.1e} {iteration.shift[worst]:>8.0e} {iteration.fraction[worst]:>6.3g}"
+        line += (
+            f" {iteration.stationarity[worst]:>12.1e} {iteration.shift[worst]:>8.0e} {iteration.fraction[worst]:>6.3g}"
+        )
         if limited:
             line += f" {iteration.violation[worst]:>9.1e} {iteration.barrier[worst]:>8.1e}"
         more = len(iteration.members)

@@ -34,7 +34,8 @@ STAGES = 12
 
 @cache
 def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Matrix, weights and places of the stages of DOP853; SciPy's integrators take long to import, and few solves need them."""
+    """Matrix, weights and places of the stages of DOP853; SciPy's integrators take long to import, and few solves need
+    them."""
     from scipy.integrate import DOP853
 
     return DOP853.A[:STAGES, :STAGES], DOP853.B[:STAGES], DOP853.C[:STAGES]
@@ -43,12 +44,14 @@ def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @final
 @dataclass(frozen=True, eq=False)
 class DiscretizationError:
-    """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the manifold.
+    """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the
+    manifold.
 
-    ``distances``: arrays of shape ``(N + 1,)`` over the nodes, in the unit of the factor: radians on SO(n), where it is the root
-    of the sum of the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm of the difference
-    in the ambient space. Infinite where the controls lead nowhere. ``resolution``: by how much halving its steps last changed
-    what the integrator finds: the largest distance between the states before and after, an upper estimate of its own error.
+    ``distances``: arrays of shape ``(N + 1,)`` over the nodes, in the unit of the factor: radians on SO(n), where it is
+    the root of the sum of the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm
+    of the difference in the ambient space. Infinite where the controls lead nowhere. ``resolution``: by how much
+    halving its steps last changed what the integrator finds: the largest distance between the states before and after,
+    an upper estimate of its own error.
     """
 
     distances: dict[str, np.ndarray]
@@ -67,9 +70,9 @@ def discretization_error(
     """The distances of the states of a solution from those to which its controls lead, as functions of time.
 
     The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
-    ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what is found.
-    ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one chart of their
-    manifold, and ``InvalidInputError`` if parameters are missing.
+    ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what
+    is found. ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one
+    chart of their manifold, and ``InvalidInputError`` if parameters are missing.
     """
     problem.require_treated("discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
@@ -93,13 +96,15 @@ class _Given(NamedTuple):
 
 @final
 class Propagator:
-    """Propagates the controls of discrete solutions of one problem on the manifold by DOP853 [Hairer, Norsett, Wanner 1993].
+    """Propagates the controls of discrete solutions of one problem on the manifold by DOP853 [Hairer, Norsett, Wanner
+    1993].
 
-    The control of a step is the polynomial of time through its stages, in a retraction chart of the control manifold around
-    the first of them. The state moves in the retraction chart around the beginning of each step, where its coordinates obey
-    ``c' = (D R)^+ X(R(c), u(t))``. The propagated states of all steps are found at once: from the solution's own
-    states, Newton's method makes the ends of the steps meet their beginnings. Where the error is too large for that, the
-    steps follow one another. Steps are halved until this changes the error by less than one hundredth.
+    The control of a step is the polynomial of time through its stages, in a retraction chart of the control manifold
+    around the first of them. The state moves in the retraction chart around the beginning of each step, where its
+    coordinates obey ``c' = (D R)^+ X(R(c), u(t))``. The propagated states of all steps are found at once: from the
+    solution's own states, Newton's method makes the ends of the steps meet their beginnings. Where the error is too
+    large for that, the steps follow one another. Steps are halved until this changes the error by less than one
+    hundredth.
 
     ``parameters``: an example of those that the problem's functions take.
     """
@@ -126,8 +131,8 @@ class Propagator:
     ) -> DiscretizationError:
         """Distances of the N + 1 ``states`` at ``times`` from those to which the controls lead from the first of them.
 
-        ``controls`` belong to the N s ``stage_times``, s in each step. Raises ``DomainError`` if the controls of a step are
-        not in one chart of the control manifold.
+        ``controls`` belong to the N s ``stage_times``, s in each step. Raises ``DomainError`` if the controls of a step
+        are not in one chart of the control manifold.
         """
         given = self._given(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
         with np.errstate(all="ignore"):  # a propagation that leaves every chart is infinite, which is its answer
@@ -155,7 +160,9 @@ class Propagator:
         gaps = ends - given.states[1:]
         return np.where(np.isfinite(gaps), gaps, np.inf)
 
-    def _given(self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any) -> _Given:
+    def _given(
+        self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any
+    ) -> _Given:
         steps, rows = np.diff(times), self.state.rows(states, 1)
         controls = self.control.rows(controls, 1).reshape(len(steps), -1, self.control.size)
         longest = np.argmax(np.abs(steps))
@@ -165,8 +172,8 @@ class Propagator:
         (offsets,) = self._offset(np.repeat(bases, stages, axis=0), controls.reshape(-1, self.control.size))
         if not np.all(np.isfinite(offsets)):
             raise DomainError(
-                f"the controls of a step are not in one retraction chart of {self.problem.controls}, expected stages that can be "
-                "interpolated; try more steps, for which they are nearer to each other"
+                f"the controls of a step are not in one retraction chart of {self.problem.controls}, expected stages "
+                "that can be interpolated; try more steps, for which they are nearer to each other"
             )
         scales = np.max(sizes, axis=0)
         scales = np.where(scales > 0, scales, 1.0)
@@ -195,7 +202,8 @@ class Propagator:
 
     def _allowed(self, given: _Given, error: dict[str, np.ndarray]) -> dict[str, float]:
         """What the integrator may add to the error of each factor: a part of it, or the rounding of the states."""
-        size = self._distances(given.states, np.zeros_like(given.states))  # of the points themselves, in the unit of each
+        # Of the points themselves, in the unit of each.
+        size = self._distances(given.states, np.zeros_like(given.states))
         return {name: max(RELATIVE * np.max(error[name]), UNRESOLVED * np.max(size[name])) for name in error}
 
     def _distances(self, first: np.ndarray, second: np.ndarray) -> dict[str, np.ndarray]:
@@ -253,10 +261,11 @@ class Propagator:
 
 @final
 class _AtOnce:
-    """Newton's method for the states to which the controls lead, all steps at once, in the charts around the solution's.
+    """Newton's method for the states to which the controls lead, all steps at once, in the charts around the
+    solution's.
 
-    After k rounds the first k states are exact. The derivatives of the steps, by differences at the solution's states, serve
-    as long as the moves shrink well.
+    After k rounds the first k states are exact. The derivatives of the steps, by differences at the solution's states,
+    serve as long as the moves shrink well.
     """
 
     def __init__(self, propagator: Propagator, given: _Given) -> None:
@@ -265,7 +274,8 @@ class _AtOnce:
         self.derivatives: np.ndarray | None = None
         manifold = propagator.problem.manifold
         factors = manifold.factors if isinstance(manifold, Product) else (manifold,)
-        self.starts = np.cumsum([0, *(f.dimension for f in factors if f.dimension)])[:-1]  # of the coordinates of each factor
+        # Of the coordinates of each factor.
+        self.starts = np.cumsum([0, *(f.dimension for f in factors if f.dimension)])[:-1]
         self.entries = np.cumsum([0, *(Layout.of(f).size for f in factors)])[:-1]  # of its flat points
 
     def __call__(self, parts: int) -> np.ndarray | None:
@@ -291,7 +301,8 @@ class _AtOnce:
         return np.maximum.reduceat(np.max(np.abs(coordinates), axis=0), self.starts)
 
     def _move(self, parts: int) -> np.ndarray:
-        """Newton's move of the coordinates; that of the first state is zero. NaN where the states are too far for it."""
+        """Newton's move of the coordinates; that of the first state is zero. NaN where the states are too far for
+        it."""
         given, count = self.given, len(self.given.steps)
         n, aside = len(given.scales), EPS**HALF * given.scales
         ways = np.zeros((1, n)) if self.derivatives is not None else np.concatenate([np.zeros((1, n)), np.diag(aside)])
@@ -311,9 +322,12 @@ class _AtOnce:
         return move
 
     def _seen(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
-        """Whether gaps are tangential rather than normal: of the chord to a far point the frames see little, or nothing."""
+        """Whether gaps are tangential rather than normal: of the chord to a far point the frames see little, or
+        nothing."""
         tangential = np.einsum("kne,kn->ke", self.given.frames[1:], misses)
-        sizes = [np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])]
+        sizes = [
+            np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])
+        ]
         return bool(np.all(sizes[0] <= sizes[1] + UNRESOLVED**2 * sizes[2]))
 
 
@@ -336,7 +350,9 @@ def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = ""
             yield f"{name}{manifold}", 2 * np.arctan2(difference, total)
         case _:
             pairs = zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
-            parts = [np.sum(np.abs(a - b) ** 2, axis=tuple(range(a.ndim - len(kind.shape), a.ndim))) for kind, a, b in pairs]
+            parts = [
+                np.sum(np.abs(a - b) ** 2, axis=tuple(range(a.ndim - len(kind.shape), a.ndim))) for kind, a, b in pairs
+            ]
             yield f"{name}{manifold}", np.sqrt(np.sum(parts, axis=0))
 
 

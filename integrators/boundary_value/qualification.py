@@ -1,4 +1,5 @@
-"""Whether the constraints that hold a trajectory determine their multipliers: their derivatives there are independent."""
+"""Whether the constraints that hold a trajectory determine their multipliers: their derivatives there are
+independent."""
 
 from functools import cached_property
 from typing import Any, final
@@ -31,7 +32,8 @@ class Qualification:
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def __call__(self, solution: Solution) -> str:
-        """A sentence on inequalities whose multipliers are not determined where they hold the trajectory; empty if all are."""
+        """A sentence on inequalities whose multipliers are not determined where they hold the trajectory; empty if all
+        are."""
         parameters = solution.parameters
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         layouts = (self.state, solution.stage_states), (self.control, solution.controls)
@@ -52,14 +54,15 @@ class Qualification:
             k, i = np.argwhere(flat)[0]
             place = f"near t = {solution.stage_times[k]:.6g}"
             return (
-                f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can hold it "
-                "there; try a function that passes through zero with a slope, as q[0] - a in place of "
+                f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can "
+                "hold it there; try a function that passes through zero with a slope, as q[0] - a in place of "
                 "its square or cube."
             )
         return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2, k)``.
+        """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
+        k)``.
 
         ``fixed``: which coordinates of both ends are prescribed, shape ``(2, n)``; the controls are free.
         """
@@ -101,10 +104,11 @@ class Qualification:
                 # Forces of positive multipliers cancel: they hold from all sides.
                 enclosed = np.ptp(np.sign(shares[involved])) == 0
                 named = " and ".join(names[i] for i in held[involved])
+                tried = "leave room between them, or to write an equation into the dynamics" if enclosed else LEAVE_OUT
                 return (
-                    f"{named} hold the trajectory near t = {solution.stage_times[k]:.6g} with derivatives that depend on each "
-                    "other: their multipliers are not determined one by one, and no strict minimum is shown; try to "
-                    f"{'leave room between them, or to write an equation into the dynamics' if enclosed else LEAVE_OUT}."
+                    f"{named} hold the trajectory near t = {solution.stage_times[k]:.6g} with derivatives that depend "
+                    "on each other: their multipliers are not determined one by one, and no strict minimum is shown; "
+                    f"try to {tried}."
                 )
         return ""
 

@@ -73,7 +73,9 @@ class Recording:
 
         return {**fields, "parameters": parameters, "result": results}, member
 
-    def _trajectories(self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray) -> dict[str, Any]:
+    def _trajectories(
+        self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
+    ) -> dict[str, Any]:
         """Times, states, costates and controls of a batch, of which those at the stages are given together."""
         times = np.zeros((len(nodes), nodes.shape[1]))
         np.cumsum(steps, axis=1, out=times[:, 1:])
@@ -103,7 +105,8 @@ def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
 
 
 def _active(posed: Posed, found: Found) -> list[dict[str, int]]:
-    """At how many stages inequalities of each name hold each trajectory: where a multiplier exceeds the slack, in their units."""
+    """At how many stages inequalities of each name hold each trajectory: where a multiplier exceeds the slack, in their
+    units."""
     slacks, barrier = found.iterate.slacks, posed.conditions.barrier
     if slacks is None or barrier is None:
         return [{} for _ in found.claimed]

@@ -51,8 +51,8 @@ class _Found(NamedTuple):
 class Refinement:
     """Solves a problem on meshes that are refined where steps err, each from the solution before.
 
-    Where most steps err too much, a Gauss method gets one stage more; where few do, these are divided. Where controls jump from
-    bound to bound, or to a singular arc, the switches become nodes, see ``Arcs``.
+    Where most steps err too much, a Gauss method gets one stage more; where few do, these are divided. Where controls
+    jump from bound to bound, or to a singular arc, the switches become nodes, see ``Arcs``.
     """
 
     problem: OptimalControlProblem
@@ -102,7 +102,8 @@ class Refinement:
         return self._recorded(best, why)
 
     def _first(self, fractions: np.ndarray) -> Solution:
-        """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser one."""
+        """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser
+        one."""
         first = self._on(self.problem, self.method, fractions, self.asked)
         if first.success or isinstance(self.asked.guess, Guess):  # which belongs to its mesh
             return first
@@ -114,7 +115,8 @@ class Refinement:
         return first
 
     def error(self, found: _Found) -> float:
-        """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than rounding."""
+        """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
+        rounding."""
         errors, checks = found.errors, found.solution.checks
         left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
@@ -132,7 +134,9 @@ class Refinement:
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
         return solution
 
-    def _judged(self, solution: Solution, structure: ControlStructure | None = None, arcs: np.ndarray | None = None) -> _Found:
+    def _judged(
+        self, solution: Solution, structure: ControlStructure | None = None, arcs: np.ndarray | None = None
+    ) -> _Found:
         if self._estimator is None:
             self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
         found = _Found(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
@@ -191,7 +195,9 @@ class Refinement:
             return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
 
         parameters = jax.tree.map(near, self.asked.parameters, solution.parameters, is_leaf=is_free)
-        return self.asked._replace(horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters)
+        return self.asked._replace(
+            horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters
+        )
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
@@ -216,10 +222,11 @@ class Refinement:
     def _in_arcs(
         self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
     ) -> tuple[Solution, ControlStructure]:
-        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong place.
+        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong
+        place.
 
-        A free horizon that leaves its bounds is held at the one that it passed, and one that was held leaves a bound to which
-        nothing pulls it.
+        A free horizon that leaves its bounds is held at the one that it passed, and one that was held leaves a bound to
+        which nothing pulls it.
         """
         asked, horizon = self.asked.horizon, self._horizon(guess)
         found = self._posed_in_arcs(guess, structure, lengths, arcs, horizon)
@@ -262,7 +269,8 @@ class Refinement:
         return replace(solution, success=bool(right)), lasting
 
     def _horizon(self, solution: Solution) -> Any:
-        """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from it."""
+        """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from
+        it."""
         horizon = self.asked.horizon
         if is_free(horizon):
             step = (solution.times[1] - solution.times[0]) * solution.steps / len(solution.stage_times)
@@ -292,8 +300,8 @@ class Refinement:
         worst = int(np.argmax(errors.each))
         begin, end = solution.times[worst], solution.times[worst + 1]
         result = (
-            f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error is "
-            f"{self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
+            f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error "
+            f"is {self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
         )
         return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
 

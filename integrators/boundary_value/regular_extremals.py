@@ -21,7 +21,9 @@ def extremals(posed: Any, options: Options) -> Found:
     require_independent(joint, guess, names)
     found: Any = newton(joint, guess, *options)
     return phase_of(
-        found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]), 0, [traced.own]
+        found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]),
+        0,
+        [traced.own],
     )
 
 

@@ -31,7 +31,8 @@ class Regularity:
         return other
 
     def classification(self, members: Members, k: int = 0) -> Classification | None:
-        """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved with."""
+        """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved
+        with."""
         key, values = self._key(members), members.rows[k].tobytes()
         if key not in self._classes or self._classes[key][0] != values:
             problem, (first, last), guess = members.problem_of(k), members.conditions_of(k), members.guess_of(k)
@@ -48,12 +49,14 @@ class Regularity:
         return self._classes[key][1]
 
     def has_to_be_shown(self, members: Members) -> bool:
-        """Whether the problem was regular with other parameters before: then a solution can show that it is with these."""
+        """Whether the problem was regular with other parameters before: then a solution can show that it is with
+        these."""
         values, found = self._classes.get(self._key(members), (None, None))
         return values is not None and found is None and values != members.rows[0].tobytes()
 
     def is_shown(self, members: Members, solution: Solution) -> bool:
-        """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need not be."""
+        """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need
+        not be."""
         if self._posing.problem.limits.along:
             return self._shown(members)
         if not (solution.success and solution.checks.strict_minimum):
@@ -72,8 +75,8 @@ class Regularity:
     def require_regular(self, members: Members) -> None:
         """Raise if the problem is singular with the parameters of any member.
 
-        ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is singular at
-        all of them, the member is classified.
+        ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is
+        singular at all of them, the member is classified.
         """
         if not self.has_to_be_shown(members):  # a look at the functions takes as long as a hundred solves
             self._require_regular(members, 0)
@@ -82,7 +85,11 @@ class Regularity:
         _, left = np.unique(members.rows, axis=0, return_index=True)
         states = np.broadcast_to(members.ends.start, (len(members), self._posing.state.size))
         for control, covector in zip(*self._probes, strict=True):
-            at = states[left], np.broadcast_to(control, (len(left), control.size)), np.broadcast_to(covector, states[left].shape)
+            at = (
+                states[left],
+                np.broadcast_to(control, (len(left), control.size)),
+                np.broadcast_to(covector, states[left].shape),
+            )
             curved = self._posing.of(members).diagnosis.curved(tuple(part[:, None] for part in at), members.rows[left])
             left = left[~curved[:, 0]]
         for k in left:
@@ -92,7 +99,9 @@ class Regularity:
         found = self.classification(members, k)
         if found is not None and not found.regular:
             which = f" with the parameters of member {k}" if members.rows.size else ""
-            raise InvalidInputError(f"solve_many solves regular problems, and this one is singular{which}; call solve for each")
+            raise InvalidInputError(
+                f"solve_many solves regular problems, and this one is singular{which}; call solve for each"
+            )
 
     @cached_property
     def _probes(self) -> tuple[np.ndarray, np.ndarray]:

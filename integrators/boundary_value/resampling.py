@@ -1,4 +1,5 @@
-"""A solution as a guess in other steps, or by another method: what it is between its nodes, at the places that are wanted."""
+"""A solution as a guess in other steps, or by another method: what it is between its nodes, at the places that are
+wanted."""
 
 from typing import NamedTuple
 
@@ -12,7 +13,8 @@ SAME = 1e-12  # of the horizon: times closer than that are rounding of one
 
 
 class Mesh(NamedTuple):
-    """Where a method has its unknowns: lengths of the steps, and places of the stages in each, as fractions; and its charts."""
+    """Where a method has its unknowns: lengths of the steps, and places of the stages in each, as fractions; and its
+    charts."""
 
     fractions: np.ndarray  # (N,)
     stages: np.ndarray  # (s,)
@@ -27,14 +29,16 @@ class Mesh(NamedTuple):
 def resampled(solution: Solution, mesh: Mesh) -> Guess:
     """The solution at the nodes and stages of a mesh, whose horizon is that of the solution.
 
-    Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one chart.
+    Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one
+    chart.
     """
     mesh.interpolant.require_fits("guess: ", solution.states, solution.controls)
     begin = solution.times[0]
     times, stage_times = (begin + places for places in mesh.times(solution.horizon))
     if _same(times, solution.times) and _same(stage_times, solution.stage_times):
         return solution.guess()
-    # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all the same.
+    # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all the
+    # same.
     interpolant = solution.interpolant or mesh.interpolant
     nodes, stages = (interpolant(solution, np.minimum(t, solution.times[-1])) for t in (times, stage_times))
     return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates)

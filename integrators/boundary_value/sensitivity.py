@@ -18,8 +18,8 @@ from .solution import Solution
 class Derivative:
     """The derivative of an extremal by a number, or, with more leading axes, by an array of numbers.
 
-    ``states``, ``costates`` and ``controls`` are derivatives of the arrays of the ``Solution``, tangent vectors of the ambient
-    space with its nodes or stages along the axis behind those leading ones.
+    ``states``, ``costates`` and ``controls`` are derivatives of the arrays of the ``Solution``, tangent vectors of the
+    ambient space with its nodes or stages along the axis behind those leading ones.
     """
 
     cost: Any
@@ -33,11 +33,11 @@ class Derivative:
 class Sensitivity:
     """Derivatives of an extremal ``y`` by what it was computed for, ``dy = -K^-1 dF`` with its KKT system ``F(y) = 0``.
 
-    ``start``, ``end``: by the coordinates of the ends in the bases ``manifold.basis(start)`` and ``manifold.basis(end)``, leading
-    axis n, zero for those that are free. ``horizon``: with the lengths of the steps in proportion; None where that is free.
-    ``parameters``: in the structure of the parameters, a ``Derivative`` for each array, with its axes leading; None where there
-    are none, and where one is free. The derivative of the cost is that of the Lagrangian (envelope theorem): ``start.cost`` is
-    ``-p_0`` in coordinates.
+    ``start``, ``end``: by the coordinates of the ends in the bases ``manifold.basis(start)`` and
+    ``manifold.basis(end)``, leading axis n, zero for those that are free. ``horizon``: with the lengths of the steps in
+    proportion; None where that is free. ``parameters``: in the structure of the parameters, a ``Derivative`` for each
+    array, with its axes leading; None where there are none, and where one is free. The derivative of the cost is that
+    of the Lagrangian (envelope theorem): ``start.cost`` is ``-p_0`` in coordinates.
     """
 
     start: Derivative
@@ -67,7 +67,8 @@ def require_isolated(found: Derivatives, solution: Solution) -> None:
     smallest = float(found.smallest[0])
     if not (smallest > EPS**REGULAR and all(np.all(np.isfinite(part)) for part in found)):
         raise ConvergenceError(
-            f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the extremal is "
-            "one of a family, or its end is conjugate to its start, and it has no derivatives; try another horizon",
+            f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the "
+            "extremal is one of a family, or its end is conjugate to its start, and it has no derivatives; try another "
+            "horizon",
             solution,
         )

@@ -39,12 +39,13 @@ class Statistics:
 class Checks(ABC):
     """What a user checks on a solution, regular or singular. Spreads are maximum minus minimum.
 
-    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by entry
-    relative to the spread of the trajectory in it. ``stationarity``: by how much the other conditions of optimality are
-    violated, relative. ``violations``: of each equation of the manifold, the largest at the nodes (for a rotation, the
-    orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the largest of its parts
-    ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on which a group acts, largest
-    spread of a component of its momentum over the nodes; ``conserved``: how many of its components are conserved.
+    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by
+    entry relative to the spread of the trajectory in it. ``stationarity``: by how much the other conditions of
+    optimality are violated, relative. ``violations``: of each equation of the manifold, the largest at the nodes (for a
+    rotation, the orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the
+    largest of its parts ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on
+    which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
+    components are conserved.
     """
 
     gap: float
@@ -93,12 +94,13 @@ class Checks(ABC):
 class RegularChecks(Checks):
     """The checks of a regular extremal.
 
-    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem conserves
-    by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the Hessian is
-    positive definite on the null space of the constraints. ``violation`` of the inequalities and ``complementarity``: largest
-    product of a multiplier and its inequality, both at the stages and relative. ``active``: at how many stages inequalities of
-    each name hold the trajectory. If an accuracy was asked for: ``error``, the sum of the relative errors of the steps, and the
-    largest violations ``between`` the stages, by the names of the inequalities.
+    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem
+    conserves by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the
+    Hessian is positive definite on the null space of the constraints. ``violation`` of the inequalities and
+    ``complementarity``: largest product of a multiplier and its inequality, both at the stages and relative.
+    ``active``: at how many stages inequalities of each name hold the trajectory. If an accuracy was asked for:
+    ``error``, the sum of the relative errors of the steps, and the largest violations ``between`` the stages, by the
+    names of the inequalities.
     """
 
     strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
@@ -114,8 +116,8 @@ class RegularChecks(Checks):
 class SingularChecks(Checks):
     """The checks of a singular extremal.
 
-    ``stationarity``: largest violation of the equations of ``P_f`` at the nodes, relative. ``conserved`` counts what is constant
-    along the extremal, for which ``P_f`` may be the reason.
+    ``stationarity``: largest violation of the equations of ``P_f`` at the nodes, relative. ``conserved`` counts what is
+    constant along the extremal, for which ``P_f`` may be the reason.
     """
 
     @property
@@ -128,9 +130,9 @@ class SingularChecks(Checks):
 class SingularArc:
     """What is particular to an interior singular extremal, a curve in the final manifold ``P_f``.
 
-    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the ``strategy`` of the integrator
-    with its reason, and whether it is ``presymplectic``. ``conditions``: by how much each boundary condition is violated,
-    relative to 1 + size; ``independent``: how many of them are independent on ``P_f``, to first order.
+    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the ``strategy`` of the
+    integrator with its reason, and whether it is ``presymplectic``. ``conditions``: by how much each boundary condition
+    is violated, relative to 1 + size; ``independent``: how many of them are independent on ``P_f``, to first order.
     ``second_order``: what the generalised Legendre-Clebsch condition says.
     """
 
@@ -146,18 +148,19 @@ class SingularArc:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A discrete extremal. Arrays are read-only NumPy arrays with the nodes (N + 1) or stages (N) along the leading axis.
+    """A discrete extremal. Arrays are read-only NumPy arrays with the nodes (N + 1) or stages (N) along the leading
+    axis.
 
     ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
-    ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for every
-    factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how the
-    computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem. ``parameters`` are
-    those of the problem's functions, as given or found, and None if there are none. ``multipliers`` of the inequalities by their
-    names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X> - F - nu g`` is stationary in the
-    controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters belong to the first stage. Multipliers ``mu`` of
-    boundary constraints, one for each equation: ``p(T) = -d(Phi + mu . b)`` by the last state, ``p(0) = d(Phi_0 + mu . b)`` by
-    the first one, and the cost changes by ``mu . e`` where ``b`` is to be ``-e``. ``quantities``: the names and units of the
-    problem.
+    ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for
+    every factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how
+    the computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
+    ``parameters`` are those of the problem's functions, as given or found, and None if there are none. ``multipliers``
+    of the inequalities by their names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X>
+    - F - nu g`` is stationary in the controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters
+    belong to the first stage. Multipliers ``mu`` of boundary constraints, one for each equation: ``p(T) = -d(Phi + mu .
+    b)`` by the last state, ``p(0) = d(Phi_0 + mu . b)`` by the first one, and the cost changes by ``mu . e`` where
+    ``b`` is to be ``-e``. ``quantities``: the names and units of the problem.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -197,20 +200,23 @@ class Solution:
         return len(self.times) - 1
 
     def __call__(self, t: Any) -> Sample:
-        """States, controls and costates at a time, or an array of times, by the polynomials of the method on the manifold.
+        """States, controls and costates at a time, or an array of times, by the polynomials of the method on the
+        manifold.
 
         States and costates are continuous, controls polynomials on each step; see ``Interpolant``. Raises
         ``InvalidInputError`` for times outside the horizon, and ``DomainError`` where a step does not fit into a chart.
         """
         if self.interpolant is None:
             raise InvalidInputError(
-                "this solution was read from a file that says nothing of its retraction, which is not one of the library or is "
-                "made with a function, and it has no polynomials between its nodes; try load_solution(path, retraction, controls)"
+                "this solution was read from a file that says nothing of its retraction, which is not one of the "
+                "library or is made with a function, and it has no polynomials between its nodes; try "
+                "load_solution(path, retraction, controls)"
             )
         return self.interpolant(self, t)
 
     def guess(self) -> Guess:
-        """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of them."""
+        """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of
+        them."""
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates)
 
     def report(self) -> None:
@@ -223,7 +229,11 @@ class Solution:
         arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("states", "costates", "controls", "momenta")]
         kind = "" if self.singular is None else f"singular, on P_f of dimension {self.singular.dimension}; "
         checks = f"gap={self.checks.gap:.1e}, stationarity={self.checks.stationarity:.1e}"
-        parts = [f"success={self.success}, cost={self.cost:.12g}, steps={self.steps}, {span}", *arrays, f"{kind}{checks}"]
+        parts = [
+            f"success={self.success}, cost={self.cost:.12g}, steps={self.steps}, {span}",
+            *arrays,
+            f"{kind}{checks}",
+        ]
         return "\n  ".join(["Solution(", *parts, f"result={self.result!r})"])
 
     def __str__(self) -> str:
@@ -278,8 +288,8 @@ class Solution:
 class Solutions(Sequence[Solution]):
     """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
 
-    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and ``solutions.success`` are
-    arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
+    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and
+    ``solutions.success`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
     """
 
     def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
@@ -320,11 +330,16 @@ class Solutions(Sequence[Solution]):
             raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
         if name in LISTED:  # the results are known before the members are made, which takes longer
             known = self._fields.get(name)
-            return [getattr(member, name) for member in self] if known is None else [known[place] for place in self._places]
+            return (
+                [getattr(member, name) for member in self]
+                if known is None
+                else [known[place] for place in self._places]
+            )
         return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
 
     def save(self, path: str | Path) -> None:
-        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as ``Solution.save``."""
+        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
+        ``Solution.save``."""
         save_batch(self, path)
 
     @property
@@ -334,7 +349,8 @@ class Solutions(Sequence[Solution]):
 
     @property
     def distinct(self) -> int:
-        """How many different extremals there are among those that converged: states further apart than 1e-6 of their extent."""
+        """How many different extremals there are among those that converged: states further apart than 1e-6 of their
+        extent."""
         leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
         flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []
@@ -378,9 +394,9 @@ _FILE = RecordFile(
 def load_solution(path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None) -> Solution:
     """Read a solution that ``Solution.save`` wrote; nothing in the file is executed.
 
-    ``retraction`` and ``controls``: those of the method and the problem, by which it is known between its nodes. A file has them
-    where they are classes of the library, made with numbers. Raises ``InvalidInputError`` if the file is something else,
-    damaged, incomplete, or of another version, or the retraction acts on other points.
+    ``retraction`` and ``controls``: those of the method and the problem, by which it is known between its nodes. A file
+    has them where they are classes of the library, made with numbers. Raises ``InvalidInputError`` if the file is
+    something else, damaged, incomplete, or of another version, or the retraction acts on other points.
     """
     values = _FILE.read(path)
     text, names = values.pop("geometry"), values.pop("quantities")
@@ -392,7 +408,9 @@ def load_solution(path: str | Path, retraction: Retraction | None = None, contro
         for fitting in filter(None, (found, quantities)):
             fitting.require_fits("", values["states"], values["controls"])
     except InvalidInputError as error:
-        raise InvalidInputError(f"{path} is not a saved solution: {error}; expected a file from Solution.save") from error
+        raise InvalidInputError(
+            f"{path} is not a saved solution: {error}; expected a file from Solution.save"
+        ) from error
     if retraction is not None:
         found = Interpolant(retraction, controls or own)
         found.require_fits("", values["states"], values["controls"])

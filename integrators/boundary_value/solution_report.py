@@ -9,8 +9,8 @@ from .solution import RegularChecks, SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
 NO_MINIMUM = (
-    "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a sphere, "
-    "or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
+    "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
+    "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
 )
 
 
@@ -69,7 +69,10 @@ def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
     kind = "presymplectic" if arc.presymplectic else "not presymplectic"
     yield "integrator", f"{kind}\n{arc.strategy}"
     yield "second order", arc.second_order
-    yield "ends", f"{many(len(arc.conditions), 'condition')}, {many(arc.independent, 'coordinate')} of them independent on P_f"
+    yield (
+        "ends",
+        f"{many(len(arc.conditions), 'condition')}, {many(arc.independent, 'coordinate')} of them independent on P_f",
+    )
     for name, violation in arc.conditions.items():
         yield "", f"{name} missed by {violation:.1e}"
 
@@ -108,4 +111,7 @@ def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
         seconds = statistics.compile_seconds + statistics.run_seconds
         yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
         return
-    yield "time", f"{1e3 * statistics.run_seconds:.1f} ms to run; to trace and compile {statistics.compile_seconds:.2f} s"
+    yield (
+        "time",
+        f"{1e3 * statistics.run_seconds:.1f} ms to run; to trace and compile {statistics.compile_seconds:.2f} s",
+    )

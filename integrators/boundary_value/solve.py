@@ -39,18 +39,19 @@ def solve(
 ) -> Solution:
     """Solve an optimal control problem between two boundary conditions over ``[0, horizon]`` with ``steps`` steps.
 
-    ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1, None)``
-    prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at every
-    step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of the
-    retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or any ``Solution``.
+    ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1,
+    None)`` prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at
+    every step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of
+    the retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or any ``Solution``.
 
-    A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the steps of
-    ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.
+    A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the
+    steps of ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.
 
-    Converged where the relative gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11 in
-    double precision) and Newton's next step is below its square root. Raises ``InvalidInputError``, ``NotOnManifoldError`` or
-    ``DomainError`` for input that cannot be solved as given (of a singular problem: boundary data off ``P_f``), and, if
-    ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read ``success``.
+    Converged where the relative gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11
+    in double precision) and Newton's next step is below its square root. Raises ``InvalidInputError``,
+    ``NotOnManifoldError`` or ``DomainError`` for input that cannot be solved as given (of a singular problem: boundary
+    data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read
+    ``success``.
     """
     require_concrete("solve", start, end, horizon, problem, guess, parameters)
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}

@@ -18,7 +18,17 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import ALONG, Method, Options, check_method, check_problem, checked_options, copied, fractions_of, structure_of
+from .arguments import (
+    ALONG,
+    Method,
+    Options,
+    check_method,
+    check_problem,
+    checked_options,
+    copied,
+    fractions_of,
+    structure_of,
+)
 from .differentiable import Extremal, Given, extremal_of
 from .engine.batches import taken
 from .engine.evaluator import chosen
@@ -55,17 +65,19 @@ class _Kept(NamedTuple):
 class Solver:
     """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
 
-    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers that
-    count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``, the tape where
-    the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
+    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers
+    that count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``,
+    the tape where the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
 
     What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
-    ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at the first
-    call, and again for parameters of another structure.
+    ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
+    the first call, and again for parameters of another structure.
     """
 
     @known_options
-    def __init__(self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic") -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic"
+    ) -> None:
         require_concrete("Solver", problem)
         check_problem(problem, method)
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
@@ -127,7 +139,10 @@ class Solver:
         return self._evaluator.reason
 
     def __repr__(self) -> str:
-        return f"Solver({self.problem.manifold}, {type(self.method).__name__}, {self.steps} steps, on the {self.evaluator})"
+        return (
+            f"Solver({self.problem.manifold}, {type(self.method).__name__}, {self.steps} steps, on the "
+            f"{self.evaluator})"
+        )
 
     @known_options
     def solve(
@@ -145,10 +160,12 @@ class Solver:
         classification: Classification | None = None,
         integrator: SingularIntegrator | None = None,
     ) -> Solution:
-        """The extremal between two boundary conditions over ``[0, horizon]``; see ``solve`` for the arguments they share.
+        """The extremal between two boundary conditions over ``[0, horizon]``; see ``solve`` for the arguments they
+        share.
 
-        ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something true.
-        ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best iterate.
+        ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something
+        true. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best
+        iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters)
         options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
@@ -208,9 +225,10 @@ class Solver:
     ) -> Solutions:
         """The extremals between many pairs of ends at once.
 
-        ``starts``, ``ends``, ``horizons``: as for ``solve``, or with one more leading axis, of the same length B wherever it is;
-        ``parameters``: arrays with this axis. ``guesses``: a ``Guess`` or ``Solution`` for all, or a list of B. The same factors
-        are free for all. Nothing is raised for a member that is not solved: read ``success``. Regular problems only.
+        ``starts``, ``ends``, ``horizons``: as for ``solve``, or with one more leading axis, of the same length B
+        wherever it is; ``parameters``: arrays with this axis. ``guesses``: a ``Guess`` or ``Solution`` for all, or a
+        list of B. The same factors are free for all. Nothing is raised for a member that is not solved: read
+        ``success``. Regular problems only.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
         options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
@@ -240,9 +258,9 @@ class Solver:
         """Derivatives of a solution that this solver found by its ends, horizon and parameters.
 
         One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
-        ``InvalidInputError`` for any other solution, one without success, or if the functions have changed since the solver was
-        made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a family, or its ends
-        are conjugate, and it has no derivatives.
+        ``InvalidInputError`` for any other solution, one without success, or if the functions have changed since the
+        solver was made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a
+        family, or its ends are conjugate, and it has no derivatives.
         """
         self.problem.require_treated("sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
@@ -250,8 +268,8 @@ class Solver:
             return formulated
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
-                f"sensitivity takes a solution with success of a regular problem that this solver found, got {solution!r:.80}; "
-                "try solver.sensitivity(solver.solve(...)) with one and the same solver"
+                "sensitivity takes a solution with success of a regular problem that this solver found, got "
+                f"{solution!r:.80}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
         key, place = structure_of(kept.parameters), np.array([kept.place])
@@ -276,11 +294,13 @@ class Solver:
         tolerance: float | None = None,
         max_iterations: int = 100,
     ) -> Extremal:
-        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but ``guess``.
+        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but
+        ``guess``.
 
-        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives, those of
-        ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the tangent spaces; the
-        derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what ``solve`` and ``sensitivity`` raise.
+        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives,
+        those of ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the
+        tangent spaces; the derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what
+        ``solve`` and ``sensitivity`` raise.
         """
 
         def solved(given: Given) -> Solution:

@@ -1,4 +1,5 @@
-"""Jumps along a trajectory: whether it passes one, lies on one, or has controls beside one, of which no costate tells."""
+"""Jumps along a trajectory: whether it passes one, lies on one, or has controls beside one, of which no costate
+tells."""
 
 from collections.abc import Callable
 from typing import Any, final
@@ -51,7 +52,8 @@ class Jumps:
         return bool(self.of_states or self.of_controls or any(self.of_ends))
 
     def __call__(self, solution: Solution, fixed: np.ndarray) -> str:
-        """Words on the largest jump; empty if there is none. ``fixed``: 1 for coordinates that an end prescribes, ``(2, n)``."""
+        """Words on the largest jump; empty if there is none. ``fixed``: 1 for coordinates that an end prescribes, ``(2,
+        n)``."""
         if solution.interpolant is None or not self:
             return ""
         retraction = solution.interpolant.retraction
@@ -71,7 +73,10 @@ class Jumps:
         segments, given = self._segments(solution), (solution.parameters, None)
         if not len(segments.times):
             return ""
-        crossings, names = self._traced(rates, retraction), rate_names(self.problem.with_parameters(solution.parameters))
+        crossings, names = (
+            self._traced(rates, retraction),
+            rate_names(self.problem.with_parameters(solution.parameters)),
+        )
         seen = crossings.seen(given, segments)
         sizes = self._sizes(seen.values)
         located, step = crossings.located(given, segments, seen)
@@ -92,9 +97,16 @@ class Jumps:
         return self._words(jump, names[jump.entry], self.of_states, "beside the trajectory, at") if jump else ""
 
     def _on(
-        self, crossings: Crossings, given: Given, points: Lines, step: np.ndarray, sizes: tuple[np.ndarray, Any], free: Any = 1.0
+        self,
+        crossings: Crossings,
+        given: Given,
+        points: Lines,
+        step: np.ndarray,
+        sizes: tuple[np.ndarray, Any],
+        free: Any = 1.0,
     ) -> Jump | None:
-        """The largest jump at points that are near to one, looked for on lines that go through it; ``sizes`` of the steps."""
+        """The largest jump at points that are near to one, looked for on lines that go through it; ``sizes`` of the
+        steps."""
         if not len(step):
             return None
         slope = crossings.slopes(given, points)[np.arange(len(step)), step] * free
@@ -113,7 +125,9 @@ class Jumps:
         """Words on a jump in the controls, from those of some stages."""
         count, given = len(solution.stage_times), (solution.parameters, None)
         stages = np.unique(np.linspace(0, count - 1, min(count, STAGES)).round().astype(int))
-        q, u = (jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (solution.stage_states, solution.controls))
+        q, u = (
+            jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (solution.stage_states, solution.controls)
+        )
         reach = 1.0
         if isinstance(self.problem.controls, Euclidean):
             reach = float(np.max(np.abs(np.asarray(u)), initial=0.0)) or 1.0
@@ -130,7 +144,9 @@ class Jumps:
             if not steps or np.all(fixed[end] > 0):
                 continue
             one, other = (jax.tree.map(lambda a, k=k: np.asarray(a)[[k]], solution.states) for k in (-end, end - 1))
-            u, t = (jax.tree.map(lambda a, k=-end: np.asarray(a)[[k]], part) for part in (solution.controls, solution.times))
+            u, t = (
+                jax.tree.map(lambda a, k=-end: np.asarray(a)[[k]], part) for part in (solution.controls, solution.times)
+            )
             given = solution.parameters, jax.tree.map(lambda a: a[0], other)
             crossings, point = self._traced((_at_start, _at_end)[end], retraction), self._resting(one, u, t)
             seen = crossings.seen(given, point)
@@ -147,9 +163,10 @@ class Jumps:
         return (
             f"{name} jumps by {jump.change:.3g} {where} q = {_joined(q)}"
             f"{f' near t = {jump.time:.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
-            f"{'states and times' if self.timed else 'states'}, and no derivative tells of the jump; expected functions without "
-            "jumps along the trajectory, because the costates jump there too, and these do not; try jnp.tanh(x / a) with a small "
-            "a in place of a step, or solve_phases, with one phase on each side that ends where the jump is"
+            f"{'states and times' if self.timed else 'states'}, and no derivative tells of the jump; expected "
+            "functions without jumps along the trajectory, because the costates jump there too, and these do not; try "
+            "jnp.tanh(x / a) with a small a in place of a step, or solve_phases, with one phase on each side that ends "
+            "where the jump is"
         )
 
     def _segments(self, solution: Solution) -> Lines:
@@ -182,7 +199,8 @@ class Jumps:
         return Lines.through(states, controls, times, np.zeros((len(times), n)), np.zeros((len(times), m)))
 
     def _sizes(self, values: np.ndarray) -> np.ndarray:
-        """Of each entry of the functions the size along the trajectory; of small ones that which is rounding in their array."""
+        """Of each entry of the functions the size along the trajectory; of small ones that which is rounding in their
+        array."""
         sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1), initial=0.0)
         for place in self.state.places:
             least = HIDDEN / JUMP * tolerance(values, 1.0) * np.max(sizes[place], initial=0.0)

@@ -1,4 +1,5 @@
-"""The error of each step of a discrete solution by itself: of states, controls, and of inequalities between the points."""
+"""The error of each step of a discrete solution by itself: of states, controls, and of inequalities between the
+points."""
 
 from functools import cached_property
 from typing import Any, NamedTuple, final
@@ -24,14 +25,15 @@ POINTS = 4  # for each stage: where inequalities are looked at between the stage
 class StepErrors(NamedTuple):
     """What is wrong with each of the N steps, by itself: arrays of length N, relative numbers but for ``violations``.
 
-    ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative to the
-    spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step from that through
-    the stages of a neighbour too, or half that from the neighbour's, at the ends of the step and relative to the size of the
-    controls, times the share of the step in the horizon. By as much the cost is too large where the Hamiltonian is curved in the
-    controls; for one in which it is linear, times the share once more, which a switch anywhere in the step costs. No less than
-    the squared relative excess over a limit that depends on the controls, times the share. ``violations``: of each of the
-    inequalities the largest between the stages, in its own unit. ``inequalities``: the largest violation of those that do not
-    depend on the controls, relative to the largest value.
+    ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative
+    to the spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step
+    from that through the stages of a neighbour too, or half that from the neighbour's, at the ends of the step and
+    relative to the size of the controls, times the share of the step in the horizon. By as much the cost is too large
+    where the Hamiltonian is curved in the controls; for one in which it is linear, times the share once more, which a
+    switch anywhere in the step costs. No less than the squared relative excess over a limit that depends on the
+    controls, times the share. ``violations``: of each of the inequalities the largest between the stages, in its own
+    unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
+    value.
     """
 
     states: np.ndarray
@@ -54,14 +56,14 @@ class StepErrors(NamedTuple):
 def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: Any = None) -> StepErrors:
     """The errors of the steps of a solution, each by itself: which steps are too long.
 
-    What one step errs is not carried into the next, as ``discretization_error`` does. ``parameters``: those of the solution.
-    Raises ``InvalidInputError`` for missing parameters, or a record that is not known between its nodes.
+    What one step errs is not carried into the next, as ``discretization_error`` does. ``parameters``: those of the
+    solution. Raises ``InvalidInputError`` for missing parameters, or a record that is not known between its nodes.
     """
     check_parameters(problem, parameters)
     if solution.interpolant is None or solution.singular is not None:
         raise InvalidInputError(
-            f"step_errors takes the solution of a regular problem that is known between its nodes, got {solution!r:.80}; try "
-            "what solve returns, or load_solution(path, retraction)"
+            "step_errors takes the solution of a regular problem that is known between its nodes, got "
+            f"{solution!r:.80}; try what solve returns, or load_solution(path, retraction)"
         )
     return Estimator(problem, solution.interpolant.retraction, parameters)(solution, parameters)
 
@@ -91,7 +93,11 @@ class Estimator:
             gaps = np.abs(self.propagator.gaps(*own, parameters))
         except DomainError:  # of the controls of a step that is too long
             return np.full(solution.steps, np.inf)
-        rows, layout, manifold = self.propagator.state.rows(solution.states, 1), self.propagator.state, self.problem.manifold
+        rows, layout, manifold = (
+            self.propagator.state.rows(solution.states, 1),
+            self.propagator.state,
+            self.problem.manifold,
+        )
         spreads, sizes = np.ptp(rows, axis=0), np.max(np.abs(rows), axis=0)
         factors = manifold.factors if isinstance(manifold, Product) else (manifold,)
         flat = [isinstance(factor, Euclidean) for factor in factors for _ in jax.tree.leaves(factor.ambient)]
@@ -126,8 +132,11 @@ class Estimator:
             found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
         return found
 
-    def _inequalities(self, solution: Solution, parameters: Any) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """The largest excess of each step over each inequality, relative; which are free of the controls; and in their units."""
+    def _inequalities(
+        self, solution: Solution, parameters: Any
+    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The largest excess of each step over each inequality, relative; which are free of the controls; and in their
+        units."""
         if not self.problem.limits.any or solution.interpolant is None:
             return np.zeros((solution.steps, 0)), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps

@@ -1,4 +1,5 @@
-"""Manifolds and retractions of the library as text, for the files of records: names of classes and numbers, nothing else."""
+"""Manifolds and retractions of the library as text, for the files of records: names of classes and numbers, nothing
+else."""
 
 import inspect
 import json

@@ -56,17 +56,22 @@ class ControlStructure(NamedTuple):
     def __str__(self) -> str:
         """A line for each arc."""
         rows = zip(pairwise(self.times), self.sides, strict=True)
-        return "\n".join(f"{a:.10g} to {b:.10g}: " + ", ".join(SIDES[int(side)] for side in row) for (a, b), row in rows)
+        return "\n".join(
+            f"{a:.10g} to {b:.10g}: " + ", ".join(SIDES[int(side)] for side in row) for (a, b), row in rows
+        )
 
 
 def control_structure(problem: OptimalControlProblem, solution: Solution) -> ControlStructure:
-    """The arcs along which the entries of the control stay at their bounds, as far as the mesh of a solution shows them.
+    """The arcs along which the entries of the control stay at their bounds, as far as the mesh of a solution shows
+    them.
 
-    Arcs end where an entry leaves a bound by a jump; where it leaves it without, it counts as free on both sides. An arc is
-    longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
+    Arcs end where an entry leaves a bound by a jump; where it leaves it without, it counts as free on both sides. An
+    arc is longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
     """
     if not any(problem.limits.bounded.values()):
-        raise InvalidInputError(f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}")
+        raise InvalidInputError(
+            f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
+        )
     lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
     u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
     room = upper - lower
@@ -79,7 +84,10 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
     first, last = solution.times[[0, -1]]
     times = np.unique(np.concatenate([[first, last], *map(np.array, switches)]))
     middles = (times[1:] + times[:-1]) / 2
-    found = [np.array([run.side for run in own])[np.searchsorted(at, middles)] for own, at in zip(runs, switches, strict=True)]
+    found = [
+        np.array([run.side for run in own])[np.searchsorted(at, middles)]
+        for own, at in zip(runs, switches, strict=True)
+    ]
     return ControlStructure(times, np.stack(found, axis=1))
 
 

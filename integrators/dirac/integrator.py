@@ -34,20 +34,21 @@ class _Memory(NamedTuple):
 
 @final
 class DiracIntegrator(LiftedIntegrator):
-    """Integrator of a ``DiracSystem``: Lambda o F_h o Lambda, with impulses Lambda of the constraint forces at both nodes.
+    """Integrator of a ``DiracSystem``: Lambda o F_h o Lambda, with impulses Lambda of the constraint forces at both
+    nodes.
 
         p0+ = p0 + r0_a mu^a(q0),    (q0, p0+; q1, p1-) = R_d^{T*}(h X_H(x, pi)),    p1 = p1- + r1_a mu^a(q1)
 
-    ``r0`` puts the velocity ``v / h`` of the stage in the constraints at its base point ``x``, ``r1`` the one of the end node
-    in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortés, Martínez, Nonlinearity 14, 2001] with momenta that
-    satisfy the constraints. Constraint forces at the stage instead, ``(X, dH)`` in the Dirac structure at ``(x, pi)``, leave
-    the nodes off the constraints by O(h^2).
+    ``r0`` puts the velocity ``v / h`` of the stage in the constraints at its base point ``x``, ``r1`` the one of the
+    end node in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortés, Martínez, Nonlinearity 14, 2001]
+    with momenta that satisfy the constraints. Constraint forces at the stage instead, ``(X, dH)`` in the Dirac
+    structure at ``(x, pi)``, leave the nodes off the constraints by O(h^2).
 
-    Kept are the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a constant
-    element of the algebra, satisfies the constraints with ``c = 0``, if the discretization map is equivariant; and
-    reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. Not kept are
-    ``omega``, which the flow itself does not preserve, and the energy: its error is O(h^2), bounded where the motion is
-    reversible and integrable, and wanders or drifts where it is not [Modin, Verdier, Numer. Math. 145, 2020].
+    Kept are the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a
+    constant element of the algebra, satisfies the constraints with ``c = 0``, if the discretization map is equivariant;
+    and reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. Not kept
+    are ``omega``, which the flow itself does not preserve, and the energy: its error is O(h^2), bounded where the
+    motion is reversible and integrable, and wanders or drifts where it is not [Modin, Verdier, Numer. Math. 145, 2020].
 
     The ``controls`` of a trajectory are the multipliers ``lambda``, averaged over each step.
     """
@@ -71,24 +72,27 @@ class DiracIntegrator(LiftedIntegrator):
         if not isinstance(system, DiracSystem):
             raise InvalidInputError(f"DiracIntegrator integrates a DiracSystem, got {system!r}")
         if not same_manifold(system.manifold, self.manifold):
-            raise InvalidInputError(f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold")
+            raise InvalidInputError(
+                f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold"
+            )
         _check_shapes(system, q, p)
         require_true_hamiltonian(system.hamiltonian, self.retraction, q, p)
         residual, mobility, parts = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
         if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
             raise InvalidInputError(
-                f"the constraints and their derivatives along the forms are {residual} and {mobility} at the start, expected "
-                "finite numbers: give a smooth Hamiltonian, or one whose controls dH/du = 0 determines"
+                f"the constraints and their derivatives along the forms are {residual} and {mobility} at the start, "
+                "expected finite numbers: give a smooth Hamiltonian, or one whose controls dH/du = 0 determines"
             )
         values = pivotal_values(mobility)
         if not is_regular(values):
             raise InvalidInputError(
-                f"the matrix <mu^a, H_pp mu^b> has the singular values {values} in units of its diagonal at the start, expected "
-                "all positive: give independent one-forms"
+                f"the matrix <mu^a, H_pp mu^b> has the singular values {values} in units of its diagonal at the start, "
+                "expected all positive: give independent one-forms"
             )
         if not np.all(np.abs(residual) <= default_tolerance() * parts):
             raise NotOnManifoldError(
-                f"start violates the constraints: <mu^a, dH/dp> - c^a is {residual}, expected 0; try system.project(q, p)"
+                f"start violates the constraints: <mu^a, dH/dp> - c^a is {residual}, expected 0; try system.project(q, "
+                "p)"
             )
 
     def begin(self, system: DiracSystem, q: Ambient, p: Ambient) -> _Memory:
@@ -129,11 +133,15 @@ def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
     single = jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape[1:], leaf.dtype), forms)
     wrong = system.manifold.describe_mismatch(single, "each of the forms, a covector")
     if wrong or len(counts) != 1:
-        raise InvalidInputError(f"forms(q) must return m covectors with a leading axis on every array, got {forms}: {wrong}")
+        raise InvalidInputError(
+            f"forms(q) must return m covectors with a leading axis on every array, got {forms}: {wrong}"
+        )
     if system.rates is not None:
         rates, (count,) = jax.eval_shape(system.rates, q), counts
         if getattr(rates, "shape", None) != count:
-            raise InvalidInputError(f"rates(q) must return one number for each of the {count[0]} one-forms, got {rates}")
+            raise InvalidInputError(
+                f"rates(q) must return one number for each of the {count[0]} one-forms, got {rates}"
+            )
 
 
 @compiled

@@ -29,8 +29,8 @@ class DiracSystem(eqx.Module):
 
     [Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006; with ``c = 0`` there].
     ``hamiltonian(q, p)`` returns a scalar; ``forms(q)`` the one-forms, independent covectors as a frame of leaves
-    ``(m, *leaf)``; ``rates(q)`` the values ``c``, shape ``(m,)``, by default zero. All are JAX functions of ambient arrays.
-    Its states are the ``(q, p)`` that satisfy the constraints: ``project`` makes one of any covector.
+    ``(m, *leaf)``; ``rates(q)`` the values ``c``, shape ``(m,)``, by default zero. All are JAX functions of ambient
+    arrays. Its states are the ``(q, p)`` that satisfy the constraints: ``project`` makes one of any covector.
     """
 
     manifold: Manifold
@@ -45,12 +45,16 @@ class DiracSystem(eqx.Module):
         forms: Callable[[Any], Frame],
         rates: Callable[[Any], Multipliers] | None = None,
     ) -> Self:
-        """The system of Pontryagin's ``H(q, p, u)`` and ``dH/du = 0``, where that determines ``u`` near the resting control.
+        """The system of Pontryagin's ``H(q, p, u)`` and ``dH/du = 0``, where that determines ``u`` near the resting
+        control.
 
-        There ``H(q, p, u(q, p))`` has the differential by ``(q, p)`` that ``H`` has with ``u`` held. It is NaN elsewhere.
+        There ``H(q, p, u(q, p))`` has the differential by ``(q, p)`` that ``H`` has with ``u`` held. It is NaN
+        elsewhere.
         """
         if not isinstance(problem, OptimalControlProblem):
-            raise InvalidInputError(f"controlled takes an OptimalControlProblem, got {problem!r}; or give DiracSystem an H(q, p)")
+            raise InvalidInputError(
+                f"controlled takes an OptimalControlProblem, got {problem!r}; or give DiracSystem an H(q, p)"
+            )
         problem.require_treated("DiracSystem.controlled", "an initial cost")
         return cls(problem.manifold, _ExtremalHamiltonian(problem), forms, rates)
 
@@ -65,7 +69,9 @@ class DiracSystem(eqx.Module):
 
     def velocity(self, q: Ambient, p: Ambient) -> Ambient:
         """``dH/dp``, a tangent vector at ``q``."""
-        return self.manifold.projection(q, vec.gradient(lambda p: real_number("the Hamiltonian", self.hamiltonian(q, p)), p))
+        return self.manifold.projection(
+            q, vec.gradient(lambda p: real_number("the Hamiltonian", self.hamiltonian(q, p)), p)
+        )
 
     def constraint(self, q: Ambient, v: Ambient) -> Multipliers:
         """``<mu^a(q), v> - c^a(q)``, zero for a velocity ``v`` that the constraints allow."""
@@ -87,7 +93,8 @@ class DiracSystem(eqx.Module):
         return find_root(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))), first, sizes)
 
     def impulse_sizes(self, q: Ambient, p: Ambient, h: ArrayLike = 0.0) -> Multipliers:
-        """Sizes of impulses that change ``p`` by its size, or by that of ``h dH/dq``, or lead from rest to the rates ``c``."""
+        """Sizes of impulses that change ``p`` by its size, or by that of ``h dH/dq``, or lead from rest to the rates
+        ``c``."""
         q, p = jax.lax.stop_gradient((q, p))
         pushed = vec.gradient(lambda q: real_number("the Hamiltonian", self.hamiltonian(q, p)), q)
         momentum = jnp.maximum(vec.size(p), jnp.abs(h) * vec.size(pushed))
@@ -111,7 +118,9 @@ class DiracSystem(eqx.Module):
         size = jax.tree.leaves(jax.eval_shape(self.forms, q))[0].shape[0]
         r, found = self.impulse(q, p, jnp.zeros(size))
         if not is_traced(found) and not found:
-            raise ConvergenceError(f"no covector near {p} satisfies the constraints at q = {q}; are the one-forms independent?")
+            raise ConvergenceError(
+                f"no covector near {p} satisfies the constraints at q = {q}; are the one-forms independent?"
+            )
         return self.kick(q, p, r)
 
 

@@ -17,7 +17,8 @@ if TYPE_CHECKING:
 def tape_steps(
     system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray, evaluator: str | None
 ) -> "TapeSteps | str":
-    """The steps on the tape, or in words why XLA computes them; raises if ``evaluator`` asks for a tape that cannot be."""
+    """The steps on the tape, or in words why XLA computes them; raises if ``evaluator`` asks for a tape that cannot
+    be."""
     if evaluator == "xla":
         return "it was asked for"
     found = traced_steps(system, integrator)

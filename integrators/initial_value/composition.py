@@ -46,9 +46,10 @@ KAHAN_LI_8 = _symmetric(  # order 8 [Kahan, Li 1997]
 class Composition(Integrator):
     """Substeps ``w_1 h, ..., w_s h`` of one integrator, with weights that sum to 1.
 
-    Of a symmetric integrator of order 2 the weights ``TRIPLE_JUMP`` and ``SUZUKI`` make one of order 4, ``YOSHIDA_6`` and
-    ``KAHAN_LI_6`` of order 6, ``KAHAN_LI_8`` of order 8. Whatever every substep preserves, the composition preserves.
-    The orders are those of steps that tend to the identity with ``h``: of a ``StageIntegrator`` compose two halves first.
+    Of a symmetric integrator of order 2 the weights ``TRIPLE_JUMP`` and ``SUZUKI`` make one of order 4, ``YOSHIDA_6``
+    and ``KAHAN_LI_6`` of order 6, ``KAHAN_LI_8`` of order 8. Whatever every substep preserves, the composition
+    preserves. The orders are those of steps that tend to the identity with ``h``: of a ``StageIntegrator`` compose two
+    halves first.
     """
 
     integrator: Integrator
@@ -56,7 +57,9 @@ class Composition(Integrator):
 
     def __check_init__(self) -> None:
         if not isinstance(self.integrator, Integrator):
-            raise InvalidInputError(f"Composition takes an integrator, got {self.integrator!r}; try SymplecticIntegrator(lift)")
+            raise InvalidInputError(
+                f"Composition takes an integrator, got {self.integrator!r}; try SymplecticIntegrator(lift)"
+            )
         if not abs(sum(self.weights) - 1) <= 1e-12:
             raise InvalidInputError(f"the weights of a composition must sum to 1, got {self.weights}; try SUZUKI")
 

@@ -17,8 +17,9 @@ from .trajectory import Trajectory, check_call, integrate
 class Flow:
     """A system with an integrator, traced once; ``integrate`` then takes the time of its steps and a few milliseconds.
 
-    ``system``, ``integrator``, ``evaluator``: as in ``retrax.integrators.integrate``, to whose trajectories those of the flow
-    are equal. The first call traces the functions, and what they read then stays as it was: for other values make another flow.
+    ``system``, ``integrator``, ``evaluator``: as in ``retrax.integrators.integrate``, to whose trajectories those of
+    the flow are equal. The first call traces the functions, and what they read then stays as it was: for other values
+    make another flow.
 
     Raises ``InvalidInputError`` for what cannot be integrated, and where JAX transforms the call.
 
@@ -53,7 +54,9 @@ class Flow:
         """
         require_concrete("Flow.integrate", start, step_size)
         with resumed(self._reading):
-            return integrate(self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose)
+            return integrate(
+                self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose
+            )
 
     def integrate_many(
         self,
@@ -69,4 +72,6 @@ class Flow:
         'integrate_many'
         """
         with resumed(self._reading):
-            return integrate_many(self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose)
+            return integrate_many(
+                self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose
+            )

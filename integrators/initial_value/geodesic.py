@@ -18,15 +18,16 @@ from .step import StepResult
 
 @final
 class GeodesicRetraction(Retraction):
-    """End after unit time of the geodesic of a metric from ``x`` with velocity ``v``; entries are NaN where a step is not solved.
+    """End after unit time of the geodesic of a metric from ``x`` with velocity ``v``; entries are NaN where a step is
+    not solved.
 
-    Hamilton's equations of the kinetic energy are solved in ``steps`` equal steps. A step depends on ``v`` and on its size
-    through the product alone, so whatever the number of steps the result is a retraction, of second order for the metric; with
-    an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The inverse is
-    Newton's method.
+    Hamilton's equations of the kinetic energy are solved in ``steps`` equal steps. A step depends on ``v`` and on its
+    size through the product alone, so whatever the number of steps the result is a retraction, of second order for the
+    metric; with an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The
+    inverse is Newton's method.
 
-    By default 8 steps of order 4: on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1`` the error is 7e-5 for ``|v| = 1``, 1e-9 for
-    ``|v| = 0.1``.
+    By default 8 steps of order 4: on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1`` the error is 7e-5 for ``|v| = 1``, 1e-9
+    for ``|v| = 0.1``.
 
     >>> GeodesicRetraction(EmbeddedMetric(Sphere(2))).manifold
     Sphere(n=2)
@@ -43,7 +44,9 @@ class GeodesicRetraction(Retraction):
         self.metric, self.steps = metric, steps
         self.integrator = _order_four(metric.manifold) if integrator is None else integrator
         if not same_manifold(self.integrator.manifold, metric.manifold):
-            raise InvalidInputError(f"the geodesics of {metric.manifold} need an integrator of it, got {self.integrator}")
+            raise InvalidInputError(
+                f"the geodesics of {metric.manifold} need an integrator of it, got {self.integrator}"
+            )
         if not is_count(steps):
             raise InvalidInputError(f"steps must be a whole number of at least 1, got {steps!r}")
 
@@ -56,8 +59,10 @@ class GeodesicRetraction(Retraction):
         return nan_unless(end.converged, end.q)
 
     def flow(self, x: Ambient, p: Ambient) -> StepResult:
-        """Point and covector after unit time from the point ``x`` and the covector ``p``, and whether all steps were solved."""
-        # Off the manifold a step's equations hold in its frame alone, and their derivatives are not those of its values.
+        """Point and covector after unit time from the point ``x`` and the covector ``p``, and whether all steps were
+        solved."""
+        # Off the manifold a step's equations hold in its frame alone, and their derivatives are not those of its
+        # values.
         x = self.manifold.restore(x)
         energy, p = self.metric.kinetic_energy, self.manifold.projection(x, p)
 

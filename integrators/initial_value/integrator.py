@@ -44,7 +44,8 @@ class Integrator(eqx.Module):
     @attribute
     @abstractmethod
     def control_times(self) -> np.ndarray:
-        """Where in a step its controls belong, in fractions of the step: an array shaped like the leading axes of ``control``."""
+        """Where in a step its controls belong, in fractions of the step: an array shaped like the leading axes of
+        ``control``."""
 
     @abstractmethod
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
@@ -63,11 +64,13 @@ class Integrator(eqx.Module):
         """The control in the unknowns of a step; None where there is none."""
 
     def stage(self, system: Any, h: ArrayLike) -> Stage | None:
-        """The stage whose equations are those of a step of size ``h``, and all of it; None where steps are of another form."""
+        """The stage whose equations are those of a step of size ``h``, and all of it; None where steps are of another
+        form."""
         return None
 
     def substeps(self) -> tuple["Integrator", np.ndarray]:
-        """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of ``control``."""
+        """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of
+        ``control``."""
         return self, np.ones(())
 
     @property
@@ -76,11 +79,13 @@ class Integrator(eqx.Module):
         return default_retraction(self.manifold)
 
     def energy(self, system: Any, q: Ambient, p: Ambient, control: Any) -> Array | None:
-        """The Hamiltonian of ``system``, with a control where it has one, which must not jump; None where there is none."""
+        """The Hamiltonian of ``system``, with a control where it has one, which must not jump; None where there is
+        none."""
         return None
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
-        """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without an end."""
+        """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without
+        an end."""
         return ""
 
 
@@ -131,7 +136,8 @@ def _check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None
 
 
 class VariationalIntegrator(Integrator):
-    """Steps that are stationary points of a stage's generating function, by a lifted discretization map or a Gauss method."""
+    """Steps that are stationary points of a stage's generating function, by a lifted discretization map or a Gauss
+    method."""
 
     method: CotangentLift | Gauss
 
@@ -169,7 +175,8 @@ class VariationalIntegrator(Integrator):
 
 @final
 class SymplecticIntegrator(VariationalIntegrator):
-    """Hamilton's equations by a lifted discretization map, ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in ``T*Q``.
+    """Hamilton's equations by a lifted discretization map, ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in
+    ``T*Q``.
 
     The system is a Hamiltonian ``H(q, p)``, a JAX function of ambient arrays. The step is a symplectic map of ``T*Q``;
     symmetric, and of order 2, if the discretization map is symmetric. By a Gauss method ``Gauss(s, retraction)``, whose
@@ -202,10 +209,10 @@ class SymplecticIntegrator(VariationalIntegrator):
 class PresymplecticIntegrator(VariationalIntegrator):
     """Extremals of a regular optimal control problem from ``(q0, p0)``.
 
-    By a lifted discretization map, ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of the
-    problem, over its base point: the equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the stage. By a
-    Gauss method they hold at its points, each with a control of its own: ``controls`` of a trajectory then have an axis of
-    length ``s`` behind that of the steps, also for ``s = 1``.
+    By a lifted discretization map, ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of
+    the problem, over its base point: the equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the
+    stage. By a Gauss method they hold at its points, each with a control of its own: ``controls`` of a trajectory then
+    have an axis of length ``s`` behind that of the steps, also for ``s = 1``.
     """
 
     def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | GaussStage:
@@ -234,8 +241,8 @@ class PresymplecticIntegrator(VariationalIntegrator):
         if not is_regular(singular):
             raise InvalidInputError(
                 "the problem is singular here: the second derivative of Pontryagin's Hamiltonian in the controls has "
-                f"singular values {singular} in units of its diagonal, expected all positive; make the running cost strictly "
-                "convex in every control"
+                f"singular values {singular} in units of its diagonal, expected all positive; make the running cost "
+                "strictly convex in every control"
             )
 
 

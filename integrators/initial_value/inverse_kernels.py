@@ -10,8 +10,8 @@ _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 def invert(a: np.ndarray, sizes: np.ndarray) -> None:
     """The inverse of a matrix in each lane, in its place, by Gauss and Jordan with partial pivoting.
 
-    Pivots are compared in units of the largest entries of their rows, ``sizes`` being those of the unknowns: positions and
-    momenta, and so their equations, are in units of their own.
+    Pivots are compared in units of the largest entries of their rows, ``sizes`` being those of the unknowns: positions
+    and momenta, and so their equations, are in units of their own.
     """
     n, lanes = a.shape[0], a.shape[2]
     rows, largest = np.empty((n, lanes), np.int64), np.zeros((n, lanes))

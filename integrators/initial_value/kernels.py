@@ -1,7 +1,8 @@
 """Steps of initial-value problems, compiled once on a computer: a step's equations are programs, data to these loops.
 
-All numbers of a lane, one trajectory, are a column of one memory ``v``, shape ``(rows, lanes)``, that programs and loops read and
-write; ``places`` has the first row of each of its parts. There is one lane for a single trajectory, ``LANES`` for many.
+All numbers of a lane, one trajectory, are a column of one memory ``v``, shape ``(rows, lanes)``, that programs and
+loops read and write; ``places`` has the first row of each of its parts. There is one lane for a single trajectory,
+``LANES`` for many.
 """
 
 import warnings
@@ -20,7 +21,8 @@ from .programs import PLACES
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
-PATIENCE = 6  # chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step
+# Chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step.
+PATIENCE = 6
 PUSH_COST = 3  # chord steps in whose time the image of one direction is computed
 ORDERS = 6  # of the differences from step to step by which a prediction is corrected
 PREPARE, RESIDUAL, PUSH, END = range(4)
@@ -29,13 +31,13 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
     SCALED, CHANGE, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
 ) = range(len(PLACES))  # fmt: skip
 
-# Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to read them:
-# ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where each program begins
-# and ends; the machine is called by its address, because each loop around it would be compiled with all of it otherwise;
-# ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians, chord steps spent on each, infinite
-# where it is of no use, and by how much solutions differed from predictions, with the differences of this from step to step, by
-# blocks of lanes and substeps, lanes last; the inverse Jacobian of small steps, or an empty matrix; memory and registers of as
-# many lanes as the columns of one lane's Jacobian need.
+# Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to
+# read them: ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where
+# each program begins and ends; the machine is called by its address, because each loop around it would be compiled with
+# all of it otherwise; ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians, chord
+# steps spent on each, infinite where it is of no use, and by how much solutions differed from predictions, with the
+# differences of this from step to step, by blocks of lanes and substeps, lanes last; the inverse Jacobian of small
+# steps, or an empty matrix; memory and registers of as many lanes as the columns of one lane's Jacobian need.
 
 
 def _array(kind: Any, axes: int) -> Any:
@@ -88,7 +90,8 @@ def _measure(places: np.ndarray, v: np.ndarray) -> None:
 
 @_compiled
 def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
-    """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are any."""
+    """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are
+    any."""
     more = False
     for j in range(v.shape[1]):
         v[places[TAKEN], j] = 0.0
@@ -100,7 +103,8 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
         remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
         done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
         going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)  # near rounding steps shrink as they like
-        v[places[TAKEN], j] = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
+        # A step that hardly shrinks is the fault of an old Jacobian, and may lead back.
+        v[places[TAKEN], j] = ratio <= STALLED
         v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
         v[places[CONVERGED], j], v[places[GOING], j] = done, going
         more = more or going
@@ -120,7 +124,8 @@ def _chords(
     inverse: np.ndarray,
     exact: bool,
 ) -> None:
-    """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too slowly."""
+    """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too
+    slowly."""
     machine, codes, operands, values, ranges = programs
     for n in range(MAX_CHORDS):
         _place(places, v)
@@ -219,7 +224,8 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
 
 @_compiled
 def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
-    """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is least."""
+    """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is
+    least."""
     for j in range(v.shape[1]):
         order, least = 0, np.inf
         for n in range(ORDERS):
@@ -384,13 +390,14 @@ def _integrate(
     numbers: tuple,
     blocks: tuple,
 ) -> None:
-    """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in its place.
+    """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in
+    its place.
 
     ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
-    trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of steps;
-    ``known``: arrays ``(inverses, spent, differences, small)``; ``parts``: those of a step that are its substeps; ``numbers``:
-    steps done before, steps to do, those done of a block of steps that are kept together, and how many these are; ``blocks``:
-    of lanes, the first and the one after the last.
+    trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of
+    steps; ``known``: arrays ``(inverses, spent, differences, small)``; ``parts``: those of a step that are its
+    substeps; ``numbers``: steps done before, steps to do, those done of a block of steps that are kept together, and
+    how many these are; ``blocks``: of lanes, the first and the one after the last.
     """
     rows, size, lanes = memory
     programs = machine, codes, operands, values, ranges

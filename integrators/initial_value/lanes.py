@@ -82,7 +82,8 @@ class TapeSteps(Steps):
         return record, self._failed.copy(), time.perf_counter() - began
 
     def nodes(self, kept: np.ndarray) -> Nodes:
-        """States of all nodes, the start first, and controls of the steps, with leading axes ``(trajectories, nodes)``."""
+        """States of all nodes, the start first, and controls of the steps, with leading axes ``(trajectories,
+        nodes)``."""
         _, q, p = self._like
         ends = np.cumsum([0, rows(q), rows(p)])
         points, covectors = (unpacked(kept[:, a:b], like) for a, b, like in zip(ends, ends[1:], (q, p), strict=False))

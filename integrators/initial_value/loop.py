@@ -51,11 +51,20 @@ def node(integrator: Integrator, carry: Carry) -> Nodes:
 
 
 def _piece(
-    system: Any, integrator: Integrator, first: Carry, step_size: Array, size: int, count: Array, phase: Array, every: Array
+    system: Any,
+    integrator: Integrator,
+    first: Carry,
+    step_size: Array,
+    size: int,
+    count: Array,
+    phase: Array,
+    every: Array,
 ) -> tuple[Carry, Nodes]:
-    """``count`` steps, or as many as are solved; the state after the last step of each block of ``every`` steps in its row.
+    """``count`` steps, or as many as are solved; the state after the last step of each block of ``every`` steps in its
+    row.
 
-    ``phase`` is how many steps of a block lie behind. There are ``size`` rows; that of an unfinished block has its last state.
+    ``phase`` is how many steps of a block lie behind. There are ``size`` rows; that of an unfinished block has its last
+    state.
     """
 
     def unfinished(state: tuple[Array, Carry, Nodes]) -> Array:
@@ -66,7 +75,9 @@ def _piece(
         index, carry, rows = state
         carry = advance(system, integrator, step_size, carry, index)
         row = (phase + index) // every
-        put = jax.tree.map(lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, row, 0), rows, node(integrator, carry))
+        put = jax.tree.map(
+            lambda a, b: jax.lax.dynamic_update_index_in_dim(a, b, row, 0), rows, node(integrator, carry)
+        )
         return index + 1, carry, put
 
     rows = jax.tree.map(lambda a: jnp.zeros((size, *jnp.shape(a)), a.dtype), node(integrator, first))

@@ -33,13 +33,13 @@ def integrate_many(
     """Integrate ``system`` from many starts at once: ``integrate`` for each member of a leading axis.
 
     ``starts``: points and covectors with that axis, ``B`` long; ``step_sizes``: one number or ``B``. Every array of the
-    trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops, or passes a jump of the
-    Hamiltonian, is marked there, nothing is raised for it. On the tape, which runs the trajectories side by side on all
-    processors; where it cannot run, XLA compiles one loop for this number of steps, which Ctrl-C does not stop, and whose
-    progress is not known. ``verbose``: as in ``integrate``.
+    trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops, or passes a jump
+    of the Hamiltonian, is marked there, nothing is raised for it. On the tape, which runs the trajectories side by side
+    on all processors; where it cannot run, XLA compiles one loop for this number of steps, which Ctrl-C does not stop,
+    and whose progress is not known. ``verbose``: as in ``integrate``.
 
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and for calls under
-    ``jit``, ``vmap`` and ``grad``: there take ``jax.vmap`` of ``integrate``. Ctrl-C as in ``integrate``.
+    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and for calls
+    under ``jit``, ``vmap`` and ``grad``: there take ``jax.vmap`` of ``integrate``. Ctrl-C as in ``integrate``.
     """
     check_call(integrator, steps, save_every, evaluator)
     require_concrete("integrate_many", system, integrator, starts, step_sizes)
@@ -57,7 +57,13 @@ def integrate_many(
 
 
 def _scanned(
-    system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], sizes: Array, saves: int, every: int, reason: str
+    system: Any,
+    integrator: Integrator,
+    starts: tuple[Ambient, Ambient],
+    sizes: Array,
+    saves: int,
+    every: int,
+    reason: str,
 ) -> Trajectory:
     return jax.vmap(lambda start, h: scanned(system, integrator, start, h, saves, every, reason))(starts, sizes)
 
@@ -67,7 +73,9 @@ def _checked_sizes(step_sizes: Any, count: int) -> np.ndarray:
         sizes = np.broadcast_to(np.asarray(step_sizes, float), (count,))
     except (TypeError, ValueError) as error:
         got = f"an array of shape {np.shape(step_sizes)}" if np.ndim(step_sizes) else repr(step_sizes)
-        raise InvalidInputError(f"step_sizes must be one number or one for each of the {count} starts, got {got}") from error
+        raise InvalidInputError(
+            f"step_sizes must be one number or one for each of the {count} starts, got {got}"
+        ) from error
     for size in sizes:
         require_finite_step("each of step_sizes", float(size))
     return np.ascontiguousarray(sizes)
@@ -80,7 +88,8 @@ def _checked_starts(manifold: Manifold, starts: Any) -> tuple[Ambient, Ambient]:
     counts = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(starts)}
     if len(counts) != 1 or counts & {(), (0,)}:
         raise InvalidInputError(
-            f"starts must have arrays with one more axis, of one length, in front; got shapes {jax.tree.map(np.shape, starts)}"
+            "starts must have arrays with one more axis, of one length, in front; got shapes "
+            f"{jax.tree.map(np.shape, starts)}"
         )
     for part, role in zip(starts, ("a point", "a covector"), strict=True):
         wrong = manifold.describe_shapes(jax.tree.map(lambda a: np.asarray(a)[0], part), role)

@@ -21,7 +21,8 @@ from ..kinks import JUMP, Zoom, closing_in, is_jump
 FEW, MANY = 256, 4096  # segments of one call: two programs, whatever the number of nodes
 MOST = 4096  # segments in which a jump is looked for more closely
 SAME = 0.1  # of a jump: what the clocks alone may leave of it
-SEEN_BESIDE = 0.5  # of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart
+# Of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart.
+SEEN_BESIDE = 0.5
 
 
 class Segments(NamedTuple):
@@ -35,7 +36,8 @@ class Segments(NamedTuple):
     def between(nodes: tuple[Ambient, Ambient], controls: Any) -> "Segments":
         """From each node to the next one, of trajectories along a leading axis, which are put one behind the other."""
         first, last = (
-            jax.tree.map(lambda a, part=part: _joined(np.asarray(a)[:, part]), nodes) for part in (slice(-1), slice(1, None))
+            jax.tree.map(lambda a, part=part: _joined(np.asarray(a)[:, part]), nodes)
+            for part in (slice(-1), slice(1, None))
         )
         return Segments(first, last, jax.tree.map(_joined, controls))
 
@@ -60,8 +62,9 @@ class Passed(NamedTuple):
     def words(self) -> str:
         """The fact for a trajectory, and what can be done about it."""
         return (
-            f"{self.fact('where the trajectory passes')}; expected a Hamiltonian without jumps there, because the momenta jump "
-            "with it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of a step"
+            f"{self.fact('where the trajectory passes')}; expected a Hamiltonian without jumps there, because the "
+            "momenta jump with it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of "
+            "a step"
         )
 
 
@@ -75,7 +78,8 @@ class Energy(NamedTuple):
     def passed(self, segments: Segments, apart: bool = False) -> list[Passed]:
         """The jumps on these segments, in their order, at most one of each.
 
-        ``apart``: their ends are farther apart than states of one step, and the trajectory may be elsewhere between them.
+        ``apart``: their ends are farther apart than states of one step, and the trajectory may be elsewhere between
+        them.
         """
         if not len(jax.tree.leaves(segments.first)[0]):
             return []
@@ -88,7 +92,11 @@ class Energy(NamedTuple):
             share = np.nan_to_num(np.where(sizes > 0, np.abs(changes - slopes.mean(axis=1)) / sizes, 0.0))
             where = np.argsort(share, kind="stable")[::-1][:MOST]
             where = np.sort(where[share[where] > JUMP])
-            found = [jump for k in range(0, len(where), FEW) for jump in self._jumps(segments, where[k : k + FEW], sizes, steps)]
+            found = [
+                jump
+                for k in range(0, len(where), FEW)
+                for jump in self._jumps(segments, where[k : k + FEW], sizes, steps)
+            ]
         return [jump for jump in found if not apart or abs(changes[jump.segment]) > SEEN_BESIDE * abs(jump.change)]
 
     def _steps(self, segments: Segments) -> list[str]:
@@ -147,13 +155,16 @@ def _along(
 
 
 def _ends(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Array, Array, Array]:
-    """Values and slopes at both ends, and the size of the terms there: that of the values says nothing, for terms may cancel."""
+    """Values and slopes at both ends, and the size of the terms there: that of the values says nothing, for terms may
+    cancel."""
 
     def one(*segment: Any) -> tuple[Array, Array, Array]:
         value, state = _along(function, system, retraction, *segment)
         values, slopes = jax.vmap(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),)))(jnp.array([0.0, 1.0]))
         z = state(jnp.ones(()))
-        parts = jax.tree.map(lambda a, b: jnp.sum(jnp.abs(a * b)), z, jax.grad(lambda z: function(system, *z, segment[-1]))(z))
+        parts = jax.tree.map(
+            lambda a, b: jnp.sum(jnp.abs(a * b)), z, jax.grad(lambda z: function(system, *z, segment[-1]))(z)
+        )
         return values, slopes, jnp.max(jnp.abs(values)) + sum(jax.tree.leaves(parts))
 
     return jax.vmap(one)(*segments)
@@ -162,15 +173,17 @@ def _ends(function: Callable, system: Any, retraction: Retraction, *segments: An
 def _closer(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Zoom, Ambient, Array]:
     """Intervals that close in on where the Hamiltonian changes, of a segment each.
 
-    With the points at their lower ends, and what the Hamiltonian changes by with the clocks alone, the coordinates whose
-    rates nothing changes.
+    With the points at their lower ends, and what the Hamiltonian changes by with the clocks alone, the coordinates
+    whose rates nothing changes.
     """
 
     def one(*segment: Any) -> tuple[Zoom, Ambient, Array]:
         value, state = _along(function, system, retraction, *segment)
         zoom = closing_in(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),)), jnp.zeros(()), jnp.ones(()))
         before, after = state(zoom.places[-1]), state(zoom.places[-1] + zoom.widths[-1])
-        timed = function(system, _clocked(partial(function, system), before, after, segment[-1]), before[1], segment[-1])
+        timed = function(
+            system, _clocked(partial(function, system), before, after, segment[-1]), before[1], segment[-1]
+        )
         return zoom, before[0], timed - function(system, *before, segment[-1])
 
     return jax.vmap(one)(*segments)

@@ -27,9 +27,9 @@ class Steps(ABC):
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Any, np.ndarray, float]:
         """Go on by ``count`` steps, or as many as are solved, after ``done`` others, ``phase`` of which begin a block.
 
-        What is kept of the last state of each block of ``every`` steps, rows along the leading axis of every array: at least
-        those that the piece reached, ``size`` at most. For every trajectory -1 or the step at which it stopped. And the seconds
-        of the steps themselves.
+        What is kept of the last state of each block of ``every`` steps, rows along the leading axis of every array: at
+        least those that the piece reached, ``size`` at most. For every trajectory -1 or the step at which it stopped.
+        And the seconds of the steps themselves.
         """
 
 
@@ -42,7 +42,8 @@ class Outcome(NamedTuple):
 
 
 def run(steps: Steps, saves: int, every: int, verbose: bool = False) -> Outcome:
-    """Integrate over ``saves`` blocks of ``every`` steps, piece after piece. If interrupted, the nodes are those reached.
+    """Integrate over ``saves`` blocks of ``every`` steps, piece after piece. If interrupted, the nodes are those
+    reached.
 
     ``verbose``: the progress is shown.
     """

@@ -18,8 +18,9 @@ def form_defect(space: PresymplecticManifold, integrator: Integrator, system: ob
     """Largest entry of ``F_h^* omega - omega`` at ``z``, for one step ``F_h``, in an orthonormal basis of ``T_zP``.
 
     ``space``: the manifold ``P`` in ``T*Q``, on which the step starts and ends, with its form, as
-    ``classify(problem).presymplectic``. Returns a scalar: rounding for a presymplectic integrator, of some order in ``h`` for any
-    other. Measure on a ``P`` that is curved and has more than two dimensions: elsewhere other methods may look exact.
+    ``classify(problem).presymplectic``. Returns a scalar: rounding for a presymplectic integrator, of some order in
+    ``h`` for any other. Measure on a ``P`` that is curved and has more than two dimensions: elsewhere other methods may
+    look exact.
 
     Raises ``InvalidInputError`` as ``integrate`` does, and ``ConvergenceError`` if the step cannot be solved.
     """

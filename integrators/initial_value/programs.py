@@ -25,7 +25,8 @@ def rows(tree: Any) -> int:
 
 
 def packed(tree: Any) -> np.ndarray:
-    """Arrays with the trajectories along their first axis as one: a row for each real number, a column for each trajectory."""
+    """Arrays with the trajectories along their first axis as one: a row for each real number, a column for each
+    trajectory."""
     found = []
     for leaf in jax.tree.leaves(tree):
         array = np.asarray(leaf)
@@ -35,7 +36,8 @@ def packed(tree: Any) -> np.ndarray:
 
 
 def unpacked(array: np.ndarray, like: Any) -> Any:
-    """The arrays in the rows of ``array``, shape ``(nodes, rows, trajectories)``: leading axes ``(trajectories, nodes)``."""
+    """The arrays in the rows of ``array``, shape ``(nodes, rows, trajectories)``: leading axes ``(trajectories,
+    nodes)``."""
     leaves, structure = jax.tree.flatten(like)
     found, begin = [], 0
     for leaf in leaves:
@@ -48,7 +50,8 @@ def unpacked(array: np.ndarray, like: Any) -> Any:
     return jax.tree.unflatten(structure, found)
 
 
-# Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep there; sizes.
+# Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep
+# there; sizes.
 PLACES = (
     *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
     *("scaled", "change", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
@@ -60,8 +63,8 @@ PLACES = (
 class StepPrograms:
     """The programs of a step in one list, ``prepare``, ``residual``, ``push`` and ``end``, with the ``ranges`` of each.
 
-    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of controls;
-    ``rows`` and ``registers``: how many the memory has.
+    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of
+    controls; ``rows`` and ``registers``: how many the memory has.
     """
 
     codes: np.ndarray
@@ -134,21 +137,30 @@ def _stage(integrator: Integrator, system: Any, h: Any) -> Stage:
     stage = integrator.stage(system, h)
     if stage is None:
         raise InvalidInputError(
-            f"the steps of {type(integrator).__name__} are more than the equations of one stage, expected an integrator with a "
-            "stage; try XLA"
+            f"the steps of {type(integrator).__name__} are more than the equations of one stage, expected an "
+            "integrator with a stage; try XLA"
         )
     return stage
 
 
-def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int) -> StepPrograms:
+def _laid_out(
+    tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int
+) -> StepPrograms:
     """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
     memory = _Memory()
     at = {name: memory.take(rows(part)) for name, part in parts.items()}
     count, states = at["c"].size, sum(at[name].size for name in "yqp")
     at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled", "change")}
     at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
-    at |= {name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")}
-    reads = ["hyqp", ["c", "h", "q", "p", *charts], ["c", "h", "q", "p", *charts, "direction"], ["c", "h", "q", *charts]]
+    at |= {
+        name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")
+    }
+    reads = [
+        "hyqp",
+        ["c", "h", "q", "p", *charts],
+        ["c", "h", "q", "p", *charts, "direction"],
+        ["c", "h", "q", *charts],
+    ]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
     read, written = ([np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes))
     programs = _merged(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
@@ -156,15 +168,20 @@ def _laid_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str],
     counts = {"count": count, "states": states, "controls": controls}
     places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
     cuts = np.cumsum([0, *(len(program.codes) for program in programs)])
-    codes, registers, values = (np.concatenate([getattr(p, name) for p in programs]) for name in ("codes", "registers", "values"))
+    codes, registers, values = (
+        np.concatenate([getattr(p, name) for p in programs]) for name in ("codes", "registers", "values")
+    )
     ranges, most = np.stack([cuts[:-1], cuts[1:]], axis=1), max(program.size for program in programs)
     return StepPrograms(codes, registers, values, ranges, np.array(places), memory.rows, most)
 
 
-def _merged(tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]) -> list[Program]:
+def _merged(
+    tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]
+) -> list[Program]:
     """The programs of tapes that follow each other, between these rows.
 
-    What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or kernels, read.
+    What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or
+    kernels, read.
     """
     values = [tape.graph.unmarked([tape.outputs])[0] for tape in tapes]
     prepared: list[Any] = ca.cse(values[0]).elements()

@@ -41,7 +41,8 @@ class Chart(NamedTuple):
 
 
 class StepEquations:
-    """The equations ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` of a step from near ``(q0, p0)``, in a chart around a prediction.
+    """The equations ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` of a step from near ``(q0, p0)``, in a chart around a
+    prediction.
 
     Their unknowns are the coordinates ``c`` of the stage's unknowns ``y`` and of ``p1``, both in one frame.
     """
@@ -87,7 +88,8 @@ class StepEquations:
         return jnp.concatenate([vec.components(self.chart.covectors, vec.subtract(r1, q0)), stationarity])
 
     def result(self, c: Array, q0: Ambient) -> StepResult:
-        """The end of the step whose unknowns have the coordinates ``c``, converged where it is finite and begins at ``q0``."""
+        """The end of the step whose unknowns have the coordinates ``c``, converged where it is finite and begins at
+        ``q0``."""
         q1, p1, y = self.end(c)
         return StepResult(q1, p1, y, jnp.isfinite(vec.size((q1, p1))) & self.begins(c, q0))
 
@@ -113,8 +115,8 @@ class StepEquations:
 def lifted_step(stage: Stage, q0: Ambient, p0: Ambient, previous: Any) -> StepResult:
     """Step ``(q0, p0) -> (q1, p1)``: a stationary point of the stage's generating function that starts at ``q0``.
 
-    Solves ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` for the unknowns ``y`` and ``p1``; then ``q1 = R2``. Differentiable by the
-    implicit function theorem.
+    Solves ``R1 = q0`` and ``d_y S(y; p0, p1) = 0`` for the unknowns ``y`` and ``p1``; then ``q1 = R2``. Differentiable
+    by the implicit function theorem.
     """
     equations = StepEquations.near(stage, q0, p0, previous)
     c, converged = find_root(

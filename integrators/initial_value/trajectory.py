@@ -43,13 +43,13 @@ class Remark(str):
 class Trajectory(eqx.Module):
     """A discrete trajectory on ``T*Q``: nodes along the leading axis of every leaf.
 
-    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a composition
-    has one for each of its substeps, a Gauss method one for each of its ``s`` points, along an axis behind that of the steps:
-    shape ``(steps, s, m)``.
-    ``failed_step`` is -1, or the index of the first step whose equations were not solved: the state is constant from there.
-    Where ``result`` is ``Result.jump`` it is that of a step, or of the steps between two nodes, in which the Hamiltonian jumps.
-    Where ``result`` is ``Result.interrupted`` the trajectory ends with the last state that was reached and kept.
-    ``evaluator`` says in words what computed the steps, and why where that was not the tape.
+    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a
+    composition has one for each of its substeps, a Gauss method one for each of its ``s`` points, along an axis behind
+    that of the steps: shape ``(steps, s, m)``. ``failed_step`` is -1, or the index of the first step whose equations
+    were not solved: the state is constant from there. Where ``result`` is ``Result.jump`` it is that of a step, or of
+    the steps between two nodes, in which the Hamiltonian jumps. Where ``result`` is ``Result.interrupted`` the
+    trajectory ends with the last state that was reached and kept. ``evaluator`` says in words what computed the steps,
+    and why where that was not the tape.
     """
 
     times: Annotated[Float[Array, " nodes"], Along("nodes", ndim=1)]
@@ -66,19 +66,26 @@ class Trajectory(eqx.Module):
         if is_traced(self) or np.ndim(self.times) != 1:
             parts = [f"{name}={shapes(getattr(self, name))}" for name in ("times", "q", "p", "controls", "failed_step")]
             return "\n  ".join(["Trajectory(", *parts]) + ")"
-        span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}, nodes={len(self.times)}, failed_step={self.failed_step}"
+        span = (
+            f"times={self.times[0]:.6g}..{self.times[-1]:.6g}, nodes={len(self.times)}, failed_step={self.failed_step}"
+        )
         arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("q", "p", "controls")]
         return "\n  ".join(["Trajectory(", span, *arrays, f"result={Result[self.result]!r})"])
 
     def save(self, path: str | Path) -> None:
         """Write the trajectory to an ``.npz`` file that ``load_trajectory`` reads.
 
-        Raises ``InvalidInputError`` for a batch of trajectories, under ``jit`` and ``vmap``, and if it could not be read again.
+        Raises ``InvalidInputError`` for a batch of trajectories, under ``jit`` and ``vmap``, and if it could not be
+        read again.
         """
         require_concrete("Trajectory.save", self)
         if np.ndim(self.times) != 1:
-            raise InvalidInputError(f"a batch of trajectories cannot be saved, got times of shape {self.times.shape}; save each")
-        values: dict[str, Any] = {name: jax.device_get(getattr(self, name)) for name in _FILE.schema if name != "result"}
+            raise InvalidInputError(
+                f"a batch of trajectories cannot be saved, got times of shape {self.times.shape}; save each"
+            )
+        values: dict[str, Any] = {
+            name: jax.device_get(getattr(self, name)) for name in _FILE.schema if name != "result"
+        }
         ends = [name for name in _ENDS if self.result == getattr(Result, name)]
         _FILE.write(path, {**values, "result": ends[0], "failed_step": int(self.failed_step)})
 
@@ -123,23 +130,25 @@ def integrate(
     evaluator: str | None = None,
     verbose: bool = False,
 ) -> Trajectory:
-    """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in time).
+    """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in
+    time).
 
     ``system`` is a Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``, an ``OptimalControlProblem`` for a
     ``PresymplecticIntegrator``. ``p0`` is any ambient array: it stands for the covector that is its tangent projection.
-    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, in the start, the step size and the arrays of
-    ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint manifold of a singular
-    problem is taken as it is, and a step that cannot be solved shows in ``result`` and ``failed_step`` of the trajectory alone.
+    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, in the start, the step size and the
+    arrays of ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint
+    manifold of a singular problem is taken as it is, and a step that cannot be solved shows in ``result`` and
+    ``failed_step`` of the trajectory alone.
 
-    Elsewhere each call traces the functions anew and runs the steps on the tape, in pieces of a fraction of a second; where an
-    operation has no scalar form, and for integrators without a stage, XLA compiles them. ``Trajectory.evaluator`` says which;
-    ``evaluator``, ``"tape"`` or ``"xla"``, asks for one. ``verbose`` shows the progress: a bar in a terminal where tqdm is
-    installed, else lines of the logger ``retrax``.
+    Elsewhere each call traces the functions anew and runs the steps on the tape, in pieces of a fraction of a second;
+    where an operation has no scalar form, and for integrators without a stage, XLA compiles them.
+    ``Trajectory.evaluator`` says which; ``evaluator``, ``"tape"`` or ``"xla"``, asks for one. ``verbose`` shows the
+    progress: a bar in a terminal where tqdm is installed, else lines of the logger ``retrax``.
 
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if ``throw``,
-    ``ConvergenceError`` if a step cannot be solved, or the Hamiltonian jumps between two nodes: momenta jump there too, by what
-    no derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual ``KeyboardInterrupt``; its one
-    argument is the trajectory until then.
+    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if
+    ``throw``, ``ConvergenceError`` if a step cannot be solved, or the Hamiltonian jumps between two nodes: momenta jump
+    there too, by what no derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual
+    ``KeyboardInterrupt``; its one argument is the trajectory until then.
     """
     check_call(integrator, steps, save_every, evaluator)
     if not is_traced(step_size):
@@ -169,8 +178,11 @@ def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every
     return (jax.tree.map(lambda a: jnp.asarray(a[0]), batch), found[0].words()) if found else (trajectory, "")
 
 
-def without_jumps(system: Any, integrator: Integrator, batch: Trajectory, every: int) -> tuple[Trajectory, dict[int, Passed]]:
-    """Trajectories along a leading axis, with another result where one passes a jump of the Hamiltonian; and these jumps."""
+def without_jumps(
+    system: Any, integrator: Integrator, batch: Trajectory, every: int
+) -> tuple[Trajectory, dict[int, Passed]]:
+    """Trajectories along a leading axis, with another result where one passes a jump of the Hamiltonian; and these
+    jumps."""
     energy, axes = Energy(integrator.energy, system, integrator.retraction), integrator.control_times.ndim
     controls = jax.tree.map(lambda a: np.asarray(a)[:, :, *axes * (0,)], batch.controls)
     segments, count = Segments.between((batch.q, batch.p), controls), batch.times.shape[1] - 1
@@ -226,9 +238,16 @@ def require_finite_step(name: str, size: Any) -> None:
 
 @compiled
 def scanned(
-    system: Any, integrator: Integrator, start: tuple[Ambient, Ambient], step_size: Array, saves: int, every: int, reason: str
+    system: Any,
+    integrator: Integrator,
+    start: tuple[Ambient, Ambient],
+    step_size: Array,
+    saves: int,
+    every: int,
+    reason: str,
 ) -> Trajectory:
-    """The trajectory as one loop of fixed length, which can be differentiated, batched and compiled into something larger."""
+    """The trajectory as one loop of fixed length, which can be differentiated, batched and compiled into something
+    larger."""
 
     def step(carry: Carry, index: Array) -> tuple[Carry, None]:
         return advance(system, integrator, step_size, carry, index), None
@@ -255,7 +274,8 @@ def _in_pieces(
     evaluator: str | None,
     verbose: bool,
 ) -> Trajectory:
-    """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the times."""
+    """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the
+    times."""
     starts, step_sizes = jax.tree.map(lambda a: np.array(a)[None], (start, step_size))
     found = tape_steps(system, integrator, starts, step_sizes, evaluator)
     if not isinstance(found, str):
@@ -299,14 +319,16 @@ def _recorded(
     result = jax.vmap(result_of)(failed < 0) if step_size.ndim else result_of(bool(failed < 0))
     trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, stopped, Remark(evaluator))
     if interrupt:
-        # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C does.
+        # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C
+        # does.
         interrupt.args = (trajectory,)
         raise interrupt
     return trajectory
 
 
 def _times(integrator: Integrator, step_size: Any, every: int, nodes: Any) -> tuple[Any, Any]:
-    """Times of the nodes with these numbers and of the stages of the step before each, in NumPy or JAX as they are given."""
+    """Times of the nodes with these numbers and of the stages of the step before each, in NumPy or JAX as they are
+    given."""
     times = (step_size * every)[..., None] * nodes.astype(step_size.dtype)
     before_end = 1 - integrator.control_times.astype(step_size.dtype)
     axes = (1,) * before_end.ndim

@@ -27,14 +27,16 @@ def require_true_hamiltonian(hamiltonian: Hamiltonian, retraction: Retraction, q
         return
     draw, kind = np.random.default_rng(0).standard_normal, working_precision()
     ways = draw((BASES, 2, 2, retraction.manifold.dimension)).astype(kind)
-    lines: Any = jax.tree.map(np.asarray, call_compiled(_lines, hamiltonian, retraction, q, p, ways, SPANS.astype(kind))[0])
+    lines: Any = jax.tree.map(
+        np.asarray, call_compiled(_lines, hamiltonian, retraction, q, p, ways, SPANS.astype(kind))[0]
+    )
     for about, line in zip(("states", "momenta"), lines, strict=True):
         wrong = float(usually_missed(line)[0])
         if wrong > 0:
             raise InvalidInputError(
-                f"the Hamiltonian changes with the {about} at another rate than its derivative, which is off by {wrong:.1e} of "
-                f"it, where it uses {' and '.join(found)}; expected the derivatives of the values, because Hamilton's equations "
-                "are made of them; try it without, or a rule that agrees with the values"
+                f"the Hamiltonian changes with the {about} at another rate than its derivative, which is off by "
+                f"{wrong:.1e} of it, where it uses {' and '.join(found)}; expected the derivatives of the values, "
+                "because Hamilton's equations are made of them; try it without, or a rule that agrees with the values"
             )
 
 
@@ -46,8 +48,12 @@ def _lines(
     def one(way: Array) -> tuple[Line, Line]:
         base, covector = near(retraction, q, MOVE * way[0, 0]), _moved(retraction, q, p, MOVE * way[0, 1])
         by_state, by_covector = (
-            lambda s: real_number("the Hamiltonian", hamiltonian(near(retraction, base, s * way[1, 0]), covector))[None],
-            lambda s: real_number("the Hamiltonian", hamiltonian(base, _moved(retraction, base, covector, s * way[1, 1])))[None],
+            lambda s: real_number("the Hamiltonian", hamiltonian(near(retraction, base, s * way[1, 0]), covector))[
+                None
+            ],
+            lambda s: real_number(
+                "the Hamiltonian", hamiltonian(base, _moved(retraction, base, covector, s * way[1, 1]))
+            )[None],
         )
         return along_line(by_state, spans), along_line(by_covector, spans)
 

@@ -37,7 +37,8 @@ P = TypeVar("P", bound=Piece)
 class IntegrabilityResult(Generic[P]):
     """What the integrability algorithm found.
 
-    ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties speak of the first.
+    ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties speak of the
+    first.
     """
 
     problem: OptimalControlProblem
@@ -45,7 +46,8 @@ class IntegrabilityResult(Generic[P]):
 
     @property
     def empty(self) -> bool:
-        """Whether no piece of ``P_f`` was found: no extremal that was asked for, with controls in the interior, is known."""
+        """Whether no piece of ``P_f`` was found: no extremal that was asked for, with controls in the interior, is
+        known."""
         return not self.strata
 
     @property
@@ -64,7 +66,9 @@ class IntegrabilityResult(Generic[P]):
         Raises ``InvalidInputError`` if there is no such piece.
         """
         if not 0 <= index < len(self.strata):
-            raise InvalidInputError(f"there is no stratum {index!r}; expected one of {list(range(len(self.strata)))}\n{self}")
+            raise InvalidInputError(
+                f"there is no stratum {index!r}; expected one of {list(range(len(self.strata)))}\n{self}"
+            )
         return replace(self, strata=(self.strata[index],))
 
     @property

@@ -74,30 +74,35 @@ def unmet_words(level: int) -> str:
 def approached_words(residual: float) -> str:
     """That no point was found, though not for a contradiction."""
     return (
-        f"no point found: its conditions are approached (residual {residual:.0e}) and not reached, perhaps at infinity or at the "
-        "edge of the domain of the problem's functions, or for lack of precision; not shown to be empty; try near=(q, p)"
+        f"no point found: its conditions are approached (residual {residual:.0e}) and not reached, perhaps at infinity "
+        "or at the edge of the domain of the problem's functions, or for lack of precision; not shown to be empty; try "
+        "near=(q, p)"
     )
 
 
 def sparse_words(missing: int, tried: int) -> str:
     """That pieces may be missing."""
     return (
-        f"{missing} of {tried} points, which were not found, or where equations are irregular or ranks are not decided: pieces "
-        "of P_f may be missing; try more starts, or near=(q, p) where one is expected"
+        f"{missing} of {tried} points, which were not found, or where equations are irregular or ranks are not "
+        "decided: pieces of P_f may be missing; try more starts, or near=(q, p) where one is expected"
     )
 
 
-CURVED = "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
+CURVED = (
+    "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
+)
 ON_EACH_SIDE = (
-    "on each side P_f is that of another problem, and what follows holds near the points that were found; try near=(q, p), a "
-    "state on the side that is meant"
+    "on each side P_f is that of another problem, and what follows holds near the points that were found; try near=(q, "
+    "p), a state on the side that is meant"
 )
 EXCLUDED = "p = 0 is excluded (exclude_zero_costate=False admits it)"
-UNRELIABLE = "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
+UNRELIABLE = (
+    "equations irregular at every point: what follows is no statement about P_f; replace them, as x^2 = 0 by x = 0"
+)
 UNDECIDED = (
-    "not decided: at every point found, a number that decides a rank may be zero or not within the precision of the point, or a "
-    "function underflows or is smaller than the rounding of the others; what follows is not a statement about P_f; try "
-    "near=(q, p), a state where the functions are of comparable size, or other units"
+    "not decided: at every point found, a number that decides a rank may be zero or not within the precision of the "
+    "point, or a function underflows or is smaller than the rounding of the others; what follows is not a statement "
+    "about P_f; try near=(q, p), a state where the functions are of comparable size, or other units"
 )
 EMPTY_WITHOUT_IT = "empty once p = 0 is excluded: every extremal found has a vanishing costate"
 WITH_IT = "; extremals with p = 0, which is excluded, were not looked for"

@@ -19,8 +19,8 @@ Unknowns = tuple[Ambient, Ambient]
 class ControlStage(Stage):
     """Unknowns ``y = (x, u)``; tangent vector ``h X(x, u)``; cost ``h p_0 F(x, u)``.
 
-    Its generating function is ``S(x, u; p0, p1) = <p1, R2(x, hX)> - <p0, R1(x, hX)> - h p_0 F``: the control ``u`` belongs to the
-    base point, at time ``t_k + theta h``.
+    Its generating function is ``S(x, u; p0, p1) = <p1, R2(x, hX)> - <p0, R1(x, hX)> - h p_0 F``: the control ``u``
+    belongs to the base point, at time ``t_k + theta h``.
 
     ``x`` has the shape of a point, ``u`` that of a control; the value is a scalar.
 
@@ -47,7 +47,10 @@ class ControlStage(Stage):
 
     def move(self, y: Unknowns, frame: tuple[Any, Any], d: Array) -> Unknowns:
         retractions = self.discretization.retraction, default_retraction(self.problem.controls)
-        x, u = (r.chart(*part) for r, *part in zip(retractions, y, frame, jnp.split(d, [self.manifold.dimension]), strict=True))
+        x, u = (
+            r.chart(*part)
+            for r, *part in zip(retractions, y, frame, jnp.split(d, [self.manifold.dimension]), strict=True)
+        )
         return x, u
 
     def sizes(self, y: Unknowns) -> Array:

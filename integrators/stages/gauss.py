@@ -19,7 +19,8 @@ from .stage import Stage, covector_sizes, first_sizes, position_sizes
 
 
 class GaussUnknowns(NamedTuple):
-    """Centre of a step; for each of its points, along a leading axis, displacement, covector (both at the centre), control.
+    """Centre of a step; for each of its points, along a leading axis, displacement, covector (both at the centre),
+    control.
 
     A displacement is the velocity in the chart times the step, a covector stands for its projection at its point.
     """
@@ -34,13 +35,15 @@ class GaussUnknowns(NamedTuple):
 class GaussStage(Stage):
     """Unknowns ``y = (x, w_1..w_s, pi_1..pi_s, u_1..u_s)`` of a ``Gauss`` method; ``w_i`` is the step times ``E nu_i``.
 
-    With the points ``q_i = R_x(sum_j (a_ij - b_j/2) w_j)`` and ``v_i = D R_x[w_i]`` there, the generating function of a step is
+    With the points ``q_i = R_x(sum_j (a_ij - b_j/2) w_j)`` and ``v_i = D R_x[w_i]`` there, the generating function of a
+    step is
 
-        S = <p1, R_x(eta/2)> - <p0, R_x(-eta/2)> - sum_i b_i (<pi_i, v_i> - h H(q_i, pi_i, u_i)),    eta = sum_j b_j w_j.
+        S = <p1, R_x(eta/2)> - <p0, R_x(-eta/2)> - sum_i b_i (<pi_i, v_i> - h H(q_i, pi_i, u_i)),    eta = sum_j b_j
+        w_j.
 
-    Stationary in ``pi_i`` is the collocation ``v_i = h dH/dp``, in ``u_i`` Pontryagin's ``dH/du = 0``; in ``x`` and ``w_i`` they
-    are the equations of the costates, whose values at the points are the multipliers ``pi_i``. A Hamiltonian system has no
-    controls: U is the point ``Euclidean(0)``.
+    Stationary in ``pi_i`` is the collocation ``v_i = h dH/dp``, in ``u_i`` Pontryagin's ``dH/du = 0``; in ``x`` and
+    ``w_i`` they are the equations of the costates, whose values at the points are the multipliers ``pi_i``. A
+    Hamiltonian system has no controls: U is the point ``Euclidean(0)``.
 
     Points have their own shape, ``w_i`` the shape of a point, ``u_i`` that of a control.
 
@@ -123,7 +126,9 @@ class GaussStage(Stage):
         return y.centre
 
     def ends(self, y: GaussUnknowns) -> tuple[Ambient, Ambient]:
-        return self.method.retraction.both_ways(y.centre, vec.combine(y.displacements, jnp.asarray(self.method.weights) / 2))
+        return self.method.retraction.both_ways(
+            y.centre, vec.combine(y.displacements, jnp.asarray(self.method.weights) / 2)
+        )
 
     def cost(self, y: GaussUnknowns) -> Array:
         def rate(xi: Ambient, w: Ambient, pi: Ambient, u: Ambient) -> Array:

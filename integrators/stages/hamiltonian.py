@@ -22,8 +22,8 @@ Unknowns = tuple[Ambient, Ambient, Ambient]
 class HamiltonianStage(Stage):
     """Unknowns ``y = (x, v, pi)`` with ``v`` tangent and ``pi`` a covector at ``x``; cost ``<pi, v> - h H(x, pi)``.
 
-    Stationarity of ``S = <p1, R2(x, v)> - <p0, R1(x, v)> - <pi, v> + h H(x, pi)`` says ``v = h dH/dp``, that ``pi`` is the
-    covector of the lifted map, and ``pdot = -h dH/dq``: one step is ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(x, pi))``.
+    Stationarity of ``S = <p1, R2(x, v)> - <p0, R1(x, v)> - <pi, v> + h H(x, pi)`` says ``v = h dH/dp``, that ``pi`` is
+    the covector of the lifted map, and ``pdot = -h dH/dq``: one step is ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(x, pi))``.
 
     >>> method = SymplecticIntegrator(CotangentLift(Midpoint(Addition(Euclidean(1)))))
     >>> type(method.stage(lambda q, p: p @ p / 2, 0.1)).__name__

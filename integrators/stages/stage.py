@@ -23,8 +23,8 @@ SMALLEST_SIZE = 0.25  # power of the machine epsilon
 class Stage(eqx.Module):
     """One step of a discrete variational problem.
 
-    Its generating function is ``S(y; p0, p1) = <p1, R2> - <p0, R1> - cost(y)`` with ``(R1, R2) = ends(y)``. One step from
-    ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1 = q0``; a whole trajectory is the KKT system of
+    Its generating function is ``S(y; p0, p1) = <p1, R2> - <p0, R1> - cost(y)`` with ``(R1, R2) = ends(y)``. One step
+    from ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1 = q0``; a whole trajectory is the KKT system of
     ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
 
     >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
@@ -48,7 +48,8 @@ class Stage(eqx.Module):
 
     @abstractmethod
     def move(self, y: Unknowns, frame: Any, d: Array) -> Unknowns:
-        """Chart of the unknowns around ``y``: ``move(y, frame(y), 0) = y``, coordinates ``d`` of shape ``(dimension,)``."""
+        """Chart of the unknowns around ``y``: ``move(y, frame(y), 0) = y``, coordinates ``d`` of shape
+        ``(dimension,)``."""
 
     @abstractmethod
     def sizes(self, y: Unknowns) -> Array:
@@ -86,7 +87,8 @@ def positive(size: Array) -> Array:
 def first_sizes(*sizes: Array) -> Array:
     """Entry by entry the first of the sizes that is finite and not zero; one where none is.
 
-    They are too small rather than too large: Newton's method notices where rounding lets no unknown be known as exactly.
+    They are too small rather than too large: Newton's method notices where rounding lets no unknown be known as
+    exactly.
     """
     found = jnp.ones_like(sizes[-1])
     for size in reversed(sizes):
@@ -95,7 +97,8 @@ def first_sizes(*sizes: Array) -> Array:
 
 
 def covector_sizes(frame: Frame, p: Ambient) -> Array:
-    """Sizes of the coordinates of a covector, array by array; of an array of zeros those of the others, or ``positive``."""
+    """Sizes of the coordinates of a covector, array by array; of an array of zeros those of the others, or
+    ``positive``."""
     own = vec.coordinate_sizes(frame, p)
     return first_sizes(own, jnp.broadcast_to(positive(vec.size(p)), own.shape))
 

@@ -1,8 +1,8 @@
 """What a matrix group leaves fixed, found from its Lie algebra, and the equations that say so.
 
-A connected group of matrices that is cut out by the tensors it fixes is found here from those of lowest degree: vectors ``b``
-and covectors ``c``, Hermitian forms ``x^H J x = J`` and ``x K x^H = K``, and the volume ``det x = 1``. That covers orthogonal,
-unitary, special linear, symplectic, Euclidean, Galilean and unitriangular groups.
+A connected group of matrices that is cut out by the tensors it fixes is found here from those of lowest degree: vectors
+``b`` and covectors ``c``, Hermitian forms ``x^H J x = J`` and ``x K x^H = K``, and the volume ``det x = 1``. That
+covers orthogonal, unitary, special linear, symplectic, Euclidean, Galilean and unitriangular groups.
 """
 
 from typing import NamedTuple

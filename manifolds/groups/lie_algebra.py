@@ -27,7 +27,9 @@ class LieAlgebra:
             )
         a, b = self._generic(2)
         if not self.contains(a @ b - b @ a):
-            raise InvalidInputError("a Lie algebra holds the commutators AB - BA of its elements; add them to the basis")
+            raise InvalidInputError(
+                "a Lie algebra holds the commutators AB - BA of its elements; add them to the basis"
+            )
 
     @staticmethod
     def _rows(matrices: np.ndarray) -> np.ndarray:
@@ -53,7 +55,9 @@ class LieAlgebra:
     @cached_property
     def orthonormal(self) -> np.ndarray:
         """Orthonormal basis, by Gram-Schmidt: multiples of the ``A_i`` if these are orthogonal."""
-        return np.linalg.solve(np.linalg.cholesky(self.gram), self.basis.reshape(len(self.basis), -1)).reshape(self.basis.shape)
+        return np.linalg.solve(np.linalg.cholesky(self.gram), self.basis.reshape(len(self.basis), -1)).reshape(
+            self.basis.shape
+        )
 
     def contains(self, a: np.ndarray) -> bool:
         """Whether a matrix lies in the algebra, up to rounding."""
@@ -94,8 +98,9 @@ class LieAlgebra:
         dimension = invariant_dimension(found, self.basis.shape[1], np.iscomplexobj(self.basis))
         if dimension > len(self.basis):
             raise InvalidInputError(
-                "this group is not known by the vectors, covectors, forms and volume that it leaves fixed: a group of dimension "
-                f"{dimension} fixes the same, expected {len(self.basis)}; write equations(x), zero on the group"
+                "this group is not known by the vectors, covectors, forms and volume that it leaves fixed: a group of "
+                f"dimension {dimension} fixes the same, expected {len(self.basis)}; write equations(x), zero on the "
+                "group"
             )
         return found
 

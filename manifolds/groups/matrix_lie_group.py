@@ -25,12 +25,12 @@ Coordinates = Float[Array, " d"]
 class MatrixLieGroup(HomogeneousSpace):
     """A connected Lie group of real or complex matrices; points have shape ``(n, n)``.
 
-    Subclass it with ``algebra``, a basis ``A_i`` of the Lie algebra; everything else follows. Tangent vectors at ``x`` are
-    ``x A`` with ``A`` in the algebra (left trivialisation); vectors ``c`` of ``d`` real coordinates stand for
-    ``A = sum_i c_i A_i``. Pairings are real parts, ``<a, b> = Re tr(a^H b)``. The group acts on itself from the left.
+    Subclass it with ``algebra``, a basis ``A_i`` of the Lie algebra; everything else follows. Tangent vectors at ``x``
+    are ``x A`` with ``A`` in the algebra (left trivialisation); vectors ``c`` of ``d`` real coordinates stand for ``A =
+    sum_i c_i A_i``. Pairings are real parts, ``<a, b> = Re tr(a^H b)``. The group acts on itself from the left.
 
-    ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` have derived defaults; a
-    class that knows closed forms writes them in their place.
+    ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` have derived
+    defaults; a class that knows closed forms writes them in their place.
     """
 
     one_point: ClassVar = {
@@ -48,7 +48,8 @@ class MatrixLieGroup(HomogeneousSpace):
     @attribute
     @abstractmethod
     def algebra(self) -> np.ndarray:
-        """Basis ``A_i`` of the Lie algebra, shape ``(d, n, n)``, real or complex: independent, closed under commutators."""
+        """Basis ``A_i`` of the Lie algebra, shape ``(d, n, n)``, real or complex: independent, closed under
+        commutators."""
 
     def __check_init__(self) -> None:
         lie_algebra(self.algebra)
@@ -122,7 +123,8 @@ class MatrixLieGroup(HomogeneousSpace):
         return jnp.linalg.cholesky(rows @ rows.T)
 
     def equations(self, x: Array) -> Float[Array, " m"]:
-        """Equations of the group as a real vector, zero on it: that ``x`` fixes the tensors that the algebra annihilates."""
+        """Equations of the group as a real vector, zero on it: that ``x`` fixes the tensors that the algebra
+        annihilates."""
         return invariants.equations(self.lie_algebra.invariants, x)
 
     def restore(self, x: Array) -> Array:
@@ -148,7 +150,8 @@ class MatrixLieGroup(HomogeneousSpace):
         return vec.components(x @ _constant(self.algebra, x), p)
 
     def spatial(self, x: Array, p: Array) -> Coordinates:
-        """Spatial covector ``<p, A_i x>``: the momentum of left multiplication, ``Ad(x)^-T mu`` for the body covector ``mu``."""
+        """Spatial covector ``<p, A_i x>``: the momentum of left multiplication, ``Ad(x)^-T mu`` for the body covector
+        ``mu``."""
         return self.momentum(x, p)
 
     def covector(self, x: Array, mu: Coordinates) -> Array:

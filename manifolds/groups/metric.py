@@ -16,10 +16,11 @@ from .matrix_lie_group import MatrixLieGroup
 
 @final
 class LeftInvariantMetric(Metric):
-    """The metric ``g_x(x A, x B) = a . I b`` on a group, ``a``, ``b`` the coordinates of ``A``, ``B`` in its algebra's basis.
+    """The metric ``g_x(x A, x B) = a . I b`` on a group, ``a``, ``b`` the coordinates of ``A``, ``B`` in its algebra's
+    basis.
 
-    ``inertia`` is the symmetric positive definite matrix ``I``, shape ``(d, d)``, or its diagonal, shape ``(d,)``: for a rigid
-    body on SO(3) the inertia tensor in the body frame. Raises ``InvalidInputError`` for anything else.
+    ``inertia`` is the symmetric positive definite matrix ``I``, shape ``(d, d)``, or its diagonal, shape ``(d,)``: for
+    a rigid body on SO(3) the inertia tensor in the body frame. Raises ``InvalidInputError`` for anything else.
     """
 
     manifold: MatrixLieGroup

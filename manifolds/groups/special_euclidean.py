@@ -16,12 +16,13 @@ from .special_orthogonal import nearly_orthogonal, random_rotation, rotation_vio
 
 @final
 class SE(MatrixLieGroup):
-    """Rigid motions ``SE(n)`` of n-space: homogeneous matrices ``[[R, t], [0, 1]]``, ``R`` in SO(n), shape ``(n + 1, n + 1)``.
+    """Rigid motions ``SE(n)`` of n-space: homogeneous matrices ``[[R, t], [0, 1]]``, ``R`` in SO(n), shape ``(n + 1, n
+    + 1)``.
 
-    ``x`` takes body to spatial coordinates: ``y -> R y + t``. Tangent vectors are ``x [[Omega, v], [0, 0]]``. Coordinates are
-    twists ``(omega, v)``, angular part first [Lynch, Park, "Modern Robotics", 3.3]: for n = 3 ``hat((omega, v)) =
-    [[hat(omega), v], [0, 0]]`` with angular and linear velocity in body coordinates, for n = 2 ``omega`` is one number.
-    Body and spatial covectors are wrenches ``(moment, force)``.
+    ``x`` takes body to spatial coordinates: ``y -> R y + t``. Tangent vectors are ``x [[Omega, v], [0, 0]]``.
+    Coordinates are twists ``(omega, v)``, angular part first [Lynch, Park, "Modern Robotics", 3.3]: for n = 3
+    ``hat((omega, v)) = [[hat(omega), v], [0, 0]]`` with angular and linear velocity in body coordinates, for n = 2
+    ``omega`` is one number. Body and spatial covectors are wrenches ``(moment, force)``.
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -42,7 +43,8 @@ class SE(MatrixLieGroup):
         return homogeneous(jnp.asarray(rotation), jnp.asarray(translation), 1.0)
 
     def tangent(self, turn: Float[Array, "n n"], shift: Float[Array, " n"]) -> Array:
-        """``[[turn, shift], [0, 0]]``: the tangent vector ``(R Omega, R v)`` or the element ``(Omega, v)`` of the algebra."""
+        """``[[turn, shift], [0, 0]]``: the tangent vector ``(R Omega, R v)`` or the element ``(Omega, v)`` of the
+        algebra."""
         return homogeneous(jnp.asarray(turn), jnp.asarray(shift), 0.0)
 
     def parts(self, x: Array) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:

@@ -49,11 +49,12 @@ def _real_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 @final
 class SO(MatrixLieGroup):
-    """Rotations ``SO(n) = {x : x'x = I, det x = 1}``; points have shape ``(n, n)``, tangent vectors are ``x Omega``, Omega skew.
+    """Rotations ``SO(n) = {x : x'x = I, det x = 1}``; points have shape ``(n, n)``, tangent vectors are ``x Omega``,
+    Omega skew.
 
     The group acts by multiplication from the left. With ``e_i`` the basis of skew matrices (``hat`` of the axes for
-    n = 3), ``body_i = <p, x e_i>`` is the left-trivialised covector, ``spatial_i = <p, e_i x>`` the momentum of the action:
-    for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
+    n = 3), ``body_i = <p, x e_i>`` is the left-trivialised covector, ``spatial_i = <p, e_i x>`` the momentum of the
+    action: for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -95,5 +96,6 @@ def rotation_violations(name: str, x: Array) -> dict[str, Array]:
 def random_rotation(key: Array, n: int) -> Array:
     """A rotation drawn from the uniform distribution."""
     q = qr_factor(jax.random.normal(key, (n, n)))
-    # Not by q.at[:, 0].multiply: XLA 0.10 writes that over q where the caller takes one of a batch, jit(vmap(...))(...)[0].
+    # Not by q.at[:, 0].multiply: XLA 0.10 writes that over q where the caller takes one of a batch,
+    # jit(vmap(...))(...)[0].
     return q * jnp.where((jnp.arange(n) == 0) & (jnp.linalg.det(q) < 0), -1.0, 1.0)

@@ -19,7 +19,8 @@ def gell_mann_basis(n: int) -> np.ndarray:
     """Basis ``-i lambda_k / 2`` of the traceless skew-Hermitian matrices, shape ``(n^2 - 1, n, n)``.
 
     ``lambda_k`` are the generalised Gell-Mann matrices in their usual order, the Pauli matrices for n = 2, with
-    ``tr(lambda_j lambda_k) = 2 delta_jk``. For n = 2 the commutators are those of ``hat`` of the axes: ``[e_1, e_2] = e_3``.
+    ``tr(lambda_j lambda_k) = 2 delta_jk``. For n = 2 the commutators are those of ``hat`` of the axes: ``[e_1, e_2] =
+    e_3``.
     """
     out = np.zeros((n * n - 1, n, n), complex)
     row = 0
@@ -89,10 +90,11 @@ class U(MatrixLieGroup):
 
 @final
 class SU(MatrixLieGroup):
-    """Special unitary matrices ``SU(n) = {x : x^H x = I, det x = 1}``, of dimension ``n^2 - 1``; complex, shape ``(n, n)``.
+    """Special unitary matrices ``SU(n) = {x : x^H x = I, det x = 1}``, of dimension ``n^2 - 1``; complex, shape ``(n,
+    n)``.
 
-    The basis of the algebra is ``-i lambda_k / 2`` with the generalised Gell-Mann matrices ``lambda_k``. For n = 2, the unit
-    quaternions, coordinates ``w`` are those of SO(3): ``exp(hat(w))`` turns space by the rotation vector ``w``.
+    The basis of the algebra is ``-i lambda_k / 2`` with the generalised Gell-Mann matrices ``lambda_k``. For n = 2, the
+    unit quaternions, coordinates ``w`` are those of SO(3): ``exp(hat(w))`` turns space by the rotation vector ``w``.
 
     >>> SU(2).dimension
     3

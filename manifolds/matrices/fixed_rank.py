@@ -19,9 +19,9 @@ from ..numerics.sizes import are_whole, plain
 class FixedRank(Manifold):
     """Matrices of shape ``(m, n)`` and rank ``r``; points are the matrices themselves, whatever their factors.
 
-    With ``c`` and ``d`` the orthogonal projectors on the spans of a point's columns and of its rows, the normal vectors are
-    the ``(I - c) a (I - d)``. Off the manifold the spans are those of the ``r`` leading singular vectors, so all of this is
-    smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
+    With ``c`` and ``d`` the orthogonal projectors on the spans of a point's columns and of its rows, the normal vectors
+    are the ``(I - c) a (I - d)``. Off the manifold the spans are those of the ``r`` leading singular vectors, so all of
+    this is smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
 
     >>> FixedRank(5, 4, 2).dimension
     14

@@ -21,10 +21,10 @@ from ..numerics.sizes import are_whole, plain
 class Grassmann(HomogeneousSpace):
     """Grassmann manifold of ``p``-dimensional subspaces of ``R^n``, as ``{x : x' = x, x^2 = x, tr x = p}``.
 
-    A point is the orthogonal projector on the subspace, shape ``(n, n)``: no frame has to be chosen or compared. Tangent
-    vectors are the symmetric ``v`` with ``x v + v x = v``; in the ambient metric a rotation of one direction by a small
-    angle ``t`` has length ``sqrt(2) t``. Rotations act by ``x -> g x g'``, with momentum ``J_i = <p, [e_i, x]>``
-    [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
+    A point is the orthogonal projector on the subspace, shape ``(n, n)``: no frame has to be chosen or compared.
+    Tangent vectors are the symmetric ``v`` with ``x v + v x = v``; in the ambient metric a rotation of one direction by
+    a small angle ``t`` has length ``sqrt(2) t``. Rotations act by ``x -> g x g'``, with momentum ``J_i = <p, [e_i,
+    x]>`` [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
 
     >>> Grassmann(5, 2).dimension
     6

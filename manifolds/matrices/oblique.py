@@ -17,7 +17,8 @@ from ..vectors import Sphere
 
 @final
 class Oblique(HomogeneousSpace):
-    """Oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors, each a point of the sphere in ``R^n``.
+    """Oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors, each a point of the sphere
+    in ``R^n``.
 
     Rotations of each column act on it, as they do on the sphere; momenta are listed column by column.
 
@@ -67,6 +68,7 @@ class Oblique(HomogeneousSpace):
         return jax.vmap(self.column.random_point, out_axes=1)(jax.random.split(key, self.m))
 
     def place(self, frames: Array) -> Array:
-        """Frames of the columns, shape ``(m, k, n)``, as one of shape ``(m k, n, m)``, each zero in the other columns."""
+        """Frames of the columns, shape ``(m, k, n)``, as one of shape ``(m k, n, m)``, each zero in the other
+        columns."""
         placed = jnp.einsum("jkn,ji->jkni", frames, jnp.eye(self.m, dtype=frames.dtype))
         return placed.reshape(-1, self.n, self.m)

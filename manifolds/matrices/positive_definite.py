@@ -28,7 +28,8 @@ def symmetric_basis(n: int) -> np.ndarray:
 
 @final
 class SPD(HomogeneousSpace):
-    """Symmetric positive definite matrices, an open cone in the symmetric ``n x n`` matrices; points have shape ``(n, n)``.
+    """Symmetric positive definite matrices, an open cone in the symmetric ``n x n`` matrices; points have shape ``(n,
+    n)``.
 
     Invertible matrices ``g`` act on it by ``x -> g x g'``; the n^2 generators are ``e_ij x + x e_ij'``.
 
@@ -74,7 +75,8 @@ class SPD(HomogeneousSpace):
 
 @final
 class AffineInvariantMetric(Metric):
-    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves invariant.
+    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves
+    invariant.
 
     >>> I = jnp.eye(2)
     >>> float(AffineInvariantMetric(SPD(2)).inner_product(2 * I, I, I))

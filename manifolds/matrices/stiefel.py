@@ -20,11 +20,12 @@ from ..numerics.sizes import are_whole, plain
 
 @final
 class Stiefel(HomogeneousSpace):
-    """Stiefel manifold ``St(n, p) = {x : x'x = I}`` of ``p`` orthonormal columns in ``R^n``; points have shape ``(n, p)``.
+    """Stiefel manifold ``St(n, p) = {x : x'x = I}`` of ``p`` orthonormal columns in ``R^n``; points have shape ``(n,
+    p)``.
 
-    Tangent vectors are the ``v`` with ``x'v`` skew. ``St(n, 1)`` is the sphere, ``St(n, n)`` the orthogonal group with both
-    its components. Rotations of ``R^n`` act from the left; their momentum is ``J_i = <p, e_i x>``, ``e_i`` the basis of skew
-    matrices. The metric is that of the ambient space.
+    Tangent vectors are the ``v`` with ``x'v`` skew. ``St(n, 1)`` is the sphere, ``St(n, n)`` the orthogonal group with
+    both its components. Rotations of ``R^n`` act from the left; their momentum is ``J_i = <p, e_i x>``, ``e_i`` the
+    basis of skew matrices. The metric is that of the ambient space.
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -46,7 +47,8 @@ class Stiefel(HomogeneousSpace):
         return real((self.n, self.p))
 
     def skew(self, x: Array, v: Array) -> Array:
-        """Rotation of the frame in its own span, ``skew(x'v)``, shape ``(p, p)``; exactly skew for any ambient ``v``."""
+        """Rotation of the frame in its own span, ``skew(x'v)``, shape ``(p, p)``; exactly skew for any ambient
+        ``v``."""
         a = x.T @ v
         return (a - a.T) / 2
 
@@ -78,7 +80,8 @@ class Stiefel(HomogeneousSpace):
 class CanonicalMetric(Metric):
     """The metric ``g_x(v, w) = tr v'(I - xx'/2) w`` of the frames as a quotient of the rotations.
 
-    A rotation of the frame in its own span counts half as much as in the ambient metric [Edelman, Arias, Smith 1998, 2.4.1].
+    A rotation of the frame in its own span counts half as much as in the ambient metric [Edelman, Arias, Smith 1998,
+    2.4.1].
 
     >>> x = jnp.eye(3)[:, :2]
     >>> v = jnp.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])

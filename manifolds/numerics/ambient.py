@@ -1,6 +1,7 @@
 """Arithmetic in the ambient vector space: points, tangent vectors and covectors are pytrees of arrays.
 
-A *frame* is a pytree of the same structure whose leaves carry one extra leading axis: its k-th slice is the k-th vector.
+A *frame* is a pytree of the same structure whose leaves carry one extra leading axis: its k-th slice is the k-th
+vector.
 """
 
 import math

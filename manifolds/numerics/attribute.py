@@ -8,7 +8,8 @@ T = TypeVar("T")
 
 
 class _AbstractAttribute:
-    """What stands for an attribute in the class that asks for it, and is not seen from a subclass with a field of that name."""
+    """What stands for an attribute in the class that asks for it, and is not seen from a subclass with a field of that
+    name."""
 
     __isabstractmethod__ = True
 
@@ -19,7 +20,8 @@ class _AbstractAttribute:
         self._owner, self._name = owner, name
 
     def __get__(self, instance: object, owner: type) -> "_AbstractAttribute":
-        # A dataclass takes what it finds under a field's name for the default, and an abstract class for not yet declared.
+        # A dataclass takes what it finds under a field's name for the default, and an abstract class for not yet
+        # declared.
         below = owner.__mro__[: owner.__mro__.index(self._owner)]
         if instance is not None or any(self._name in inspect.get_annotations(kind) for kind in below):
             raise AttributeError(f"{owner.__name__} has no {self._name}")
@@ -31,8 +33,8 @@ if TYPE_CHECKING:
     def attribute(method: Callable[[Any], T]) -> T | Any:
         """Declare an attribute by a method's name, return type and docstring, above ``abstractmethod``.
 
-        A subclass has it as a class attribute, a dataclass field or a property. No type that a checker is told allows all
-        three but ``Any``; beside it ``T`` is what is known of the value.
+        A subclass has it as a class attribute, a dataclass field or a property. No type that a checker is told allows
+        all three but ``Any``; beside it ``T`` is what is known of the value.
         """
         ...
 

@@ -1,8 +1,8 @@
 """Orthonormal frames and the projectors on their spans, smooth where singular value decompositions are not.
 
-The derivative of a singular vector divides by the gaps between singular values; a projector on a span of singular vectors
-needs only the one gap between those inside and those outside. Where a frame is chosen, the choice is frozen and the frame
-moves smoothly from there.
+The derivative of a singular vector divides by the gaps between singular values; a projector on a span of singular
+vectors needs only the one gap between those inside and those outside. Where a frame is chosen, the choice is frozen and
+the frame moves smoothly from there.
 """
 
 from functools import partial
@@ -38,7 +38,8 @@ def polar_factor(a: Frame) -> Frame:
 
 
 def made_orthonormal(y: Frame) -> Frame:
-    """A frame that is orthonormal to half of its digits, after a step of Newton and Schulz to all of them; NaN for others.
+    """A frame that is orthonormal to half of its digits, after a step of Newton and Schulz to all of them; NaN for
+    others.
 
     Functions of a large matrix with small eigenvalues, as of a rotation in a plane, lose as many digits as it has.
     """
@@ -70,8 +71,8 @@ def complement(x: Frame) -> Float[Array, "n n-p"]:
     """Orthonormal frame of the orthogonal complement of the span of an orthonormal frame.
 
     With ``e`` the first ``p`` columns of the identity, ``s`` diagonal with entries of size one and ``w = x - e s``, the
-    matrix ``I + w (w'e s)^-1 w'`` is orthogonal and takes ``e s`` to ``x``, hence the other columns of the identity to the
-    complement. The signs are those of Householder's reflections, which keep ``w'e s`` invertible.
+    matrix ``I + w (w'e s)^-1 w'`` is orthogonal and takes ``e s`` to ``x``, hence the other columns of the identity to
+    the complement. The signs are those of Householder's reflections, which keep ``w'e s`` invertible.
     """
     p = x.shape[1]
     s = _reflection_signs(jax.lax.stop_gradient(x[:p]))
@@ -94,7 +95,8 @@ def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
 def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
     """Orthonormal rows that span the null space of independent rows: fixed ones, projected, and made orthonormal again.
 
-    Their derivatives are right everywhere; those of LAPACK's reflections are NaN where a row is a multiple of a unit vector.
+    Their derivatives are right everywhere; those of LAPACK's reflections are NaN where a row is a multiple of a unit
+    vector.
     """
     fixed = jax.lax.stop_gradient(jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :])
     carried = fixed - (fixed @ rows.T) @ solve_small(rows @ rows.T, rows)
@@ -116,8 +118,8 @@ def adapted_frame(projector: Matrix, rank: int) -> Matrix:
 def leading_projector(a: Float[Array, "m n"], rank: int) -> Float[Array, "m m"]:
     """Orthogonal projector on the span of the ``rank`` leading left singular vectors, ``rank < min(m, n)``.
 
-    ``2 p - I`` is the sign ``s`` of ``b = aa' - mu``, for a number ``mu`` between the two squared singular values; it is
-    differentiated by ``|b| ds + ds |b| = db - s db s``, which needs the gap between these two values and no other.
+    ``2 p - I`` is the sign ``s`` of ``b = aa' - mu``, for a number ``mu`` between the two squared singular values; it
+    is differentiated by ``|b| ds + ds |b| = db - s db s``, which needs the gap between these two values and no other.
     """
     u = jnp.linalg.svd(a, full_matrices=False)[0][:, :rank]
     return u @ u.T

@@ -1,8 +1,9 @@
-"""The root of a system as one primitive of JAX, differentiated by the implicit function theorem however often and in every mode.
+"""The root of a system as one primitive of JAX, differentiated by the implicit function theorem however often and in
+every mode.
 
-``jax.lax.custom_root`` says the same, but where a loop is differentiated in reverse mode JAX forgets its rule: a derivative of
-that derivative would go through the iterations, which say nothing where the first guess was the root. The rule of a
-primitive stays.
+``jax.lax.custom_root`` says the same, but where a loop is differentiated in reverse mode JAX forgets its rule: a
+derivative of that derivative would go through the iterations, which say nothing where the first guess was the root. The
+rule of a primitive stays.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,10 +28,11 @@ def implicit_root(
     inverse: Array | None = None,
     known: bool = False,
 ) -> tuple[Vector, Bool[Array, ""]]:
-    """Root of ``residual`` near ``first``, or, if it is ``known``, ``first`` itself; and whether the iteration converged.
+    """Root of ``residual`` near ``first``, or, if it is ``known``, ``first`` itself; and whether the iteration
+    converged.
 
-    ``inverse`` is an approximate inverse Jacobian to begin with. Derivatives are those with respect to what ``residual``
-    closes over.
+    ``inverse`` is an approximate inverse Jacobian to begin with. Derivatives are those with respect to what
+    ``residual`` closes over.
     """
     closed = jax.make_jaxpr(residual)(first)
     begin = [first, *([] if inverse is None else [inverse])]

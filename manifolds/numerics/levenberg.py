@@ -16,8 +16,8 @@ Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]
 
 @final
 class Damping(NamedTuple):
-    """The first damping, the factor by which it falls after a step that is taken and grows after one that is not, and the
-    largest one, at which the method ends; ``solved``: the largest equation at which it ends."""
+    """The first damping, the factor by which it falls after a step that is taken and grows after one that is not, and
+    the largest one, at which the method ends; ``solved``: the largest equation at which it ends."""
 
     first: float
     factor: float

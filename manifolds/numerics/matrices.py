@@ -14,8 +14,8 @@ from .tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 
-# Diagonal Pade approximant of degree 13: rounding accuracy up to norm 5.37 [Higham 2005, table 2.3]. Every squaring doubles
-# rounding, and up to there none is needed.
+# Diagonal Pade approximant of degree 13: rounding accuracy up to norm 5.37 [Higham 2005, table 2.3]. Every squaring
+# doubles rounding, and up to there none is needed.
 _PADE = tuple(factorial(26 - k) * factorial(13) / (factorial(26) * factorial(k) * factorial(13 - k)) for k in range(14))
 _PADE_RADIUS = 5.37
 _SIGN_STEPS = 60  # of Newton's method for the sign of a matrix: enough for eigenvalues from 1e-16 to 1e16
@@ -84,7 +84,8 @@ def exponential(a: Matrix) -> Matrix:
 
 @jax.custom_jvp
 def sym_exp(a: Matrix) -> Matrix:
-    """Exponential of the symmetric part of a matrix, by eigenvalues; its derivatives are those of the Pade approximant."""
+    """Exponential of the symmetric part of a matrix, by eigenvalues; its derivatives are those of the Pade
+    approximant."""
     values, vectors = jnp.linalg.eigh(a)
     return (vectors * jnp.exp(values)) @ vectors.T
 
@@ -158,8 +159,8 @@ def _lyapunov_by_sign(a: Matrix, c: Matrix) -> Matrix:
 def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
     """Upper triangular ``t``, its diagonal real, with ``a t + t'a' = c`` for a symmetric (Hermitian) ``c``.
 
-    With ``a = l u`` the matrix ``b = u t l'^-1`` is upper triangular, and ``b + b' = l^-1 c l'^-1`` tells its entries: as many
-    operations as a few factorisations. The solution exists where no leading principal minor of ``a`` is zero.
+    With ``a = l u`` the matrix ``b = u t l'^-1`` is upper triangular, and ``b + b' = l^-1 c l'^-1`` tells its entries:
+    as many operations as a few factorisations. The solution exists where no leading principal minor of ``a`` is zero.
     """
     lower, upper = lu_factors(a)
     pivots = jnp.diagonal(upper)
@@ -179,7 +180,8 @@ def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
 
 @jax.custom_jvp
 def lu_factors(a: Matrix) -> tuple[Matrix, Matrix]:
-    """Unit lower and upper triangular ``l``, ``u`` with ``a = l u``; not finite where a leading principal minor is zero.
+    """Unit lower and upper triangular ``l``, ``u`` with ``a = l u``; not finite where a leading principal minor is
+    zero.
 
     Derivatives are ``l tril(m)``, strictly, and ``triu(m) u`` with ``m = l^-1 da u^-1``.
     """

@@ -13,14 +13,17 @@ from . import ambient as vec
 MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
-SLOW, STALLED = 0.2, 0.5  # ratios of successive steps: renew the Jacobian above the one, do not take the step above the other
-ROUNDING = 8.0  # unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding
+# Ratios of successive steps: renew the Jacobian above the one, do not take the step above the other.
+SLOW, STALLED = 0.2, 0.5
+# Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
+ROUNDING = 8.0
 
 Vector = Float[Array, " k"]
 
 
 def row_sizes(matrix: Float[Array, "k k"]) -> Vector:
-    """The largest entries of the rows, by which to divide them: equations in units of their own have pivots to compare then."""
+    """The largest entries of the rows, by which to divide them: equations in units of their own have pivots to compare
+    then."""
     rows = jnp.max(jnp.abs(jax.lax.stop_gradient(matrix)), axis=1)
     return jnp.where(rows > 0, rows, 1.0)
 
@@ -36,7 +39,9 @@ class _Iteration(NamedTuple):
     probed: Array  # number of points at which it was asked for, the first one ``c``; negative where it is not doubted
 
 
-def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None) -> tuple[Vector, Bool[Array, ""]]:
+def newton(
+    residual: Callable[[Vector], Vector], start: Vector, inverse: Array | None
+) -> tuple[Vector, Bool[Array, ""]]:
     """Chord iterations, each with a Jacobian of its own; the first one with ``inverse`` if that is given."""
     state = _fresh(start)
     if inverse is not None:
@@ -48,7 +53,9 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
         jacobian = jax.jacfwd(residual)(pair[0].c)
         rows = row_sizes(jacobian)
         factor = jax.scipy.linalg.lu_factor(jacobian / rows[:, None])
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r / rows), pair[0], exact=True), pair[1] + 1
+        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r / rows), pair[0], exact=True), pair[
+            1
+        ] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
@@ -61,7 +68,9 @@ def newton(residual: Callable[[Vector], Vector], start: Vector, inverse: Array |
 def _fresh(c: Vector) -> _Iteration:
     infinity = jnp.asarray(jnp.inf, c.dtype)
     none = jnp.zeros((), int)
-    return _Iteration(c, infinity, infinity, jnp.array(False), none, jnp.zeros_like(c), jnp.zeros_like(infinity), none - 1)
+    return _Iteration(
+        c, infinity, infinity, jnp.array(False), none, jnp.zeros_like(c), jnp.zeros_like(infinity), none - 1
+    )
 
 
 def _chords(
@@ -77,8 +86,9 @@ def _chords(
         d = solve(residual(s.c + jnp.where(s.probed < 0, 0.0, patterns[jnp.maximum(s.probed, 0)])))
         step = vec.size(d)
         ratio = step / s.step
-        # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is no matter
-        # of the sizes of their unknowns. One ratio alone may be that of unknowns that are found at once, beside slower ones.
+        # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is
+        # no matter of the sizes of their unknowns. One ratio alone may be that of unknowns that are found at once,
+        # beside slower ones.
         ratios = jnp.stack([CURVED * step if exact else jnp.ones_like(step), jnp.sqrt(ratio), ratio])
         remaining = step * jnp.minimum(ratios[jnp.minimum(s.chords, 2)], 1.0)
         stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)

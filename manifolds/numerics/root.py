@@ -28,9 +28,9 @@ def find_root(
     """Root of ``residual`` near ``start`` and whether the iteration converged to it.
 
     Newton's method that keeps its Jacobian while the steps shrink fivefold each (chord iteration) and renews it where
-    they do not. ``scale`` holds the typical sizes of the unknowns, shape ``(k,)`` or one number; ``inverse``, if given, is
-    an approximate inverse Jacobian to begin with. Derivatives with respect to anything that ``residual`` closes over come
-    from the implicit function theorem, in every autodiff mode.
+    they do not. ``scale`` holds the typical sizes of the unknowns, shape ``(k,)`` or one number; ``inverse``, if given,
+    is an approximate inverse Jacobian to begin with. Derivatives with respect to anything that ``residual`` closes over
+    come from the implicit function theorem, in every autodiff mode.
     """
     if not start.size:
         return start, jnp.array(True)

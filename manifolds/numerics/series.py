@@ -1,8 +1,8 @@
 """Even functions of an angle as smooth functions of its square.
 
 ``sin(t)/t`` and its relatives are analytic in ``s = t^2``; written with a square root they lose every derivative at
-``s = 0``. Each function below is a Taylor polynomial for ``s <= 1`` (entire functions: rounding accuracy) and the closed
-form beyond, so derivatives of any order are right everywhere in every autodiff mode.
+``s = 0``. Each function below is a Taylor polynomial for ``s <= 1`` (entire functions: rounding accuracy) and the
+closed form beyond, so derivatives of any order are right everywhere in every autodiff mode.
 """
 
 from collections.abc import Callable

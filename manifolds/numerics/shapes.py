@@ -12,7 +12,8 @@ from .errors import InvalidInputError
 def check_shapes(cls: type, roles: dict[str, tuple[str, ...]], manifold: Callable[[Any], Any]) -> None:
     """Let methods that a class defines refuse, when they are traced, arrays of other shapes than an ambient vector has.
 
-    ``roles`` says what their first arguments are called. A batch without ``jax.vmap`` would broadcast and be wrong silently.
+    ``roles`` says what their first arguments are called. A batch without ``jax.vmap`` would broadcast and be wrong
+    silently.
     """
     for name in roles.keys() & vars(cls).keys():
         setattr(cls, name, _at_one_point(vars(cls)[name], roles[name], manifold))

@@ -18,8 +18,8 @@ TwoForm = Callable[[Any, Any, Any], Array]
 def tangent_lift(form: TwoForm) -> TwoForm:
     """Tangent (complete) lift ``d_T omega``, a two-form on ``TM``.
 
-    At ``(x, v)``, on ``(a, adot)`` and ``(b, bdot)``, it is the rate of ``omega(x, a, b)`` along ``(v, adot, bdot)``; for the
-    canonical form, ``omega(adot, b) + omega(a, bdot)``.
+    At ``(x, v)``, on ``(a, adot)`` and ``(b, bdot)``, it is the rate of ``omega(x, a, b)`` along ``(v, adot, bdot)``;
+    for the canonical form, ``omega(adot, b) + omega(a, bdot)``.
 
     In formulas ``d_T omega(w; a, b) = d/ds omega(x + s v; a + s adot, b + s bdot)`` at ``s = 0``.
     """
@@ -34,7 +34,8 @@ def tangent_lift(form: TwoForm) -> TwoForm:
 def difference(first: TwoForm, second: TwoForm) -> TwoForm:
     """``pr2* second - pr1* first`` on a product of two manifolds; ``Omega_12`` of the canonical form with itself.
 
-    ``omega(x; a, b) = second(x_1; a_1, b_1) - first(x_0; a_0, b_0)``: points and vectors are pairs, the value is a scalar.
+    ``omega(x; a, b) = second(x_1; a_1, b_1) - first(x_0; a_0, b_0)``: points and vectors are pairs, the value is a
+    scalar.
     """
 
     def form(x: Any, a: Any, b: Any) -> Array:
@@ -46,8 +47,8 @@ def difference(first: TwoForm, second: TwoForm) -> TwoForm:
 def pullback_form(function: Callable[[Any], Any], form: TwoForm) -> TwoForm:
     """Pullback ``f* omega`` by a smooth map: ``omega(f(x); Df(x) a, Df(x) b)``.
 
-    ``(f* omega)_x(a, b) = omega_f(x)(Df a, Df b)``. The value is a form: a function of a point and two vectors of its shape,
-    with a scalar value.
+    ``(f* omega)_x(a, b) = omega_f(x)(Df a, Df b)``. The value is a form: a function of a point and two vectors of its
+    shape, with a scalar value.
 
     >>> area = lambda x, a, b: a[0] * b[1] - a[1] * b[0]
     >>> doubled = pullback_form(lambda x: 2.0 * x, area)

@@ -1,7 +1,7 @@
 """Lagrangian submanifolds of presymplectic manifolds, and the two constructions of new ones from maps.
 
-Definitions and propositions: Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems via
-retraction maps", appendix.
+Definitions and propositions: Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems
+via retraction maps", appendix.
 """
 
 from collections.abc import Callable
@@ -23,7 +23,8 @@ from ..product import Product
 from .forms import coordinates, difference, pullback_form
 from .presymplectic import PresymplecticManifold
 
-ISOTROPY = 0.575  # power of eps: largest value of the form on unit tangent vectors, relative to its largest on all: 1e-9
+# Power of eps: largest value of the form on unit tangent vectors, relative to its largest on all: 1e-9.
+ISOTROPY = 0.575
 
 
 @final
@@ -59,9 +60,9 @@ class Immersion(eqx.Module):
 class LagrangianVerdict:
     """Whether a submanifold is Lagrangian at a point, with what was measured there.
 
-    ``isotropy``: largest value of the form on two unit tangent vectors of L, relative to its norm (0 if the form is zero).
-    ``dimension`` of L; ``required`` by the dimension formula, ``rank / 2 + shared``, with ``rank`` of the form and ``shared`` the
-    dimension of ``T_xL`` intersected with its kernel.
+    ``isotropy``: largest value of the form on two unit tangent vectors of L, relative to its norm (0 if the form is
+    zero). ``dimension`` of L; ``required`` by the dimension formula, ``rank / 2 + shared``, with ``rank`` of the form
+    and ``shared`` the dimension of ``T_xL`` intersected with its kernel.
 
     ``dim L = rank / 2 + shared`` is the formula of Definition 2 of Barbero-Linan and Martin de Diego.
 
@@ -86,7 +87,9 @@ class LagrangianVerdict:
     def reason(self) -> str:
         """The verdict in words."""
         if not self.isotropy <= (limit := _isotropy_tolerance()):
-            return f"not isotropic: the pulled back form is {self.isotropy:.1e} (relative), expected at most {limit:.0e}"
+            return (
+                f"not isotropic: the pulled back form is {self.isotropy:.1e} (relative), expected at most {limit:.0e}"
+            )
         formula = f"rank / 2 + dim(TL and ker) = {self.rank} / 2 + {self.shared} = {self.required}"
         if self.dimension != self.required:
             return f"isotropic of dimension {self.dimension}, expected {formula}"
@@ -98,15 +101,18 @@ def _isotropy_tolerance() -> float:
 
 
 def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
-    """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and ker)``.
+    """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and
+    ker)``.
 
-    Raises ``InvalidInputError`` for anything but an ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``, or ``i``
-    does not map it and its neighbours into ``M``.
+    Raises ``InvalidInputError`` for anything but an ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``,
+    or ``i`` does not map it and its neighbours into ``M``.
 
     ``y``: a point of the source, of its shape.
     """
     if not isinstance(submanifold, Immersion):
-        raise InvalidInputError(f"is_lagrangian takes an Immersion, got {submanifold!r}; try L_H(problem) or graph(f, M, N)")
+        raise InvalidInputError(
+            f"is_lagrangian takes an Immersion, got {submanifold!r}; try L_H(problem) or graph(f, M, N)"
+        )
     space = submanifold.target.manifold
     if not (there := submanifold.source.contains(y)):
         raise NotOnManifoldError(f"y is not a point of the submanifold's source: {there.reason}")
@@ -115,8 +121,8 @@ def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
     form, tangents, normal = (np.asarray(part) for part in _linear_data(submanifold, y))
     if not normal <= default_tolerance():
         raise NotOnManifoldError(
-            f"the immersion leaves {space} at the image of y: its tangent vectors have a normal part of {normal:.3g} (relative), "
-            "expected 0"
+            f"the immersion leaves {space} at the image of y: its tangent vectors have a normal part of {normal:.3g} "
+            "(relative), expected 0"
         )
     return lagrangian_subspace(form, tangents)
 
@@ -131,7 +137,8 @@ def lagrangian_subspace(form: np.ndarray, vectors: np.ndarray) -> LagrangianVerd
 
 
 def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: PresymplecticManifold) -> Immersion:
-    """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic diffeomorphism.
+    """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic
+    diffeomorphism.
 
     Raises ``InvalidInputError`` for parts of another kind.
 
@@ -148,10 +155,11 @@ def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: 
 def preimage(
     submanifold: Immersion, function: Callable[[Any], Any], inverse: Callable[[Any], Any], source: Manifold
 ) -> Immersion:
-    """``f^-1(L)`` in ``(M, f* omega_N)`` for a diffeomorphism ``f: M -> N``; Lagrangian if ``L`` is in ``(N, omega_N)``.
+    """``f^-1(L)`` in ``(M, f* omega_N)`` for a diffeomorphism ``f: M -> N``; Lagrangian if ``L`` is in ``(N,
+    omega_N)``.
 
-    Raises ``InvalidInputError`` for parts of another kind, or if ``f`` after ``inverse`` is not the identity at a random point of
-    ``L``.
+    Raises ``InvalidInputError`` for parts of another kind, or if ``f`` after ``inverse`` is not the identity at a
+    random point of ``L``.
     """
     if not isinstance(submanifold, Immersion):
         raise InvalidInputError(f"preimage takes an Immersion, got {submanifold!r}")
@@ -160,7 +168,9 @@ def preimage(
     x = submanifold(submanifold.source.random_point(jax.random.key(0)))
     gap = vec.size(vec.subtract(function(inverse(x)), x)) / (1 + vec.size(x))
     if not is_traced(gap) and not gap <= default_tolerance():
-        raise InvalidInputError(f"inverse is not the inverse of f: f(inverse(x)) - x has size {gap:.3g} (relative) at x = {x}")
+        raise InvalidInputError(
+            f"inverse is not the inverse of f: f(inverse(x)) - x has size {gap:.3g} (relative) at x = {x}"
+        )
     space = PresymplecticManifold(source, pullback_form(function, submanifold.target.form))
     return Immersion(submanifold.source, space, lambda y: inverse(submanifold(y)))
 
@@ -172,7 +182,9 @@ def _orthonormal_rows(vectors: np.ndarray) -> np.ndarray:
 
 def _require_form(space: object) -> None:
     if not isinstance(space, PresymplecticManifold):
-        raise InvalidInputError(f"expected a manifold with a two-form, got {space!r}; try PresymplecticManifold(manifold, form)")
+        raise InvalidInputError(
+            f"expected a manifold with a two-form, got {space!r}; try PresymplecticManifold(manifold, form)"
+        )
 
 
 def _require_function(function: object) -> None:
@@ -182,7 +194,8 @@ def _require_function(function: object) -> None:
 
 @eqx.filter_jit
 def _linear_data(submanifold: Immersion, y: Ambient) -> tuple[Array, Array, Array]:
-    """Matrix of the form at ``i(y)``; coordinates of the submanifold's tangent vectors, one row each; their normal part."""
+    """Matrix of the form at ``i(y)``; coordinates of the submanifold's tangent vectors, one row each; their normal
+    part."""
     x, space = submanifold(y), submanifold.target
     basis, tangents = space.manifold.basis(x), submanifold.tangents(y)
     rows = coordinates(basis, tangents)

@@ -16,7 +16,8 @@ from .forms import TwoForm, form_matrix
 
 @final
 class PresymplecticManifold(eqx.Module):
-    """A manifold ``M`` with a closed two-form ``omega``, a function ``form(x, a, b)`` of a point and two tangent vectors.
+    """A manifold ``M`` with a closed two-form ``omega``, a function ``form(x, a, b)`` of a point and two tangent
+    vectors.
 
     Symplectic where the kernel ``{v : i_v omega = 0}`` is zero. That the form is closed is the caller's promise.
 

@@ -82,8 +82,9 @@ def Phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
 class TulczyjewTriple(eqx.Module):
     """``T*TQ <-alpha^-1- TT*Q -beta-> T*T*Q`` over an embedded manifold ``Q``.
 
-    Points of the three bundles are nested pairs: ``((q, v), (p_q, p_v))``, ``((q, p), (qdot, pdot))``, ``((q, p), (P_q, P_p))``.
-    ``alpha`` is symplectic from the canonical form to ``d_T omega``, ``beta`` anti-symplectic to the canonical form.
+    Points of the three bundles are nested pairs: ``((q, v), (p_q, p_v))``, ``((q, p), (qdot, pdot))``, ``((q, p), (P_q,
+    P_p))``. ``alpha`` is symplectic from the canonical form to ``d_T omega``, ``beta`` anti-symplectic to the canonical
+    form.
 
     >>> print(TulczyjewTriple(Sphere(2)).middle)
     TangentBundle(CotangentBundle(Sphere(2)))

@@ -21,11 +21,12 @@ def lorentz(v: Vector, w: Vector) -> Array:
 
 @final
 class Hyperbolic(Hypersurface, HomogeneousSpace):
-    """Hyperbolic space ``H^n = {x : <x, x>_L = -1, x_0 > 0}``; points have shape ``(n + 1,)``, the time coordinate first.
+    """Hyperbolic space ``H^n = {x : <x, x>_L = -1, x_0 > 0}``; points have shape ``(n + 1,)``, the time coordinate
+    first.
 
-    Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of products,
-    by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``. The Lorentz
-    group acts on it.
+    Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of
+    products, by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``.
+    The Lorentz group acts on it.
 
     >>> Hyperbolic(2).dimension, Hyperbolic(2).ambient.shape
     (2, (3,))
@@ -67,7 +68,8 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
         return jnp.concatenate([along[None], u + along / (1 + x[0]) * x[1:]])
 
     def seen_from(self, x: Array, y: Array) -> tuple[Array, Float[Array, " n"]]:
-        """Time and space part of ``y`` boosted so that ``x`` is at the apex: ``cosh d`` and ``sinh d`` times a direction.
+        """Time and space part of ``y`` boosted so that ``x`` is at the apex: ``cosh d`` and ``sinh d`` times a
+        direction.
 
         Near ``x`` they come from the difference of the points, which keeps its digits, and from their form elsewhere.
         """

@@ -19,8 +19,8 @@ class Sphere(Hypersurface, HomogeneousSpace):
         return a - jnp.sum(x * a) * x  # half the time of a product of matrices in large batches
 
     def basis(self, x: Array) -> Float[Array, "n n+1"]:
-        # The reflection that takes the first axis to -sign(x_0) x takes the other axes to the tangent space. Beside the sphere it
-        # is that of x / |x|: the span must not jump with the sign.
+        # The reflection that takes the first axis to -sign(x_0) x takes the other axes to the tangent space. Beside the
+        # sphere it is that of x / |x|: the span must not jump with the sign.
         x = x / jnp.linalg.norm(x)
         w = jnp.asarray(x).at[0].add(jnp.where(x[0] < 0, -1.0, 1.0))
         return (jnp.eye(self.n + 1, dtype=x.dtype) - 2 * jnp.outer(w, w) / (w @ w))[1:]

@@ -16,7 +16,8 @@ from ..retraction import Retraction, nan_unless
 
 
 def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
-    """``metric``, by default that of the ambient space. Raises ``InvalidInputError`` for a metric of another manifold."""
+    """``metric``, by default that of the ambient space. Raises ``InvalidInputError`` for a metric of another
+    manifold."""
     if metric is None:
         return EmbeddedMetric(manifold)
     if not isinstance(metric, Metric) or not same_manifold(metric.manifold, manifold):
@@ -27,8 +28,9 @@ def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
 def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> Ambient:
     """Covariant acceleration ``a(v, v)``, a tangent vector at ``x``, of the curve ``c(t) = R(x, t v)`` at ``t = 0``.
 
-    ``g(a, e) = <d/dt dL/dv - dL/dx, e>`` with the Lagrangian ``L = g_x(v, v)/2`` along the curve; for the embedded metric it is
-    the tangential part of the second derivative. A retraction is of second order for a metric if it vanishes.
+    ``g(a, e) = <d/dt dL/dv - dL/dx, e>`` with the Lagrangian ``L = g_x(v, v)/2`` along the curve; for the embedded
+    metric it is the tangential part of the second derivative. A retraction is of second order for a metric if it
+    vanishes.
 
     ``v`` and the value have the shape of the point ``x``.
     """
@@ -53,8 +55,8 @@ def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient)
 class SecondOrder(Retraction):
     """Second-order correction ``R(x, v - a(v, v)/2)`` of a retraction, ``a`` its ``acceleration`` for a metric.
 
-    Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it is good for short vectors,
-    and the inverse, by Newton's method from the inverse of ``R``, is that near zero.
+    Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it is good for short
+    vectors, and the inverse, by Newton's method from the inverse of ``R``, is that near zero.
 
     A retraction of second order has ``a = 0``.
 

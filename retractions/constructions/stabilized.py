@@ -12,9 +12,11 @@ from ..retraction import Retraction
 
 @final
 class Stabilized(DifferentiatedRetraction):
-    """``R`` followed by ``Manifold.restore``: the same retraction, whose rounding errors do not add up from step to step.
+    """``R`` followed by ``Manifold.restore``: the same retraction, whose rounding errors do not add up from step to
+    step.
 
-    On the manifold ``restore`` is the identity, hence inverse, domain and derivative along the fibres are those of ``R``.
+    On the manifold ``restore`` is the identity, hence inverse, domain and derivative along the fibres are those of
+    ``R``.
 
     ``S(x, v) = restore(R(x, v))``.
 

@@ -18,14 +18,15 @@ Matrix = Shaped[Array, "n n"]
 
 @final
 class FrobeniusExponential(GroupRetraction):
-    """``R(x, x A) = x exp(A^H) exp(A - A^H)``: the geodesics of the left-invariant metric ``<x A, x B> = Re tr(A^H B)``.
+    """``R(x, x A) = x exp(A^H) exp(A - A^H)``: the geodesics of the left-invariant metric ``<x A, x B> = Re tr(A^H
+    B)``.
 
     The body velocity ``u`` solves the Euler-Poincare equation ``u' = [u^H, u]``, by ``u = exp(-tK) A exp(tK)`` with
-    ``K = A - A^H`` [Andruchow, Larotonda, Recht, Varela, "The left invariant metric in the general linear group", 2014]. Raises
-    ``UnknownRetractionError`` on groups whose algebra does not hold ``A^H`` with ``A``, such as SE(n). On SO, U and SU it is
-    ``GroupExponential``, which has a logarithm in closed form. NaN where rounding leads off the group. The inverse is
-    Levenberg-Marquardt's and Newton's method from the logarithms of the polar factors: on SL(2) and SL(3) it comes back for
-    ``|A| < 4``.
+    ``K = A - A^H`` [Andruchow, Larotonda, Recht, Varela, "The left invariant metric in the general linear group",
+    2014]. Raises ``UnknownRetractionError`` on groups whose algebra does not hold ``A^H`` with ``A``, such as SE(n). On
+    SO, U and SU it is ``GroupExponential``, which has a logarithm in closed form. NaN where rounding leads off the
+    group. The inverse is Levenberg-Marquardt's and Newton's method from the logarithms of the polar factors: on SL(2)
+    and SL(3) it comes back for ``|A| < 4``.
 
     >>> FrobeniusExponential(SL(2)).manifold
     SL(n=2)
@@ -37,8 +38,8 @@ class FrobeniusExponential(GroupRetraction):
         super().__check_init__()
         if not self.applies(self.manifold):
             raise UnknownRetractionError(
-                f"the algebra of {self.manifold} does not hold the adjoint of each of its matrices, so these geodesics are not "
-                "known in closed form; try GeodesicRetraction(LeftInvariantMetric(group, inertia))"
+                f"the algebra of {self.manifold} does not hold the adjoint of each of its matrices, so these geodesics "
+                "are not known in closed form; try GeodesicRetraction(LeftInvariantMetric(group, inertia))"
             )
 
     @staticmethod
@@ -60,7 +61,8 @@ class FrobeniusExponential(GroupRetraction):
 
 
 def _polar_logarithms(b: Matrix) -> Matrix:
-    """``log p + log u`` for ``b = p u`` with ``p`` positive definite and ``u`` unitary: the inverse to first order in either."""
+    """``log p + log u`` for ``b = p u`` with ``p`` positive definite and ``u`` unitary: the inverse to first order in
+    either."""
     squares, frame = jnp.linalg.eigh(b @ b.conj().T)
     adjoint = frame.conj().T
     turn = (frame / jnp.sqrt(squares)) @ adjoint @ b

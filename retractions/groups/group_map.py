@@ -1,7 +1,7 @@
 """Retractions of matrix Lie groups from maps of the algebra to the group.
 
-[Iserles, Munthe-Kaas, Norsett, Zanna, "Lie-group methods", 2000; as the coordinates of variational integrators: Bou-Rabee,
-Marsden, "Hamilton-Pontryagin integrators on Lie groups", 2009.]
+[Iserles, Munthe-Kaas, Norsett, Zanna, "Lie-group methods", 2000; as the coordinates of variational integrators:
+Bou-Rabee, Marsden, "Hamilton-Pontryagin integrators on Lie groups", 2009.]
 """
 
 from abc import abstractmethod
@@ -26,11 +26,12 @@ OFF_ZERO = 0.1  # coordinates of the element of the algebra at which a group map
 
 
 class GroupRetraction(Retraction):
-    """A retraction ``R(x, x A) = x g(A)`` by a map ``g`` from the algebra to the group with ``g(0) = I``, ``Dg(0) = Id``.
+    """A retraction ``R(x, x A) = x g(A)`` by a map ``g`` from the algebra to the group with ``g(0) = I``, ``Dg(0) =
+    Id``.
 
     It commutes with left translations, so integrators made from it conserve the momenta of left-invariant Hamiltonians.
-    ``A`` is made exactly an element of the algebra before use: a part outside it, lost to rounding, makes long products drift
-    off the group.
+    ``A`` is made exactly an element of the algebra before use: a part outside it, lost to rounding, makes long products
+    drift off the group.
 
     >>> isinstance(Exponential(SE(3)), GroupRetraction)
     True
@@ -66,9 +67,11 @@ class GroupRetraction(Retraction):
 
 
 def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
-    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det is lost.
+    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det
+    is lost.
 
-    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as they are.
+    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
+    they are.
     """
     if isinstance(group, SO | SE | U | SU):
         return g
@@ -92,10 +95,12 @@ class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
 
 @final
 class Translated(Retraction):
-    """Any map ``g`` from the algebra to the group, translated: ``R(x, x A) = x g(A)``, on the right ``R(x, A x) = g(A) x``.
+    """Any map ``g`` from the algebra to the group, translated: ``R(x, x A) = x g(A)``, on the right ``R(x, A x) = g(A)
+    x``.
 
-    ``group_map`` takes a matrix of the algebra to one of the group, with ``g(0) = I`` and ``Dg(0) = Id``; ``inverse_map``, if
-    given, takes it back, otherwise Newton's method does. Raises ``InvalidInputError`` if ``g`` breaks these rules.
+    ``group_map`` takes a matrix of the algebra to one of the group, with ``g(0) = I`` and ``Dg(0) = Id``;
+    ``inverse_map``, if given, takes it back, otherwise Newton's method does. Raises ``InvalidInputError`` if ``g``
+    breaks these rules.
 
     >>> cayley = lambda a: jnp.linalg.solve(jnp.eye(3) - a / 2, jnp.eye(3) + a / 2)
     >>> Translated(SO(3), cayley).manifold

@@ -1,4 +1,5 @@
-"""The exponential and the Cayley transform of every matrix Lie group that has them [Hairer, Lubich, Wanner 2006, IV.8]."""
+"""The exponential and the Cayley transform of every matrix Lie group that has them [Hairer, Lubich, Wanner 2006,
+IV.8]."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
@@ -34,7 +35,9 @@ _ROTATIONS = _MatrixFunctions(
     rotations.cayley,
     rotations.cayley_inverse,
 )
-_UNITARY = _MatrixFunctions(unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective, unitary.cayley)
+_UNITARY = _MatrixFunctions(
+    unitary.exponential, unitary.logarithm, unitary.square_root, unitary.injective, unitary.cayley
+)
 _RIGID = _MatrixFunctions(
     rigid_motions.exponential,
     rigid_motions.logarithm,
@@ -55,9 +58,10 @@ class GroupExponential(SymmetricGroupRetraction):
     """``R(x, x A) = x exp(A)``: translated one-parameter subgroups.
 
     On SO, U and SU they are the geodesics of the bi-invariant metric, on other groups not in general those of a metric.
-    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU all
-    angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart; elsewhere where
-    the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off the group.
+    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU
+    all angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart;
+    elsewhere where the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off
+    the group.
 
     >>> Exponential(SO(3))
     GroupExponential(manifold=SO(n=3))
@@ -83,11 +87,11 @@ class GroupExponential(SymmetricGroupRetraction):
 class GroupCayley(SymmetricGroupRetraction):
     """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``.
 
-    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n > 2:
-    there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``; its
-    image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE, U, SU(2)
-    and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half of the digits of ``A`` come back.
-    NaN where rounding leads off the group.
+    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n >
+    2: there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b =
+    x^-1 y``; its image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the
+    algebra of SO, SE, U, SU(2) and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half
+    of the digits of ``A`` come back. NaN where rounding leads off the group.
 
     >>> Cayley(SE(3))
     GroupCayley(manifold=SE(n=3))

@@ -12,12 +12,13 @@ from .matrix_group import GroupExponential
 
 @final
 class SEDecoupled(MidpointRetraction):
-    """``((R, t), (R Omega, R v)) -> (rho(R, R Omega), t + R v)`` with a retraction ``rho`` of rotations, by default exponential.
+    """``((R, t), (R Omega, R v)) -> (rho(R, R Omega), t + R v)`` with a retraction ``rho`` of rotations, by default
+    exponential.
 
-    With the exponential these are the geodesics of the metric ``|Omega|^2 + |v|^2``, that of the ambient space: straight lines
-    turned at a constant rate [Park, "Distance metrics on the rigid-body motions with applications to mechanism design", 1995].
-    With ``SOPolar`` it is the nearest motion to ``x + v``. Raises ``InvalidInputError`` for another manifold, and for rotations
-    of another size or by a map that is not symmetric.
+    With the exponential these are the geodesics of the metric ``|Omega|^2 + |v|^2``, that of the ambient space:
+    straight lines turned at a constant rate [Park, "Distance metrics on the rigid-body motions with applications to
+    mechanism design", 1995]. With ``SOPolar`` it is the nearest motion to ``x + v``. Raises ``InvalidInputError`` for
+    another manifold, and for rotations of another size or by a map that is not symmetric.
     """
 
     manifold: SE

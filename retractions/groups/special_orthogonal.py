@@ -33,9 +33,9 @@ class _SymmetricRotation(SymmetricGroupRetraction):
 class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, x Omega) = x (I - Omega/2)^-1 (I + Omega/2)``.
 
-    Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega`` shorter
-    than ``1 / (4 sqrt(eps))``, than the root of that where n = 2, 3.
-    Differentiated, ``x h A h`` for ``w = x A``, with ``h = (I - Omega/2)^-1``.
+    Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega``
+    shorter than ``1 / (4 sqrt(eps))``, than the root of that where n = 2, 3. Differentiated, ``x h A h`` for ``w = x
+    A``, with ``h = (I - Omega/2)^-1``.
 
     >>> Cayley(SO(3))
     SOCayley(manifold=SO(n=3))
@@ -71,9 +71,9 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
 class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
     """``R(x, v)`` = orthogonal polar factor of ``x + v``: the nearest rotation.
 
-    Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega`` shorter than
-    ``1 / (4 sqrt(eps))``.
-    Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A g``, where ``I + Omega = g s``.
+    Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega`` shorter
+    than ``1 / (4 sqrt(eps))``. Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A
+    g``, where ``I + Omega = g s``.
 
     >>> Polar(SO(3))
     SOPolar(manifold=SO(n=3))

@@ -14,15 +14,17 @@ from ..rounding import EDGE
 
 @final
 class FixedRankProjection(Retraction):
-    """``R(x, v)`` = nearest matrix of rank ``r`` to ``x + v``: its truncated singular value decomposition. Second order.
+    """``R(x, v)`` = nearest matrix of rank ``r`` to ``x + v``: its truncated singular value decomposition. Second
+    order.
 
-    Inverse ``v = P_x(y - x + n)`` with the normal vector ``n`` at ``y`` that makes ``y - x + n`` tangent at ``x``, a linear
-    equation. It has one solution where the columns of ``y`` span no direction orthogonal to those of ``x``, nor do the rows;
-    the image is where moreover ``n`` is shorter (largest singular value) than the smallest singular value of ``y``.
+    Inverse ``v = P_x(y - x + n)`` with the normal vector ``n`` at ``y`` that makes ``y - x + n`` tangent at ``x``, a
+    linear equation. It has one solution where the columns of ``y`` span no direction orthogonal to those of ``x``, nor
+    do the rows; the image is where moreover ``n`` is shorter (largest singular value) than the smallest singular value
+    of ``y``.
 
-    Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, so that there is one
-    nearest matrix, and columns and rows of that span no direction orthogonal to those of ``x``. By the perturbation bounds of
-    Weyl and Wedin it holds every ``v`` whose largest singular value is below half the smallest one of ``x``.
+    Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, so that there is
+    one nearest matrix, and columns and rows of that span no direction orthogonal to those of ``x``. By the perturbation
+    bounds of Weyl and Wedin it holds every ``v`` whose largest singular value is below half the smallest one of ``x``.
 
     >>> Projection(FixedRank(5, 4, 2))
     FixedRankProjection(manifold=FixedRank(m=5, n=4, r=2))
@@ -66,7 +68,8 @@ def _carrier(here: Array, there: Array) -> Array:
 
 
 def _of_rank(r: int, y: Array) -> Array:
-    """``y`` where its first ``r`` singular values are told from rounding of its largest by half of the digits, NaN elsewhere."""
+    """``y`` where its first ``r`` singular values are told from rounding of its largest by half of the digits, NaN
+    elsewhere."""
     singular = jnp.linalg.svd(jax.lax.stop_gradient(y), compute_uv=False)
     return nan_unless(singular[r - 1] > default_tolerance() * singular[0], y)
 
@@ -81,9 +84,9 @@ class FixedRankOrthographic(Retraction):
     """``R(x, v)`` = the matrix of rank ``r`` that differs from ``x + v`` by a normal vector at ``x``. Second order.
 
     With ``u`` and ``w`` any bases of the spans of the columns and rows of ``x``, and ``a = x + v``, it is
-    ``a w (u'a w)^-1 u'a``. Inverse: the tangent projection ``P_x(y - x)``; its image, and its domain, are where ``u'y w``,
-    respectively ``u'a w``, is invertible, up to rounding of the value: every ``v`` whose largest singular value is below the
-    smallest one of ``x`` is in the domain, and every multiple of a ``v`` but ``r`` of them or fewer.
+    ``a w (u'a w)^-1 u'a``. Inverse: the tangent projection ``P_x(y - x)``; its image, and its domain, are where ``u'y
+    w``, respectively ``u'a w``, is invertible, up to rounding of the value: every ``v`` whose largest singular value is
+    below the smallest one of ``x`` is in the domain, and every multiple of a ``v`` but ``r`` of them or fewer.
 
     >>> FixedRankOrthographic(FixedRank(5, 4, 2)).manifold
     FixedRank(m=5, n=4, r=2)

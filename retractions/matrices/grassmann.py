@@ -1,8 +1,8 @@
 """Retractions of the Grassmann manifold of projectors.
 
-Each is ``R(x, v) = q x q'`` with a rotation ``q = f(Omega)``, ``Omega = [v, x]``, for one of the functions ``f`` by which the
-rotation group is retracted. Between two points whose principal angles are below pi/2 there is one such rotation
-[Kato 1995, I.4.6; Bendokat, Zimmermann, Absil 2024].
+Each is ``R(x, v) = q x q'`` with a rotation ``q = f(Omega)``, ``Omega = [v, x]``, for one of the functions ``f`` by
+which the rotation group is retracted. Between two points whose principal angles are below pi/2 there is one such
+rotation [Kato 1995, I.4.6; Bendokat, Zimmermann, Absil 2024].
 """
 
 from abc import abstractmethod
@@ -23,7 +23,8 @@ from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
 class _RotatedProjector(MidpointRetraction):
     """``R(x, v) = q x q'``; the midpoint projects on the positive eigenspace of ``x0 + x1 - I``.
 
-    The eigenvalues of that are the cosines of the principal angles, with both signs; where one is lost in rounding it is NaN.
+    The eigenvalues of that are the cosines of the principal angles, with both signs; where one is lost in rounding it
+    is NaN.
     """
 
     manifold: Grassmann
@@ -91,8 +92,8 @@ class _AlignedProjector(_RotatedProjector):
 class GrassmannExponential(_AlignedProjector):
     """``R(x, v) = q x q'`` with ``q = exp [v, x]``: the geodesics, along which each principal angle grows linearly.
 
-    Inverse: the logarithm of the direct rotation; its image is where all principal angles are below pi/2, its domain where
-    the largest singular value of ``v``, which is the largest angle, is below pi/2.
+    Inverse: the logarithm of the direct rotation; its image is where all principal angles are below pi/2, its domain
+    where the largest singular value of ``v``, which is the largest angle, is below pi/2.
 
     >>> Exponential(Grassmann(4, 2))
     GrassmannExponential(manifold=Grassmann(n=4, p=2))
@@ -112,9 +113,11 @@ class GrassmannExponential(_AlignedProjector):
 
 @final
 class GrassmannCayley(_AlignedProjector):
-    """``R(x, v) = q x q'`` with the Cayley transform ``q`` of ``[v, x]``; an angle ``t`` from a singular value ``2 tan(t/2)``.
+    """``R(x, v) = q x q'`` with the Cayley transform ``q`` of ``[v, x]``; an angle ``t`` from a singular value ``2
+    tan(t/2)``.
 
-    Its image is where all principal angles are below pi/2, its domain where the largest singular value of ``v`` is below 2.
+    Its image is where all principal angles are below pi/2, its domain where the largest singular value of ``v`` is
+    below 2.
 
     >>> Cayley(Grassmann(4, 2))
     GrassmannCayley(manifold=Grassmann(n=4, p=2))

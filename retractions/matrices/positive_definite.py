@@ -1,7 +1,7 @@
 """Retractions of the symmetric positive definite matrices.
 
-With ``x = l l'`` (Cholesky) the action of ``l`` takes the identity to ``x``: what is invariant is computed at the identity,
-on ``m = l^-1 v l^-T``.
+With ``x = l l'`` (Cholesky) the action of ``l`` takes the identity to ``x``: what is invariant is computed at the
+identity, on ``m = l^-1 v l^-T``.
 """
 
 from typing import final
@@ -42,9 +42,10 @@ def _in_cone(y: Array) -> Array:
 class SPDExponential(MidpointRetraction):
     """``R(x, v) = l exp(l^-1 v l^-T) l'``, the geodesics of ``AffineInvariantMetric``.
 
-    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold [Bhatia 2007, chapter 6], its domain every tangent vector short
-    enough for half of its digits to come back: eigenvalues of ``l^-1 v l^-T`` at most about 16 apart, 6 in single precision.
-    Entries are NaN where an eigenvalue of the value is rounding of the largest, from about 34 apart, 14 in single precision.
+    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold [Bhatia 2007, chapter 6], its domain every tangent
+    vector short enough for half of its digits to come back: eigenvalues of ``l^-1 v l^-T`` at most about 16 apart, 6 in
+    single precision. Entries are NaN where an eigenvalue of the value is rounding of the largest, from about 34 apart,
+    14 in single precision.
 
     >>> Exponential(SPD(3))
     SPDExponential(manifold=SPD(n=3))
@@ -70,11 +71,13 @@ class SPDExponential(MidpointRetraction):
 
 @final
 class SPDSecondOrder(DifferentiatedRetraction):
-    """``R(x, v) = x + v + v x^-1 v / 2``, of second order for ``AffineInvariantMetric`` [Jeuris, Vandebril, Vandereycken 2012].
+    """``R(x, v) = x + v + v x^-1 v / 2``, of second order for ``AffineInvariantMetric`` [Jeuris, Vandebril,
+    Vandereycken 2012].
 
-    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``; NaN where an eigenvalue is rounding of the
-    largest. Inverse ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``, by ``4 sqrt(eps)``. At the edge of
-    the domain the image folds: there a relative change ``e`` of ``y`` changes the inverse by ``sqrt(e)``.
+    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``; NaN where an eigenvalue is rounding
+    of the largest. Inverse ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``, by ``4
+    sqrt(eps)``. At the edge of the domain the image folds: there a relative change ``e`` of ``y`` changes the inverse
+    by ``sqrt(e)``.
 
     >>> I = jnp.eye(2)
     >>> SPDSecondOrder(SPD(2))(I, I).tolist()
@@ -107,10 +110,12 @@ class SPDSecondOrder(DifferentiatedRetraction):
 
 @final
 class SPDLogEuclidean(MidpointRetraction):
-    """``R(x, v) = exp(log x + D log(x)[v])``, the geodesics of the log-Euclidean metric [Arsigny, Fillard, Pennec, Ayache 2007].
+    """``R(x, v) = exp(log x + D log(x)[v])``, the geodesics of the log-Euclidean metric [Arsigny, Fillard, Pennec,
+    Ayache 2007].
 
     Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector short
-    enough for half of its digits to come back. Entries are NaN where an eigenvalue of the value is rounding of the largest.
+    enough for half of its digits to come back. Entries are NaN where an eigenvalue of the value is rounding of the
+    largest.
 
     >>> SPDLogEuclidean(SPD(3)).manifold
     SPD(n=3)

@@ -1,7 +1,8 @@
 """Rational and factorisation retractions of the Stiefel manifold.
 
-The differentiated QR retraction is that of [Absil, Mahony, Sepulchre 2008, 8.1], of the others and of all adjoints the formulas
-are derived here; inverses are written with ``y - x``, so that they keep the relative accuracy of short vectors.
+The differentiated QR retraction is that of [Absil, Mahony, Sepulchre 2008, 8.1], of the others and of all adjoints the
+formulas are derived here; inverses are written with ``y - x``, so that they keep the relative accuracy of short
+vectors.
 """
 
 from typing import final
@@ -35,9 +36,9 @@ def _defect(x: Array, d: Array) -> Array:
 class StiefelPolar(DifferentiatedRetraction):
     """``R(x, v) = (x + v)(I + v'v)^(-1/2)``, the polar factor of ``x + v``: the nearest frame. Second order.
 
-    Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is positive
-    definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector shorter than
-    ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
+    Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is
+    positive definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector
+    shorter than ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
 
     >>> Polar(Stiefel(3, 2))
     StiefelPolar(manifold=Stiefel(n=3, p=2))
@@ -76,9 +77,9 @@ class StiefelPolar(DifferentiatedRetraction):
 class StiefelQR(DifferentiatedRetraction):
     """``R(x, v)`` = orthonormal factor of the QR factorisation of ``x + v`` with positive diagonal. First order.
 
-    Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the diagonal
-    of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain every tangent vector short enough
-    for half of its digits to come back [Kaneko, Fiori, Tanaka 2013].
+    Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the
+    diagonal of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain every tangent
+    vector short enough for half of its digits to come back [Kaneko, Fiori, Tanaka 2013].
 
     >>> QR(Stiefel(3, 2))
     StiefelQR(manifold=Stiefel(n=3, p=2))
@@ -127,8 +128,8 @@ class StiefelCayley(DifferentiatedRetraction):
         R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
 
     Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
-    eigenvalue -1, its domain every tangent vector short enough for half of its digits to come back [Wen, Yin 2013; inverse
-    after Zhu, Sato 2020].
+    eigenvalue -1, its domain every tangent vector short enough for half of its digits to come back [Wen, Yin 2013;
+    inverse after Zhu, Sato 2020].
 
     >>> Cayley(Stiefel(3, 2))
     StiefelCayley(manifold=Stiefel(n=3, p=2))
@@ -164,7 +165,8 @@ class StiefelCayley(DifferentiatedRetraction):
         return comes_back(self, x, v)
 
     def _sum(self, x: Array, v: Array) -> tuple[Array, Array, Array]:
-        """``R(x, v) + x``, ``k`` and ``s^-1``, from the QR factorisation of ``[I; k/2]``, whose Gram matrix is ``sym s``."""
+        """``R(x, v) + x``, ``k`` and ``s^-1``, from the QR factorisation of ``[I; k/2]``, whose Gram matrix is ``sym
+        s``."""
         p = x.shape[1]
         eye, k = jnp.eye(p, dtype=x.dtype), v - x @ (x.T @ v)
         q = jnp.linalg.qr(jnp.concatenate([eye, k / 2]))[0]

@@ -1,4 +1,5 @@
-"""Geodesics of the Stiefel manifold, in the metric of its ambient space and in the canonical one, and their logarithms."""
+"""Geodesics of the Stiefel manifold, in the metric of its ambient space and in the canonical one, and their
+logarithms."""
 
 from typing import final
 
@@ -26,9 +27,9 @@ class StiefelExponential(Retraction):
         R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a).
 
     Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
-    derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is the ball
-    of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4 pi sqrt(eps)``;
-    its image the points nearer than pi.
+    derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is
+    the ball of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4
+    pi sqrt(eps)``; its image the points nearer than pi.
 
     >>> Exponential(Stiefel(3, 2))
     StiefelExponential(manifold=Stiefel(n=3, p=2))
@@ -48,11 +49,13 @@ class StiefelExponential(Retraction):
         return nan_unless(length(v) < jnp.pi, v)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        gap = jnp.pi - length(v)  # one column that turns by almost pi arrives from every direction: magnified by pi / gap
+        # One column that turns by almost pi arrives from every direction: magnified by pi / gap.
+        gap = jnp.pi - length(v)
         return (gap > 0) & keeps_half_the_digits(jnp.pi / gap)
 
     def _near(self, x: Array, y: Array) -> Array:
-        """A tangent vector whose geodesic ends near ``y``: the direction of the chord, its length, then least squares."""
+        """A tangent vector whose geodesic ends near ``y``: the direction of the chord, its length, then least
+        squares."""
         basis = self.manifold.basis(x)
         chord = jnp.tensordot(basis, y - x, 2)
         length = jnp.sqrt(jnp.sum((y - x) ** 2))
@@ -67,9 +70,9 @@ class StiefelCanonicalExponential(Retraction):
 
         R(x, v) = [x, k] exp [[a, -k'k], [I, 0]] [I; 0].
 
-    Inverse (logarithm): algorithm 3.1 of [Zimmermann 2017], then Newton's method to rounding. Its domain is the ball of radius
-    ``sqrt(4/5) pi`` in this metric, which the injectivity radius is not below [Rentmeesters 2013]. On frames (6, 3) it comes
-    back to 4e-15, up to 1e-8 from the edge of the domain.
+    Inverse (logarithm): algorithm 3.1 of [Zimmermann 2017], then Newton's method to rounding. Its domain is the ball of
+    radius ``sqrt(4/5) pi`` in this metric, which the injectivity radius is not below [Rentmeesters 2013]. On frames (6,
+    3) it comes back to 4e-15, up to 1e-8 from the edge of the domain.
 
     >>> StiefelCanonicalExponential(Stiefel(3, 2)).manifold
     Stiefel(n=3, p=2)
@@ -95,7 +98,8 @@ class StiefelCanonicalExponential(Retraction):
         return jnp.sum(v * v) - jnp.sum((x.T @ v) ** 2) / 2
 
     def _near(self, x: Array, y: Array) -> Array:
-        """The rotation of ``[x, q]`` that takes ``x`` to ``y`` and whose logarithm does not turn ``q`` in its own span."""
+        """The rotation of ``[x, q]`` that takes ``x`` to ``y`` and whose logarithm does not turn ``q`` in its own
+        span."""
         n, p = x.shape
         if n == p:
             return x @ rotations.logarithm(x.T @ y)
@@ -115,7 +119,9 @@ class StiefelCanonicalExponential(Retraction):
         def unfinished(state: tuple[Array, Array, Array]) -> Array:
             return (state[2] < 1) | ((vec.size(state[1][p:, p:]) > close) & (state[2] < _TURNS))
 
-        log = jax.lax.while_loop(unfinished, turn, (second, jnp.zeros((len(first),) * 2, x.dtype), jnp.zeros((), int)))[1]
+        log = jax.lax.while_loop(unfinished, turn, (second, jnp.zeros((len(first),) * 2, x.dtype), jnp.zeros((), int)))[
+            1
+        ]
         return x @ log[:p, :p] + q @ log[p:, :p]
 
 

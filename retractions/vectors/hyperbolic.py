@@ -24,8 +24,8 @@ def _middle(manifold: Hyperbolic, x0: Array, x1: Array) -> Array:
 class HyperbolicExponential(MidpointRetraction):
     """Geodesics of curvature -1: ``R(x, v) = cosh|v| x + (sinh|v| / |v|) v`` with the Lorentz length ``|v|``.
 
-    Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every tangent
-    vector short enough for its value, and the square of that, to be a number; outside it entries are NaN.
+    Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every
+    tangent vector short enough for its value, and the square of that, to be a number; outside it entries are NaN.
 
     >>> Exponential(Hyperbolic(2))
     HyperbolicExponential(manifold=Hyperbolic(n=2))
@@ -54,11 +54,12 @@ class HyperbolicExponential(MidpointRetraction):
 
 @final
 class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
-    """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below 1.
+    """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below
+    1.
 
     It reads ``v`` as a point of Klein's model with ``x`` at its centre.
-    Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the domain.
-    Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
+    Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the
+    domain. Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
 
     >>> Projection(Hyperbolic(2))
     HyperbolicProjection(manifold=Hyperbolic(n=2))

@@ -12,11 +12,13 @@ from ..retraction import Retraction, nan_unless
 
 @final
 class SimplexExponential(Retraction):
-    """``R(x, v)`` proportional to ``x exp(v/x)``, entry by entry: the exponential families through ``x``, always positive.
+    """``R(x, v)`` proportional to ``x exp(v/x)``, entry by entry: the exponential families through ``x``, always
+    positive.
 
-    They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one to
-    second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent vector
-    whose value has no entry that underflows or has lost digits there (2e-308 in double precision); NaN outside it.
+    They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one
+    to second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent
+    vector whose value has no entry that underflows or has lost digits there (2e-308 in double precision); NaN outside
+    it.
 
     >>> Exponential(Simplex(3))
     SimplexExponential(manifold=Simplex(n=3))

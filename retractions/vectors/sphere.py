@@ -22,8 +22,8 @@ def _middle(x0: Array, x1: Array) -> Array:
 class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
     """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
 
-    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| < pi`` but
-    for the last ``4 pi sqrt(eps)``.
+    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| <
+    pi`` but for the last ``4 pi sqrt(eps)``.
 
     >>> Exponential(Sphere(2))
     SphereExponential(manifold=Sphere(n=2))

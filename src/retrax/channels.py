@@ -42,9 +42,11 @@ class Channel(NamedTuple):
 
 
 class View(NamedTuple):
-    """Times, states and costates at the nodes, and controls at the stages, of a solution or a trajectory, array by array.
+    """Times, states and costates at the nodes, and controls at the stages, of a solution or a trajectory, array by
+    array.
 
-    ``stage_times`` and ``controls`` have one leading axis, that of all stages; ``controls`` is empty where there are none.
+    ``stage_times`` and ``controls`` have one leading axis, that of all stages; ``controls`` is empty where there are
+    none.
     """
 
     times: np.ndarray
@@ -56,9 +58,11 @@ class View(NamedTuple):
 
 
 def view(record: Any, problem: About = None) -> View:
-    """The arrays of a ``Solution`` or a ``Trajectory``, of which ``problem`` has the names and units, or a manifold the spaces.
+    """The arrays of a ``Solution`` or a ``Trajectory``, of which ``problem`` has the names and units, or a manifold the
+    spaces.
 
-    Raises ``InvalidInputError`` for anything else, for a batch of trajectories, and if the problem is one of other arrays.
+    Raises ``InvalidInputError`` for anything else, for a batch of trajectories, and if the problem is one of other
+    arrays.
     """
     if isinstance(record, Solution):
         states, costates, controls = map(_leaves, (record.states, record.costates, record.controls))
@@ -102,7 +106,8 @@ def _quantities(given: Any, states: list[np.ndarray], controls: list[np.ndarray]
 
 
 def state_channels(found: View) -> list[Channel]:
-    """The states as pictures show them: rotations as rotation vectors, poses as these and positions, else the entries."""
+    """The states as pictures show them: rotations as rotation vectors, poses as these and positions, else the
+    entries."""
     pairs = zip(found.quantities.states, found.states, strict=True)
     return [channel for quantity, values in pairs for channel in _channels(quantity, values)]
 
@@ -145,7 +150,8 @@ def _turn(name: str, matrices: np.ndarray) -> Channel:
 def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
     """Rotation vectors of a sequence of rotations, shape ``(N, 3, 3)``, in rad, that follow each other without a jump.
 
-    Each is the one nearest to the one before, of all that turn about its axis by its angle and whole turns. ``exp(hat(v)) = R``.
+    Each is the one nearest to the one before, of all that turn about its axis by its angle and whole turns.
+    ``exp(hat(v)) = R``.
     """
     found = Rotation.from_matrix(matrices).as_rotvec()
     for k in range(1, len(found)):
@@ -168,6 +174,7 @@ def rotations(found: View, array: int | None = None) -> np.ndarray:
             return found.states[place][:, :3, :3]
     what = "no array" if array is None else f"no array {array}"
     raise InvalidInputError(
-        f"the record has {what} of states on SO(3) or SE(3), it has {', '.join(space or 'unknown' for space in spaces)}; "
-        "try a solution of a problem on SO(3) * Euclidean(3), or problem= for a trajectory"
+        f"the record has {what} of states on SO(3) or SE(3), it has "
+        f"{', '.join(space or 'unknown' for space in spaces)}; try a solution of a problem on SO(3) * Euclidean(3), or "
+        "problem= for a trajectory"
     )

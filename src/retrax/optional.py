@@ -11,7 +11,8 @@ class MissingPackageError(RetraxError, ImportError):
 
 
 def needed(name: str, what: str) -> Any:
-    """The module of a package; raises ``MissingPackageError`` with the line that installs it where it is not installed."""
+    """The module of a package; raises ``MissingPackageError`` with the line that installs it where it is not
+    installed."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:

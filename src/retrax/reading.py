@@ -1,7 +1,8 @@
 """Functions of a user are read anew: what JAX traced of them before, with the values they had then, is not found again.
 
-JAX takes what a function reads, a parameter in a closure, an attribute or a global, for constant, and finds its traces again by
-the function's identity, also those of ``jit`` and of the bodies of loops inside a function. A changed value would be ignored.
+JAX takes what a function reads, a parameter in a closure, an attribute or a global, for constant, and finds its traces
+again by the function's identity, also those of ``jit`` and of the bodies of loops inside a function. A changed value
+would be ignored.
 """
 
 from collections.abc import Callable, Hashable, Iterator
@@ -87,7 +88,8 @@ def is_reading() -> bool:
 
 
 def reads_once(function: Callable[P, R]) -> Callable[P, R]:
-    """A public function during whose call a user's functions do not change: each is read once in it, and again in the next."""
+    """A public function during whose call a user's functions do not change: each is read once in it, and again in the
+    next."""
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:

@@ -46,8 +46,9 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
 def ask_for_threads() -> None:
     """Ask XLA for eight threads where there are fewer processors, unless the user asks for some number.
 
-    Each of jaxlib's batched decompositions waits on a thread of XLA for its parts, which other threads do: two at once, as in a
-    logarithm on SO(n) x U(n), wait for ever where there are two threads [jaxlib 0.10.2]. It counts before JAX computes anything.
+    Each of jaxlib's batched decompositions waits on a thread of XLA for its parts, which other threads do: two at once,
+    as in a logarithm on SO(n) x U(n), wait for ever where there are two threads [jaxlib 0.10.2]. It counts before JAX
+    computes anything.
     """
     if (os.cpu_count() or 1) < THREADS:
         os.environ.setdefault("PJRT_NPROC", str(THREADS))

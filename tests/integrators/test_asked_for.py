@@ -63,12 +63,15 @@ def test_a_free_horizon_is_answered(horizon):
 def test_functions_of_other_arguments_are_refused(functions, words):
     with pytest.raises(InvalidInputError, match=words):
         OptimalControlProblem(PLANE, **{"dynamics": cart, "running_cost": effort, **functions}, controls=1)
-    gain = OptimalControlProblem(PLANE, lambda q, u, gain=2.0: gain * cart(q, u), effort, 1)  # a constant, not an argument
+    # A constant, not an argument.
+    gain = OptimalControlProblem(PLANE, lambda q, u, gain=2.0: gain * cart(q, u), effort, 1)
     assert gain.velocity(REST, np.ones(1))[1] == 2
 
 
 def test_a_hamiltonian_of_time_is_refused():
-    with pytest.raises(InvalidInputError, match=r"the Hamiltonian must be .*\(q, p\), got one of \(q, p, t\).*make a clock s"):
+    with pytest.raises(
+        InvalidInputError, match=r"the Hamiltonian must be .*\(q, p\), got one of \(q, p, t\).*make a clock s"
+    ):
         integrate(lambda q, p, t: p @ p, SymplecticIntegrator(CotangentLift(MIDPOINT)), (REST, REST), 0.1, 2)
 
 
@@ -86,7 +89,12 @@ def test_a_constant_cost_is_told_from_a_weak_one(price):
 
 @pytest.mark.parametrize(
     "cost",
-    [lambda q, u: 1, lambda q, u: jnp.zeros(()), lambda q, u: 0 * u @ u, lambda q, u: jnp.cos(q[0]) ** 2 + jnp.sin(q[0]) ** 2],
+    [
+        lambda q, u: 1,
+        lambda q, u: jnp.zeros(()),
+        lambda q, u: 0 * u @ u,
+        lambda q, u: jnp.cos(q[0]) ** 2 + jnp.sin(q[0]) ** 2,
+    ],
 )
 def test_a_minimum_time_over_a_fixed_horizon_is_refused_at_once(cost):
     """It was solved: every extremal is optimal, and one of them was a success."""
@@ -130,9 +138,13 @@ def test_other_costs_that_vanish_somewhere_are_not_constant():
 
 def test_what_is_missing_is_named():
     given = OptimalControlProblem(PLANE, cart, effort, 1)
-    with pytest.raises(InvalidInputError, match=rf"^solve: missing a required argument: 'horizon', expected solve\(.*{HORIZON}"):
+    with pytest.raises(
+        InvalidInputError, match=rf"^solve: missing a required argument: 'horizon', expected solve\(.*{HORIZON}"
+    ):
         solve(given, MIDPOINT, REST, AHEAD)
-    with pytest.raises(InvalidInputError, match=r"^solve: missing a required argument: 'steps', expected .* steps, \.\.\.\)$"):
+    with pytest.raises(
+        InvalidInputError, match=r"^solve: missing a required argument: 'steps', expected .* steps, \.\.\.\)$"
+    ):
         solve(given, MIDPOINT, REST, AHEAD, 1.0)
     with pytest.raises(InvalidInputError, match=r"^OptimalControlProblem: missing a required argument: 'running_cost'"):
         OptimalControlProblem(PLANE, cart)

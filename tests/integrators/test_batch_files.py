@@ -25,7 +25,9 @@ def test_a_batch_is_read_back(count, tmp_path):
     for one, other in zip(found, members, strict=True):
         assert one.checks == other.checks
         jax.tree.map(
-            np.testing.assert_array_equal, (one.times, one.states, one.controls), (other.times, other.states, other.controls)
+            np.testing.assert_array_equal,
+            (one.times, one.states, one.controls),
+            (other.times, other.states, other.controls),
         )
 
 
@@ -85,7 +87,9 @@ def test_other_files_are_refused(written, tmp_path):
 def test_members_of_other_shapes_are_no_batch(written):
     path, entries = written
     shorter = replace(REGULAR, times=REGULAR.times[:2], stage_times=REGULAR.stage_times[:1])
-    cut = {name: jax.tree.map(lambda a: a[:2], getattr(REGULAR, name)) for name in ("states", "costates", "body_costates")}
+    cut = {
+        name: jax.tree.map(lambda a: a[:2], getattr(REGULAR, name)) for name in ("states", "costates", "body_costates")
+    }
     less = {
         name: jax.tree.map(lambda a: a[:1], getattr(REGULAR, name))
         for name in ("stage_states", "stage_costates", "controls", "hamiltonians")

@@ -93,7 +93,9 @@ def fine():
     return cache(lambda name: found(SUBJECTS[name], Gauss(6, SUBJECTS[name].retraction), 12)(TIMES))
 
 
-@pytest.mark.parametrize(("name", "method"), often(("S^2", "midpoint"), ("S^2", "3 stages"), ("SO(3) x R^3", "2 stages")))
+@pytest.mark.parametrize(
+    ("name", "method"), often(("S^2", "midpoint"), ("S^2", "3 stages"), ("SO(3) x R^3", "2 stages"))
+)
 @pytest.mark.usual("S^2-3 stages", "S^2-midpoint")
 def test_orders_between_the_nodes(fine, name, method):
     make, steps, (order, of_controls) = METHODS[method]

@@ -26,7 +26,8 @@ def leaning(a, b, place):
 
 
 def test_an_end_on_a_circle_from_inside_to_outside():
-    """The radial line: cost ``(r - 1)^2 / (2 T)``, ``p(T) = -mu d|q|^2``; at ``r = 1`` nothing moves, and ``mu = 0``."""
+    """The radial line: cost ``(r - 1)^2 / (2 T)``, ``p(T) = -mu d|q|^2``; at ``r = 1`` nothing moves, and ``mu =
+    0``."""
     problem = OptimalControlProblem(PLANE, direct, effort, 2, boundary_constraints={"circle": leaning})
     solver, start = Solver(problem, Midpoint(Addition(PLANE)), 4), np.array([0.6, 0.8])
     for radius in (0.3, 0.9, 1 - 1e-6, 1.0, 1 + 1e-6, 1.1, 3.0):
@@ -40,7 +41,8 @@ def test_an_end_on_a_circle_from_inside_to_outside():
 
 
 def test_both_ends_on_sets():
-    """From the unit circle to the line ``x + y = c``: along its normal, with one covector ``p``, by both multipliers."""
+    """From the unit circle to the line ``x + y = c``: along its normal, with one covector ``p``, by both
+    multipliers."""
     between = {"circle": lambda a, b, c: a @ a - 1, "line": lambda a, b, c: b[0] + b[1] - c}
     problem = OptimalControlProblem(PLANE, direct, effort, 2, boundary_constraints=between)
     solver = Solver(problem, Midpoint(Addition(PLANE)), 3)
@@ -55,7 +57,8 @@ def test_both_ends_on_sets():
 
 @pytest.mark.slow
 def test_an_end_on_a_circle_of_latitude():
-    """The meridian to the latitude ``z = h``: cost ``angle^2 / 2``, and ``mu = angle / sin``, over the equator and at it."""
+    """The meridian to the latitude ``z = h``: cost ``angle^2 / 2``, and ``mu = angle / sin``, over the equator and at
+    it."""
     problem = OptimalControlProblem(
         GLOBE, lambda q, u, h: jnp.cross(u, q), effort, 3, boundary_constraints={"latitude": lambda a, b, h: b[2] - h}
     )
@@ -72,7 +75,8 @@ def test_an_end_on_a_circle_of_latitude():
 
 @pytest.mark.slow
 def test_an_axis_of_an_attitude_is_pointed():
-    """``R e_3`` to a direction by the shortest rotation; what turns about it is free, and so are both ends of a copy of it."""
+    """``R e_3`` to a direction by the shortest rotation; what turns about it is free, and so are both ends of a copy of
+    it."""
     aim = np.array([np.sin(1.1), 0.0, np.cos(1.1)])
     pointed = {"boresight": lambda a, b: (b.T @ aim)[:2]}
     problem = OptimalControlProblem(TURN, lambda q, u: q @ hat(u), effort, 3, boundary_constraints=pointed)
@@ -84,7 +88,8 @@ def test_an_axis_of_an_attitude_is_pointed():
 
 
 def test_a_periodic_optimum_under_a_periodic_force():
-    """``x' = u - x``, ``int u^2 / 2 + 5 (x - cos 2 pi t)^2``: ``x = 10 cos(2 pi t) / (11 + 4 pi^2)``, and ``p = u = x' + x``."""
+    """``x' = u - x``, ``int u^2 / 2 + 5 (x - cos 2 pi t)^2``: ``x = 10 cos(2 pi t) / (11 + 4 pi^2)``, and ``p = u = x'
+    + x``."""
     forced = OptimalControlProblem(
         LINE,
         lambda q, u, t: u - q,
@@ -103,7 +108,8 @@ def test_a_periodic_optimum_under_a_periodic_force():
 
 @pytest.mark.slow
 def test_periodic_up_to_a_rotation():
-    """``R(T) = g R(0)``: a turn at constant rate, the spatial costate is constant and commutes with g; the start costs."""
+    """``R(T) = g R(0)``: a turn at constant rate, the spatial costate is constant and commutes with g; the start
+    costs."""
     angle = 0.8
     turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
 
@@ -126,7 +132,8 @@ def test_periodic_up_to_a_rotation():
 
 @pytest.mark.slow
 def test_least_time_to_a_line():
-    """A cart with ``|u| <= 1`` from rest to ``x = L``, its velocity free: ``T = sqrt(2 L)``, ``dT/dL = 1 / sqrt(2 L)``."""
+    """A cart with ``|u| <= 1`` from rest to ``x = L``, its velocity free: ``T = sqrt(2 L)``, ``dT/dL = 1 / sqrt(2
+    L)``."""
     cart = OptimalControlProblem(
         PLANE,
         lambda q, u, place: jnp.stack([q[1], u[0]]),
@@ -152,7 +159,9 @@ def test_equations_from_independent_to_dependent():
         np.testing.assert_allclose(found.states[-1], [1, 1], atol=1e-10 / share)
         assert found.multipliers["both"][1] == pytest.approx(-1 / share, rel=1e-8)
     for share in (1e-10, 0.0):
-        with pytest.raises(InvalidInputError, match=r"2 equations, of which 1 is independent.*\['both'\]\[1\] depends on"):
+        with pytest.raises(
+            InvalidInputError, match=r"2 equations, of which 1 is independent.*\['both'\]\[1\] depends on"
+        ):
             solver.solve(np.zeros(2), end, 1.0, parameters=share)
 
 

@@ -68,7 +68,12 @@ def test_a_changed_value_changes_the_trajectory(way, evaluator):
         start = np.ones(1), np.zeros(1)
         path = integrate(lambda q, p: (p @ p + q @ product(q)) / 2, method, start, 0.5, 1, evaluator=evaluator)
         many = integrate_many(
-            lambda q, p: (p @ p + q @ product(q)) / 2, method, (np.ones((2, 1)), np.zeros((2, 1))), 0.5, 1, evaluator=evaluator
+            lambda q, p: (p @ p + q @ product(q)) / 2,
+            method,
+            (np.ones((2, 1)), np.zeros((2, 1))),
+            0.5,
+            1,
+            evaluator=evaluator,
         )
         for end in (path.q[-1, 0], *many.q[:, -1, 0]):
             assert end == pytest.approx((1 - k / 16) / (1 + k / 16), rel=1e-14)
@@ -92,7 +97,9 @@ def test_a_classification_of_other_values_is_refused():
     problem = priced(product)
     found = classify(problem, starts=2)
     change(1.0)
-    with pytest.raises(InvalidInputError, match="classification must be that of the problem with its functions as they are"):
+    with pytest.raises(
+        InvalidInputError, match="classification must be that of the problem with its functions as they are"
+    ):
         solve(problem, Midpoint(Exponential(LINE)), np.zeros(1), np.ones(1), 1.0, 4, classification=found)
 
 

@@ -31,7 +31,8 @@ def arc(degrees: float) -> Solution:
 
 @pytest.mark.parametrize("degrees", [*range(5, 180, 5), 179, 179.9, 180.1, 181, 200, 265, 275, 350])
 def test_a_great_circle_is_a_strict_minimum_up_to_half_a_turn_wherever_nodes_fall(degrees):
-    """Its ends are conjugate at 180 degrees; at 90, where several of these have a node, a free end is at a focal point."""
+    """Its ends are conjugate at 180 degrees; at 90, where several of these have a node, a free end is at a focal
+    point."""
     solution = arc(degrees)
     assert solution.success
     assert solution.cost == pytest.approx(np.deg2rad(degrees) ** 2 / 2, rel=1e-10)
@@ -73,7 +74,8 @@ class Pull(eqx.Module):
 
 @pytest.mark.parametrize("strength", [-2.0, 0.5, 0.99, 1.01, 2.0, 5.0])
 def test_a_terminal_cost_bends_with_its_normal_gradient(strength):
-    """Rest at the pole where ``c q_z`` is greatest: a way of length s costs ``s^2 / 2 + c cos s``, least at 0 for c < 1 only."""
+    """Rest at the pole where ``c q_z`` is greatest: a way of length s costs ``s^2 / 2 + c cos s``, least at 0 for c < 1
+    only."""
     pole, pull = np.array([0.0, 0.0, 1.0]), Pull(jnp.asarray(strength))
     problem = OptimalControlProblem(SPHERE, SPHERE.projection, half_square, 3, terminal_cost=pull.cost)
     guess = Guess(np.tile(pole, (3, 1)), np.zeros((3, 3)))

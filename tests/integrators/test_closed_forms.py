@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, SymplecticIntegrator, Trajectory, integrate
+from retrax.integrators import (
+    OptimalControlProblem,
+    PresymplecticIntegrator,
+    SymplecticIntegrator,
+    Trajectory,
+    integrate,
+)
 from retrax.manifolds import hat
 from retrax.retractions import Cayley, CotangentLift, Midpoint, Projection
 
@@ -61,7 +67,9 @@ def spin(start: tuple, h: float) -> Trajectory:
 def body_momenta(trajectory: Trajectory) -> np.ndarray:
     """``mu`` with ``p = R hat(mu) / 2``."""
     skew = np.einsum("kji,kjl->kil", trajectory.q, trajectory.p)
-    return np.stack([skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1)
+    return np.stack(
+        [skew[:, 2, 1] - skew[:, 1, 2], skew[:, 0, 2] - skew[:, 2, 0], skew[:, 1, 0] - skew[:, 0, 1]], axis=1
+    )
 
 
 def cayley(w: np.ndarray) -> np.ndarray:

@@ -1,4 +1,5 @@
-"""Bounds of controls, constraints, an initial cost and an explicit time: what a problem is told, and what it refuses."""
+"""Bounds of controls, constraints, an initial cost and an explicit time: what a problem is told, and what it
+refuses."""
 
 from types import MappingProxyType
 
@@ -85,7 +86,9 @@ def test_a_problem_without_inequalities_has_none():
 
 
 def test_controls_of_any_shape_have_bounds():
-    grid = OptimalControlProblem(PLANE, lambda q, u: u @ q, lambda q, u: jnp.sum(u**2), Euclidean((2, 2)), control_bounds=(-1, 4))
+    grid = OptimalControlProblem(
+        PLANE, lambda q, u: u @ q, lambda q, u: jnp.sum(u**2), Euclidean((2, 2)), control_bounds=(-1, 4)
+    )
     assert grid.inequality_names[1] == "control_bounds lower[0, 1]"
     np.testing.assert_array_equal(grid.inequalities(np.ones(2), np.arange(4.0).reshape(2, 2))[4:], [-4, -3, -2, -1])
     assert grid.control_bounds[0].shape == (2, 2)
@@ -134,23 +137,38 @@ def test_constraints_belong_to_what_makes_two_problems_equal():
         ({"control_bounds": (0, [1, 0, 1])}, r"control_bounds of u\[1\] are both 0, .*into the dynamics"),
         ({"control_bounds": (np.inf, np.inf)}, r"control_bounds of u\[0\] are inf and inf"),
         ({"control_bounds": (-np.inf, -np.inf)}, r"control_bounds of u\[0\] are -inf and -inf"),
-        ({"control_bounds": (np.nan, 1)}, r"control_bounds: lower has entries that are NaN, expected .* where there is no bound"),
+        (
+            {"control_bounds": (np.nan, 1)},
+            r"control_bounds: lower has entries that are NaN, expected .* where there is no bound",
+        ),
         (
             {"control_bounds": (-1, [1, 1])},
             r"control_bounds: upper has shape \(2,\), expected a number or an array of shape \(3,\)",
         ),
-        ({"control_bounds": (-1, [[1], [1, 2]])}, r"control_bounds: upper is \[\[1\], \[1, 2\]\], expected a number or an array"),
+        (
+            {"control_bounds": (-1, [[1], [1, 2]])},
+            r"control_bounds: upper is \[\[1\], \[1, 2\]\], expected a number or an array",
+        ),
         ({"control_bounds": (None, 1)}, r"control_bounds: lower is None, expected .*-numpy.inf"),
         ({"control_bounds": (1j, 1)}, r"control_bounds: lower is 1j, expected"),
         ({"control_bounds": ("low", "high")}, r"control_bounds: lower is 'low', expected"),
-        ({"control_bounds": (-1, 1), "controls": Sphere(2)}, r"control_bounds are given.*controls in R\^m; try constraints="),
-        ({"constraints": lambda q, u: 0}, r"constraints must be a dictionary of functions by their names, got <function"),
+        (
+            {"control_bounds": (-1, 1), "controls": Sphere(2)},
+            r"control_bounds are given.*controls in R\^m; try constraints=",
+        ),
+        (
+            {"constraints": lambda q, u: 0},
+            r"constraints must be a dictionary of functions by their names, got <function",
+        ),
         ({"constraints": [effort]}, r"constraints must be a dictionary"),
         ({"constraints": {1: effort}}, r"constraints must have names that are words, got 1"),
         ({"constraints": {" ": effort}}, r"constraints must have names that are words, got ' '"),
         ({"constraints": {"control_bounds lower": effort}}, r"which bounds have; try another"),
         ({"constraints": {"cone": 1.0}}, r"constraints\['cone'\] must be a function of a state and a control, got 1.0"),
-        ({"constraints": {"cone": lambda q: 0}}, r"constraints\['cone'\] must be a function of \(q, u\).*got one of \(q\)$"),
+        (
+            {"constraints": {"cone": lambda q: 0}},
+            r"constraints\['cone'\] must be a function of \(q, u\).*got one of \(q\)$",
+        ),
         ({"constraints": {"cone": lambda q, u, t: 0}}, r"constraints\['cone'\] must be .*got one of \(q, u, t\)"),
         ({"initial_cost": 1.0}, r"initial_cost must be a function of q, got 1.0"),
         ({"initial_cost": lambda q, u, p: 0}, r"initial_cost must be a function of q, or of these and parameters"),
@@ -182,13 +200,22 @@ def test_other_mappings_are_taken_and_bounds_that_are_traced_are_not():
 @pytest.mark.parametrize(
     ("constraint", "words"),
     [
-        (lambda q, u: None, r"constraints\['cone'\] must return a real number or a vector of them, got nothing; did it forget"),
+        (
+            lambda q, u: None,
+            r"constraints\['cone'\] must return a real number or a vector of them, got nothing; did it forget",
+        ),
         (lambda q, u: "no", r"must return a real number or a vector of them, got 'no'"),
         (lambda q, u: u[0] < 1, r"must return a real number or a vector of them, got bool values; try jnp.where"),
         (lambda q, u: 1j * u, r"must return a real number or a vector of them, got a complex one"),
-        (lambda q, u: jnp.outer(u, u), r"must return a number or a vector, got an array of shape \(3, 3\); jnp.ravel it"),
+        (
+            lambda q, u: jnp.outer(u, u),
+            r"must return a number or a vector, got an array of shape \(3, 3\); jnp.ravel it",
+        ),
         (lambda q, u: u[0] * q["x"], r"functions fail at a point q of .*constraints\['cone'\], line "),
-        (lambda q, u: jnp.log(-(u[0] ** 2)), r"constraints\['cone'\] is not finite at q = .* u = .*u @ u - a\*\*2 in place"),
+        (
+            lambda q, u: jnp.log(-(u[0] ** 2)),
+            r"constraints\['cone'\] is not finite at q = .* u = .*u @ u - a\*\*2 in place",
+        ),
         (lambda q, u: jnp.sqrt(u @ u) - 1, r"constraints\['cone'\] has no finite derivative by the controls at q = "),
     ],
 )
@@ -210,7 +237,10 @@ LEFT_OUT = {
 
 @pytest.mark.parametrize("name", LEFT_OUT)
 def test_what_treats_no_inequalities_says_so(name):
-    given, words = cart(**LEFT_OUT[name]), rf"the problem has {name}, which .* does not treat; expected a problem without"
+    given, words = (
+        cart(**LEFT_OUT[name]),
+        rf"the problem has {name}, which .* does not treat; expected a problem without",
+    )
     begin = np.zeros(2), np.zeros(2)
     for call in (
         lambda: classify(given),

@@ -160,7 +160,9 @@ def test_its_beginning_must_be_solved():
     """No control moves the second coordinate."""
     stuck = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([u[0], 0 * q[1]]), lambda q, u: u @ u / 2, controls=1)
     with pytest.raises(ConvergenceError):
-        continuation(Solver(stuck, Midpoint(Exponential(PLANE)), 4), lambda place: {**swing_up(place), "parameters": None})
+        continuation(
+            Solver(stuck, Midpoint(Exponential(PLANE)), 4), lambda place: {**swing_up(place), "parameters": None}
+        )
 
 
 def test_a_free_horizon_is_followed():

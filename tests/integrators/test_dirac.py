@@ -1,7 +1,7 @@
 """Nonholonomic constraints: what a Dirac integrator keeps, and what it does not.
 
-The nonholonomic particle: ``H = |p|^2 / 2`` in R^3 with ``z' = y x'``. With ``y = y0 + v t`` it has ``x' = c / sqrt(1 + y^2)``,
-so that ``x = (c/v) asinh y`` and ``z = (c/v) sqrt(1 + y^2)`` up to constants.
+The nonholonomic particle: ``H = |p|^2 / 2`` in R^3 with ``z' = y x'``. With ``y = y0 + v t`` it has ``x' = c / sqrt(1 +
+y^2)``, so that ``x = (c/v) asinh y`` and ``z = (c/v) sqrt(1 + y^2)`` up to constants.
 """
 
 from functools import cache
@@ -56,7 +56,10 @@ def contact_form(q: Array) -> Array:
 
 PARTICLE = DiracSystem(R3, kinetic_energy, contact_form)
 HEIGHT, SPEED, ALONG = 0.3, 0.7, 1.1
-START = jnp.array([0.0, HEIGHT, 0.0]), jnp.array([1.0, 0.0, HEIGHT]) * ALONG / np.hypot(1, HEIGHT) + jnp.array([0.0, SPEED, 0.0])
+START = (
+    jnp.array([0.0, HEIGHT, 0.0]),
+    jnp.array([1.0, 0.0, HEIGHT]) * ALONG / np.hypot(1, HEIGHT) + jnp.array([0.0, SPEED, 0.0]),
+)
 COUNTS = np.array([20, 40, 80])
 
 
@@ -99,7 +102,9 @@ class StageImpulses(Integrator):
 
 
 @eqx.filter_jit
-def run(integrator: Integrator, system: DiracSystem, start: tuple, h: Array, count: Array) -> tuple[tuple, Array, Array]:
+def run(
+    integrator: Integrator, system: DiracSystem, start: tuple, h: Array, count: Array
+) -> tuple[tuple, Array, Array]:
     """The end of ``count`` steps, the largest violation of the constraints, and whether all were solved."""
 
     def step(_: int, state: tuple) -> tuple:
@@ -122,7 +127,11 @@ def rolled(integrator: Integrator, horizon: float, count: int, start: tuple = ST
 def particle(t: float) -> np.ndarray:
     """Its position."""
     y = HEIGHT + SPEED * t
-    return np.array([np.arcsinh(y) - np.arcsinh(HEIGHT), SPEED * y / ALONG, np.hypot(1, y) - np.hypot(1, HEIGHT)]) * ALONG / SPEED
+    return (
+        np.array([np.arcsinh(y) - np.arcsinh(HEIGHT), SPEED * y / ALONG, np.hypot(1, y) - np.hypot(1, HEIGHT)])
+        * ALONG
+        / SPEED
+    )
 
 
 METHODS: dict[str, tuple[Integrator, int]] = {
@@ -183,7 +192,8 @@ def test_steps_are_reversible():
 
 @pytest.mark.slow
 def test_the_form_changes_at_first_order_in_the_step():
-    """The flow of a nonholonomic system is not symplectic: ``(F_h^* omega - omega) / h`` on the constraints has a limit."""
+    """The flow of a nonholonomic system is not symplectic: ``(F_h^* omega - omega) / h`` on the constraints has a
+    limit."""
     bundle = CotangentBundle(R3)
     allowed = Submanifold(bundle, lambda z: PARTICLE.constraint(z[0], PARTICLE.velocity(*z)))
     space = PresymplecticManifold(allowed, bundle.two_form)
@@ -284,7 +294,9 @@ def test_controls_follow_from_the_hamiltonian():
     cost = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(jnp.cosh(u)), 3)
     closed = DiracSystem(R3, lambda q, p: jnp.sum(p * jnp.arcsinh(p) - jnp.sqrt(1 + p * p)), contact_form)
     start = START[0], closed.project(*START)
-    paths = [integrate(system, NODES, start, 0.1, 10) for system in (DiracSystem.controlled(cost, contact_form), closed)]
+    paths = [
+        integrate(system, NODES, start, 0.1, 10) for system in (DiracSystem.controlled(cost, contact_form), closed)
+    ]
     for found, expected in zip(*((path.q, path.p, path.controls) for path in paths), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12)
     free = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(q), 3)

@@ -1,4 +1,5 @@
-"""What is looked at beside the conditions of a solution: for each structure of parameters, and not where it was stopped."""
+"""What is looked at beside the conditions of a solution: for each structure of parameters, and not where it was
+stopped."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -27,7 +28,12 @@ def test_constraints_are_examined_with_parameters_of_any_structure():
         control_bounds=(-3.0, 3.0),
     )
     solver = Solver(problem, METHOD, 6)
-    for parameters, outside in ((np.ones(1), False), (np.full(2, 0.5), False), (np.full(2, 0.7), True), (np.full(1, 1.4), True)):
+    for parameters, outside in (
+        (np.ones(1), False),
+        (np.full(2, 0.5), False),
+        (np.full(2, 0.7), True),
+        (np.full(1, 1.4), True),
+    ):
         found = solver.solve(START, END, 1.0, parameters=parameters, throw=False)
         assert found.success != outside
         assert ("violates" in found.result) == outside
@@ -35,7 +41,9 @@ def test_constraints_are_examined_with_parameters_of_any_structure():
 
 @pytest.mark.parametrize("height", [0.0, 0.1])
 def test_an_iteration_that_was_stopped_is_said_to_be_stopped(height):
-    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2 + height * jnp.where(q[0] > 0.5, 1.0, 0.0), 1)
+    problem = OptimalControlProblem(
+        LINE, lambda q, u: u, lambda q, u: u @ u / 2 + height * jnp.where(q[0] > 0.5, 1.0, 0.0), 1
+    )
     found = Solver(problem, METHOD, 6).solve(START, END, 1.0, callback=lambda iteration: True, throw=False)
     assert not found.success
     assert "stopped" in found.result

@@ -34,7 +34,12 @@ def effort(q, u):
 
 
 CASES = {
-    "cart": (OptimalControlProblem(PLANE, cart, effort, 1), Gauss(2, Exponential(PLANE)), np.zeros(2), np.array([1.0, 0.2])),
+    "cart": (
+        OptimalControlProblem(PLANE, cart, effort, 1),
+        Gauss(2, Exponential(PLANE)),
+        np.zeros(2),
+        np.array([1.0, 0.2]),
+    ),
     "sphere": (
         OptimalControlProblem(SPHERE, pointed, lambda q, u: u @ u / 2 + 0.3 * q[2] ** 2, 3),
         Midpoint(Projection(SPHERE)),
@@ -52,7 +57,9 @@ CASES = {
 
 def loss(found: Extremal):
     """One number of everything that an extremal has."""
-    parts = [jnp.sum(jnp.sin(leaf) * jnp.cos(jnp.arange(leaf.size).reshape(leaf.shape))) for leaf in jax.tree.leaves(found)]
+    parts = [
+        jnp.sum(jnp.sin(leaf) * jnp.cos(jnp.arange(leaf.size).reshape(leaf.shape))) for leaf in jax.tree.leaves(found)
+    ]
     return sum(parts) + found.cost**2
 
 
@@ -73,7 +80,9 @@ def test_both_modes_are_the_differences_of_solutions(name):
 
     def total(aside, horizon, parameters):
         moved = default_retraction(factor)(fixed, aside * axis)
-        return loss(solver.extremal(start, (moved, None) if isinstance(end, tuple) else moved, horizon, parameters=parameters))
+        return loss(
+            solver.extremal(start, (moved, None) if isinstance(end, tuple) else moved, horizon, parameters=parameters)
+        )
 
     at, direction = (0.0, 1.1, DRAG), (0.7, -0.4, {"mass": 0.5, "rates": np.array([0.2, -0.9])})
     plus, minus = (total(*along(at, direction, size)) for size in (1e-5, -1e-5))

@@ -41,7 +41,10 @@ def test_a_flow_has_the_trajectories_of_integrate(name):
         assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (mine, theirs)), strict=True))
         assert mine.evaluator == theirs.evaluator
     sizes = np.linspace(0.05, 0.1, 4)
-    mine, theirs = flow.integrate_many(starts, sizes, 4), integrate_many(system, method, starts, sizes, 4, evaluator=evaluator)
+    mine, theirs = (
+        flow.integrate_many(starts, sizes, 4),
+        integrate_many(system, method, starts, sizes, 4, evaluator=evaluator),
+    )
     assert all(np.array_equal(a, b) for a, b in zip(*map(jax.tree.leaves, (mine, theirs)), strict=True))
 
 

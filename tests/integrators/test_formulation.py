@@ -1,4 +1,5 @@
-"""Free horizons, free parameters and explicit time, against closed forms and against the problem with what was found."""
+"""Free horizons, free parameters and explicit time, against closed forms and against the problem with what was
+found."""
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +31,16 @@ T_BEST = 18**0.25  # of T + 6 / T^3
 
 
 def assert_same_extremal(found, other, tolerance=1e-9):
-    for name in ("times", "stage_times", "states", "costates", "stage_states", "stage_costates", "controls", "hamiltonians"):
+    for name in (
+        "times",
+        "stage_times",
+        "states",
+        "costates",
+        "stage_states",
+        "stage_costates",
+        "controls",
+        "hamiltonians",
+    ):
         pairs = zip(jax.tree.leaves(getattr(found, name)), jax.tree.leaves(getattr(other, name)), strict=True)
         for a, b in pairs:
             np.testing.assert_allclose(a, b, atol=tolerance * (1 + np.max(np.abs(b))), err_msg=name)
@@ -38,7 +48,8 @@ def assert_same_extremal(found, other, tolerance=1e-9):
 
 
 def test_a_free_horizon_is_found_from_far_above_and_below():
-    """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``; two points a step integrate it exactly."""
+    """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``; two points a step integrate it
+    exactly."""
     solver = QUICKLY
     for guess in (0.02 * T_BEST, 0.3 * T_BEST, T_BEST, 5 * T_BEST, 100 * T_BEST):
         found = solver.solve(REST, AHEAD, Free(guess))
@@ -127,7 +138,8 @@ def test_a_parameter_is_optimised(gain):
 
 
 def test_a_parameter_and_the_horizon_are_optimised_together():
-    """With ``int 1 + (u^2 + a^2) / 2``, ``1 + 1 / (2 T^2 (1 + g^2))`` times T is least at ``T^2 = 1 / (2 (1 + g^2))``."""
+    """With ``int 1 + (u^2 + a^2) / 2``, ``1 + 1 / (2 T^2 (1 + g^2))`` times T is least at ``T^2 = 1 / (2 (1 +
+    g^2))``."""
     cost = lambda q, u, given: 1 + u @ u / 2 + given["drift"] @ given["drift"] / 2  # noqa: E731
     both = OptimalControlProblem(LINE, drift, cost, 1)
     given = {"gain": 2.0, "drift": Free(np.zeros(1))}
@@ -141,7 +153,8 @@ MOVING = OptimalControlProblem(LINE, lambda q, u, t: u + jnp.sin(t), lambda q, u
 
 @pytest.mark.parametrize("horizon", [0.5, 2.0, 6.0])
 def test_the_time_in_the_functions(horizon):
-    """``x' = u + sin t`` from 0 to 1: ``u`` is constant, ``(1 - (1 - cos T)) / T``; and ``H = p x' - u^2 / 2`` with ``p = u``."""
+    """``x' = u + sin t`` from 0 to 1: ``u`` is constant, ``(1 - (1 - cos T)) / T``; and ``H = p x' - u^2 / 2`` with ``p
+    = u``."""
     found = solve(MOVING, Gauss(4, Addition(LINE)), np.zeros(1), np.ones(1), horizon, 8)
     best = np.cos(horizon) / horizon
     np.testing.assert_allclose(found.controls, best, rtol=1e-9)
@@ -180,7 +193,9 @@ def test_a_batch_is_solved_at_once():
         assert found.horizon == pytest.approx((18 * ends[k, 0] ** 2) ** 0.25, rel=1e-10)
     several = Solver(DRIFTING, Midpoint(Addition(LINE)), 4)
     given = {"gain": np.array([0.5, 2.0]), "drift": Free(np.zeros((2, 1)))}
-    for gain, found in zip(given["gain"], several.solve_many(np.zeros(1), np.ones(1), 2.0, parameters=given), strict=True):
+    for gain, found in zip(
+        given["gain"], several.solve_many(np.zeros(1), np.ones(1), 2.0, parameters=given), strict=True
+    ):
         assert found.parameters["drift"] == pytest.approx(gain / (2 * (1 + gain**2)), rel=1e-10)
     timed = Solver(MOVING, Gauss(4, Addition(LINE)), 8)
     for horizon, found in zip((1.0, 2.0), timed.solve_many(np.zeros(1), np.ones(1), np.array([1.0, 2.0])), strict=True):
@@ -188,7 +203,8 @@ def test_a_batch_is_solved_at_once():
 
 
 def test_derivatives_of_what_was_found():
-    """``T^4 = 18 L^2``, so that the cost ``4 T / 3`` has the derivative ``2 T / (3 L)`` by the distance, minus the costate."""
+    """``T^4 = 18 L^2``, so that the cost ``4 T / 3`` has the derivative ``2 T / (3 L)`` by the distance, minus the
+    costate."""
     solver = QUICKLY
     found = solver.solve(REST, AHEAD, Free(1.0))
     by = solver.sensitivity(found)
@@ -215,9 +231,12 @@ def test_a_record_with_parameters_is_read_again(tmp_path):
 
 
 def test_bounds_are_inequalities_at_the_first_point():
-    """In the formulation, before any solver: ``log(l / T_0) - s``, ``s - log(u / T_0)``, ``lower - theta``, ``theta - upper``."""
+    """In the formulation, before any solver: ``log(l / T_0) - s``, ``s - log(u / T_0)``, ``lower - theta``, ``theta -
+    upper``."""
     far = {"far": lambda q, u, given: q - given["gain"]}
-    limited = OptimalControlProblem(LINE, drift, lambda q, u, given: u @ u, 1, control_bounds=(-2, np.inf), constraints=far)
+    limited = OptimalControlProblem(
+        LINE, drift, lambda q, u, given: u @ u, 1, control_bounds=(-2, np.inf), constraints=far
+    )
     horizon = Free(2.0, lower=1.0, upper=8.0)
     given = {"gain": 3.0, "drift": Free(np.array([0.5]), upper=np.array([0.75]))}
     formulation = Formulation(limited, Midpoint(Addition(LINE)), Kind.of(horizon, given))
@@ -270,7 +289,10 @@ def test_free_is_frozen():
     [
         ({"horizon": Free(-1.0)}, r"horizon must be free around a positive finite time, got Free\(-1.0"),
         ({"horizon": Free(np.ones(2))}, r"horizon must be free around a positive finite time, got Free\(array"),
-        ({"horizon": Free(2.0), "parameters": {"gain": 1.0}}, r"parameters are given, .* no function of the problem takes them"),
+        (
+            {"horizon": Free(2.0), "parameters": {"gain": 1.0}},
+            r"parameters are given, .* no function of the problem takes them",
+        ),
         ({"horizon": Free(2.0), "guess": 3}, r"guess must be a Guess or a Solution, got 3"),
         (
             {"horizon": Free(2.0), "guess": Guess(np.zeros((5, 2)), np.zeros(5))},
@@ -294,7 +316,8 @@ def test_a_free_horizon_without_a_cost_of_every_control_is_refused(cost):
 
 
 def test_minimum_time_with_bounds():
-    """``|u| <= a`` from rest to rest over the distance 1: full force, then full brake, ``T = 2 / sqrt(a)``, ``H = 0``."""
+    """``|u| <= a`` from rest to rest over the distance 1: full force, then full brake, ``T = 2 / sqrt(a)``, ``H =
+    0``."""
     for bound in (0.25, 1.0, 100.0):
         quickest = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-bound, bound))
         solver = Solver(quickest, GAUSS, 10)
@@ -308,7 +331,8 @@ def test_minimum_time_with_bounds():
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99, 1.01, 1.1, 2.0])
 def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, share):
-    """The multiplier is the derivative of ``T + 6 / T^3`` by the bound; per unit of the time that the first stage stands for."""
+    """The multiplier is the derivative of ``T + 6 / T^3`` by the bound; per unit of the time that the first stage
+    stands for."""
     bound, other = share * T_BEST, share < 1
     holds = other if side == "upper" else not other
     horizon = Free(0.8 * bound, upper=bound) if side == "upper" else Free(1.2 * bound, lower=bound)

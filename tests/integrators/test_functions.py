@@ -88,7 +88,8 @@ def test_an_equal_program_is_not_compiled_again(compilations):
     assert compilations() == 1
 
 
-# Each pair differs in one thing: an operation, its order, a number in the text, a parameter, a kind, what is in a loop or branch.
+# Each pair differs in one thing: an operation, its order, a number in the text, a parameter, a kind, what is in a loop
+# or branch.
 DIFFERENT = {
     "operation": (lambda x: x + 1, lambda x: x - 1),
     "number": (lambda x: x * 2, lambda x: x * 3),

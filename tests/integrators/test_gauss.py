@@ -23,7 +23,16 @@ from retrax.integrators import (
 from retrax.integrators.initial_value.step import StepEquations
 from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, InvalidInputError, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import Addition, Cayley, CotangentLift, Gauss, Midpoint, Projection, Retraction, default_retraction
+from retrax.retractions import (
+    Addition,
+    Cayley,
+    CotangentLift,
+    Gauss,
+    Midpoint,
+    Projection,
+    Retraction,
+    default_retraction,
+)
 from scipy.integrate import solve_ivp
 
 from tests.support.cases import RETRACTIONS
@@ -121,7 +130,8 @@ def usual_or_slow(*values: Any, usual: bool) -> Any:
 
 @cache
 def reference(name: str) -> Callable:
-    """The exact flow by an explicit method of order 8, of the vector field that the canonical form makes of the Hamiltonian."""
+    """The exact flow by an explicit method of order 8, of the vector field that the canonical form makes of the
+    Hamiltonian."""
     subject = SUBJECTS[name]
     space = subject.bundle
     field = compiled(lambda y: flat(hamiltonian_field(space, subject.energy, unflat(space)(y))))
@@ -132,7 +142,8 @@ def reference(name: str) -> Callable:
 
 @cache
 def run(name: str, method: Any, weights: tuple[float, ...] | None = None) -> Callable:
-    """A compiled run over the horizon: the last state, flat, controls of the last step, success. The number of steps is data."""
+    """A compiled run over the horizon: the last state, flat, controls of the last step, success. The number of steps is
+    data."""
     subject = SUBJECTS[name]
     integrator = subject.integrator(method)
     integrator = integrator if weights is None else Composition(integrator, weights)
@@ -163,7 +174,8 @@ def errors_of(name: str, method: Any, counts: Iterable[int], weights: tuple[floa
 @pytest.mark.parametrize(("name", "stages"), [usual_or_slow(*case, usual=case in QUICK) for case in QUICK + OTHERS])
 @pytest.mark.usual("S2-2", "R2-1", "R2-3", "R2-4")
 def test_states_and_covectors_are_of_order_twice_the_number_of_stages(name, stages):
-    counts = np.array(COUNTS[stages]) * (4 if name == "ellipsoid" else 1)  # longer steps there do not show the order yet
+    # Longer steps there do not show the order yet.
+    counts = np.array(COUNTS[stages]) * (4 if name == "ellipsoid" else 1)
     errors = errors_of(name, Gauss(stages, SUBJECTS[name].retraction), counts)
     for column in errors.T:
         assert slope(1 / counts, column, 1e-12) > 2 * stages - 0.3
@@ -180,7 +192,9 @@ def test_controls_at_the_points_are_of_the_order_of_the_stages(stages):
     assert slope(1 / np.array(counts), np.array(errors), 1e-12) > stages + 1 - 0.2
 
 
-@pytest.mark.parametrize("name", ["R2", "regulator", *(usual_or_slow(n, usual=False) for n in ("controlled body", "St42"))])
+@pytest.mark.parametrize(
+    "name", ["R2", "regulator", *(usual_or_slow(n, usual=False) for n in ("controlled body", "St42"))]
+)
 def test_one_stage_is_the_midpoint_map(name):
     retraction = SUBJECTS[name].retraction
     gauss, midpoint = (run(name, m)(16) for m in (Gauss(1, retraction), CotangentLift(Midpoint(retraction))))
@@ -277,7 +291,8 @@ def test_weights_of_a_symmetric_composition_raise_the_order_of_a_gauss_method():
 
 
 def test_a_trajectory_has_a_control_for_each_point_at_its_time(tmp_path):
-    """Of the regulator ``q' = -0.3 q + u``, whose extremals are combinations of ``exp(+- sqrt(1.09) t)`` with ``u = p``."""
+    """Of the regulator ``q' = -0.3 q + u``, whose extremals are combinations of ``exp(+- sqrt(1.09) t)`` with ``u =
+    p``."""
     start = jnp.ones(1), jnp.full(1, -0.4)
     path = integrate(REGULATOR, PresymplecticIntegrator(Gauss(3, LINE)), start, 0.1, 6, save_every=2)
     assert path.controls.shape == (3, 3, 1)
@@ -298,7 +313,8 @@ def test_a_trajectory_has_a_control_for_each_point_at_its_time(tmp_path):
 
 @cache
 def long_step() -> Callable:
-    """Three steps of the pendulum of any length: what is left of the equations of the last one, where it is called solved."""
+    """Three steps of the pendulum of any length: what is left of the equations of the last one, where it is called
+    solved."""
     method = Gauss(2, Projection(SPHERE))
     integrator = SymplecticIntegrator(method)
     z0 = jnp.array([0.6, 0.0, -0.8]), jnp.array([0.4, 0.6, 0.3])

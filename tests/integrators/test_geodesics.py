@@ -91,7 +91,8 @@ def facts_at(name: str, seed: int) -> dict:
 
 
 def spun(x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Attitude of a free symmetric top after unit time: it turns with its angular momentum, and spins back about its axis."""
+    """Attitude of a free symmetric top after unit time: it turns with its angular momentum, and spins back about its
+    axis."""
     omega = np.asarray(vee(x.T @ v))
     back = np.array([0.0, 0.0, (TOP[0] - TOP[2]) * omega[2]])
     return x @ expm(np.asarray(hat(TOP * omega))) @ expm(np.asarray(hat(back)))

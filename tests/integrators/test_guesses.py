@@ -37,7 +37,9 @@ def test_a_function_of_time_is_evaluated_at_the_stages_of_uneven_steps():
 
 @pytest.mark.parametrize("method", [METHOD, Gauss(2, default_retraction(RIGID))])
 def test_two_waypoints_are_the_default_guess(method):
-    assert difference(Guess.from_waypoints(SLEW, method, [START, END], 9), default_guess(SLEW, method, START, END, 9)) == 0
+    assert (
+        difference(Guess.from_waypoints(SLEW, method, [START, END], 9), default_guess(SLEW, method, START, END, 9)) == 0
+    )
 
 
 def test_waypoints_are_passed_at_their_times():
@@ -63,7 +65,9 @@ def test_what_is_no_guess_is_said():
 def test_controls_that_lead_to_infinity_are_told_with_the_time():
     runaway = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.exp(q) + u, half_square, 1)
     with pytest.raises(DomainError, match="no finite state at time"):
-        Guess.from_controls(runaway, Midpoint(default_retraction(Euclidean(1))), np.zeros(1), lambda t: np.ones(1), 20.0, 20)
+        Guess.from_controls(
+            runaway, Midpoint(default_retraction(Euclidean(1))), np.zeros(1), lambda t: np.ones(1), 20.0, 20
+        )
 
 
 def hung(q, u):
@@ -97,7 +101,8 @@ def ways(length, count):
 
 @pytest.mark.parametrize("place", [0, 3])
 def test_gaps_through_the_length_at_which_they_are_measured_along_arcs(place):
-    """From half the largest entry of a node on they are; none of the lengths around that is arrived from in more steps."""
+    """From half the largest entry of a node on they are; none of the lengths around that is arrived from in more
+    steps."""
     sphere = Sphere(2)
     solver = Solver(OptimalControlProblem(sphere, turned, half_square, 3), Midpoint(default_retraction(sphere)), 8)
     start, end = np.array([1.0, 0.0, 0.0]), np.array([np.cos(1.0), np.sin(1.0), 0.0])

@@ -22,11 +22,14 @@ def cart(bound=None, constraints=None):
         return jnp.stack([q[1], u[0]])
 
     bounds = None if bound is None else (-bound, bound)
-    return OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u / 2, 1, control_bounds=bounds, constraints=constraints)
+    return OptimalControlProblem(
+        PLANE, dynamics, lambda q, u: u @ u / 2, 1, control_bounds=bounds, constraints=constraints
+    )
 
 
 def clipped_forces(bound):
-    """The least effort over a unit of way and time in midpoint steps, and its slope: forces are linear in time, and cut off."""
+    """The least effort over a unit of way and time in midpoint steps, and its slope: forces are linear in time, and cut
+    off."""
     t = (np.arange(STEPS) + 0.5) / STEPS
 
     def forces(slope):
@@ -64,7 +67,9 @@ def test_units_do_not_matter(length, time):
 
 @pytest.mark.parametrize("bound", [3.0, 3.9, 3.99])
 def test_bounds_that_do_not_reach_the_end_are_named(bound):
-    solution = solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS, throw=False)
+    solution = solve(
+        cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS, throw=False
+    )
     assert not solution.success
     assert "contradict" in solution.result
     assert "control_bounds upper" in solution.result
@@ -72,12 +77,15 @@ def test_bounds_that_do_not_reach_the_end_are_named(bound):
 
 @pytest.mark.parametrize("bound", [4.01, 4.1])
 def test_bounds_that_barely_reach_the_end_do(bound):
-    assert solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS).success
+    assert solve(
+        cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS
+    ).success
 
 
 @pytest.mark.parametrize("limit", [1 / 12, 1 / 9, 1 / 6, 0.2, 0.3])
 def test_a_state_that_is_kept_below_a_limit(limit):
-    """Bryson and Denham's problem, through the limits at which the state touches at a point (1/4) and along an arc (1/6)."""
+    """Bryson and Denham's problem, through the limits at which the state touches at a point (1/4) and along an arc
+    (1/6)."""
     optimum = 4 / (9 * limit) if limit <= 1 / 6 else 2 + 6 * max(0.0, 1 - 4 * limit) ** 2
     problem = cart(constraints={"height": lambda q, u: q[0] - limit})
     solution = solve(problem, Gauss(3, default_retraction(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0, 60)
@@ -126,7 +134,11 @@ def limited_slew(bound):
         return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
 
     return OptimalControlProblem(
-        attitudes * Euclidean(3), dynamics, lambda q, u: u @ u / 2, 3, control_bounds=None if bound is None else (-bound, bound)
+        attitudes * Euclidean(3),
+        dynamics,
+        lambda q, u: u @ u / 2,
+        3,
+        control_bounds=None if bound is None else (-bound, bound),
     )
 
 
@@ -163,13 +175,16 @@ def avoiding(request):
     """A direction that keeps ``cos`` of its angle from an axis below a number."""
     sphere, axis = Sphere(2), np.array([0.0, 0.6, 0.8])
     cone = {"cone": lambda q, u, p: q @ axis - p}
-    problem = OptimalControlProblem(sphere, lambda q, u, p: jnp.cross(u, q), lambda q, u, p: u @ u / 2, 3, constraints=cone)
+    problem = OptimalControlProblem(
+        sphere, lambda q, u, p: jnp.cross(u, q), lambda q, u, p: u @ u / 2, 3, constraints=cone
+    )
     return Solver(problem, request.param(default_retraction(sphere)), 10)
 
 
 @pytest.mark.parametrize("angle", [1.0, 2.0, 2.2, 2.4, 3.0, 10.0, 25.0])
 def test_derivatives_and_minima_as_a_cone_becomes_active(avoiding, angle):
-    """The way is 2.3 degrees from the axis; around a wider cone, the curvature beside it is not lost in its stiffness."""
+    """The way is 2.3 degrees from the axis; around a wider cone, the curvature beside it is not lost in its
+    stiffness."""
     ends = np.array([0.0, 1.0, 0.0]), np.array([0.05, 0.0, 1.0]) / np.hypot(0.05, 1.0)
     limit, step = np.cos(np.deg2rad(angle)), 1e-6
     solution = avoiding.solve(*ends, 1.0, parameters=limit)
@@ -181,7 +196,9 @@ def test_derivatives_and_minima_as_a_cone_becomes_active(avoiding, angle):
         assert derivative.cost == pytest.approx((near[1].cost - near[0].cost) / (2 * step), rel=1e-6, abs=1e-8)
         for name in ("states", "costates", "controls"):
             difference = (getattr(near[1], name) - getattr(near[0], name)) / (2 * step)
-            np.testing.assert_allclose(getattr(derivative, name), difference, atol=1e-4 * max(1.0, np.max(np.abs(difference))))
+            np.testing.assert_allclose(
+                getattr(derivative, name), difference, atol=1e-4 * max(1.0, np.max(np.abs(difference)))
+            )
 
 
 @pytest.mark.parametrize("degrees", [90.0, 150.0, 179.0, 179.9, 180.0])
@@ -214,7 +231,8 @@ def test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost():
 
 
 def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
-    """A turn about an axis by ``a`` in the time T needs a torque of ``4 J a / T^2``; the cheapest turn has ``6 J a / T^2``."""
+    """A turn about an axis by ``a`` in the time T needs a torque of ``4 J a / T^2``; the cheapest turn has ``6 J a /
+    T^2``."""
     body, inertia, angle = SO(3) * Euclidean(3), jnp.array([3.0, 2.0, 1.5]), 2.0
     end = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
 
@@ -232,7 +250,8 @@ def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
 
 
 def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
-    """A tracker keeps 30 degrees from the sun, which is between its ends: wheels and rates that suffice for less, and barely."""
+    """A tracker keeps 30 degrees from the sun, which is between its ends: wheels and rates that suffice for less, and
+    barely."""
     body, sun, fixed = SO(3) * Euclidean(3), np.array([0.6, 0.8, 0.0]), np.array([0.0, 1.0, 0.0])
     moments = np.array([[0.30, 0.012, -0.004], [0.012, 0.25, 0.006], [-0.004, 0.006, 0.11]])
 
@@ -246,7 +265,9 @@ def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
     problem = OptimalControlProblem(
         body, turning, lambda q, u, inertia: u @ u / 2, 3, control_bounds=(-3e-4, 3e-4), constraints=held
     )
-    start, end = (Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ([10, 0, 0], [-100, 10, 20]))
+    start, end = (
+        Rotation.from_euler("zyx", angles, degrees=True).as_matrix() for angles in ([10, 0, 0], [-100, 10, 20])
+    )
     factors = np.linspace(0.8, 1.3, 13)
     many = Solver(problem, Gauss(2, Cayley(body)), 15).solve_many(
         (start, np.zeros(3)), (end, np.zeros(3)), 90.0, parameters=factors[:, None, None] * moments

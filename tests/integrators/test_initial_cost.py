@@ -47,10 +47,14 @@ def aside(q, weight):
     return -weight * jnp.trace(q) + q[0, 1] ** 2
 
 
-ROTATING = OptimalControlProblem(SO3, drift, half_square, 3, initial_cost=aside, terminal_cost=lambda q, weight: q[0, 2])
+ROTATING = OptimalControlProblem(
+    SO3, drift, half_square, 3, initial_cost=aside, terminal_cost=lambda q, weight: q[0, 2]
+)
 
 
-@pytest.mark.parametrize("method", [Gauss(3, Cayley(SO3)), Midpoint(Cayley(SO3)), Euler(Cayley(SO3))], ids=lambda m: repr(m)[:6])
+@pytest.mark.parametrize(
+    "method", [Gauss(3, Cayley(SO3)), Midpoint(Cayley(SO3)), Euler(Cayley(SO3))], ids=lambda m: repr(m)[:6]
+)
 def test_a_free_start_is_where_a_fixed_one_has_no_derivative(method):
     solver = Solver(ROTATING, method, 6)
     found = solver.solve(None, TARGET, 1.5, parameters=2.0)
@@ -82,7 +86,9 @@ def test_derivatives_with_an_initial_cost(method):
         solver.solve(np.asarray(Cayley(SO3)(jnp.eye(3), s * SO3.basis(jnp.eye(3))[0])), TARGET, 1.5, parameters=2.0)
         for s in (-step, step)
     ]
-    assert solver.sensitivity(fixed).start.cost[0] == pytest.approx((pair[1].cost - pair[0].cost) / (2 * step), rel=1e-6)
+    assert solver.sensitivity(fixed).start.cost[0] == pytest.approx(
+        (pair[1].cost - pair[0].cost) / (2 * step), rel=1e-6
+    )
 
 
 def test_an_initial_cost_with_a_free_horizon_and_bounds():
@@ -103,5 +109,7 @@ def test_an_initial_cost_with_a_free_horizon_and_bounds():
 
 def test_a_singular_problem_with_an_initial_cost_is_refused():
     flat = OptimalControlProblem(LINE, moving, lambda q, u: q[0] ** 2, 1, initial_cost=lambda q: q[0] ** 2)
-    with pytest.raises(InvalidInputError, match="the problem has an initial cost, which solve of a singular problem does not"):
+    with pytest.raises(
+        InvalidInputError, match="the problem has an initial cost, which solve of a singular problem does not"
+    ):
         solve(flat, Midpoint(Addition(LINE)), None, np.zeros(1), 1.0, 4)

@@ -41,7 +41,9 @@ def test_jumps_are_refused_by_what_makes_them(name):
 
 
 def test_jumps_of_the_dynamics_are_refused():
-    given = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u[0] + jnp.round(u[0])]), lambda q, u: u @ u / 2, 1)
+    given = OptimalControlProblem(
+        PLANE, lambda q, u: jnp.stack([q[1], u[0] + jnp.round(u[0])]), lambda q, u: u @ u / 2, 1
+    )
     with pytest.raises(InvalidInputError, match=r"dynamics jumps in the controls at u = .*jnp\.round"):
         given.check(AT, REST)
 

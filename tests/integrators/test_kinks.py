@@ -60,7 +60,11 @@ def mixed(u: Array, weight: Array) -> Array:
 
 
 SWEEPS = {
-    "a kink anywhere": (lambda u, a: jnp.abs(u[0] - a), [0, *10.0 ** np.arange(-12, 5), *(-(10.0 ** np.arange(-4, 4)))], "kink"),
+    "a kink anywhere": (
+        lambda u, a: jnp.abs(u[0] - a),
+        [0, *10.0 ** np.arange(-12, 5), *(-(10.0 ** np.arange(-4, 4)))],
+        "kink",
+    ),
     "of any size": (lambda u, a: a * jnp.abs(u[0]), 10.0 ** np.arange(-15, 16, 3), "kink"),
     "beside a larger slope": (lambda u, a: a * jnp.abs(u[0]) + u[0], 10.0 ** np.arange(-10, 11, 2), "kink"),
     "one-sided": (lambda u, a: jnp.maximum(u[0] - a, 0), [-3.0, 0.0, 1e-3, 3.0], "kink"),
@@ -181,7 +185,11 @@ CURVED = {
     "beside curvature": (lambda u, a: jnp.abs(u[0]) + a * u[0] ** 2, 10.0 ** np.arange(-6, 5), "has a kink"),
     "of a weight": (lambda u, a: a * jnp.abs(u[0]) + u[0] ** 4 + u[0] ** 2, 10.0 ** np.arange(-1, 5), "has a kink"),
     "below rounding in single precision": (lambda u, a: a * jnp.abs(u[0]) + u[0] ** 2, [0.0, 1e-15, 1e-12, 1e-8], ""),
-    "at another control": (lambda u, a: jnp.abs(u[0] - a) + jnp.cosh(u[0]), [-0.5, -1e-3, 1e-9, 0.25, 0.7], "has a kink"),
+    "at another control": (
+        lambda u, a: jnp.abs(u[0] - a) + jnp.cosh(u[0]),
+        [-0.5, -1e-3, 1e-9, 0.25, 0.7],
+        "has a kink",
+    ),
     "one-sided": (lambda u, a: jnp.maximum(u[0] - a, 0) + u[0] ** 2, [-0.3, 0.0, 0.3], "has a kink"),
     "powers": (power, [1.1, 1.2, 1.3, 1.4, 1.5], "grows without bound"),
     "higher powers": (power, [1.95, 2.0, 2.5, 3.0], ""),

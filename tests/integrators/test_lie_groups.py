@@ -15,7 +15,9 @@ def free_motion(group, retraction, inertia, mu, steps=20):
     """A trajectory of the geodesics of a left-invariant metric from the identity, with body covector ``mu``."""
     metric = LeftInvariantMetric(group, inertia)
     start = group.identity, group.covector(group.identity, jnp.asarray(mu))
-    return integrate(metric.kinetic_energy, SymplecticIntegrator(CotangentLift(Midpoint(retraction))), start, 0.05, steps)
+    return integrate(
+        metric.kinetic_energy, SymplecticIntegrator(CotangentLift(Midpoint(retraction))), start, 0.05, steps
+    )
 
 
 def check_momenta(group, motion):
@@ -47,7 +49,8 @@ def test_the_covering_of_rotations_by_unit_quaternions_takes_motions_to_motions(
 
 @pytest.mark.slow
 def test_the_cheapest_turn_of_a_spin_is_a_one_parameter_subgroup():
-    # x' = x hat(u), cost |u|^2 / 2 over time 2: u is constant, x(t) = exp(t hat(u)), the cost |w|^2 / 4 with x(2) = exp(hat(w)).
+    # x' = x hat(u), cost |u|^2 / 2 over time 2: u is constant, x(t) = exp(t hat(u)), the cost |w|^2 / 4 with x(2) =
+    # exp(hat(w)).
     group, w = SU(2), jnp.array([0.5, -1.0, 0.8])
     problem = OptimalControlProblem(group, lambda x, u: x @ group.hat(u), lambda x, u: u @ u / 2, controls=3)
     end = Exponential(group)(group.identity, group.hat(w))

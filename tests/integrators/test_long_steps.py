@@ -1,4 +1,5 @@
-"""Guesses from which Newton's first step is too long, or has no direction: at rest without drift, or opposite to the end."""
+"""Guesses from which Newton's first step is too long, or has no direction: at rest without drift, or opposite to the
+end."""
 
 from functools import cache
 

@@ -36,7 +36,9 @@ def drift() -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
 
 
 @pytest.fixture(
-    scope="module", params=[slew, pytest.param(drift, marks=pytest.mark.slow)], ids=["slew on SO3*R3", "drift on an ellipsoid"]
+    scope="module",
+    params=[slew, pytest.param(drift, marks=pytest.mark.slow)],
+    ids=["slew on SO3*R3", "drift on an ellipsoid"],
 )
 def solved(request: pytest.FixtureRequest) -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
     solve_it: Callable = request.param
@@ -48,7 +50,11 @@ def test_the_initial_value_integrator_reproduces_nodes_costates_and_controls(sol
     integrator = PresymplecticIntegrator(CotangentLift(discretization))
     start = jax.tree.map(jnp.asarray, (at(solution.states, 0), at(solution.costates, 0)))
     trajectory = integrate(problem, integrator, start, float(solution.times[1]), solution.steps)
-    pairs = ((trajectory.q, solution.states), (trajectory.p, solution.costates), (trajectory.controls, solution.controls))
+    pairs = (
+        (trajectory.q, solution.states),
+        (trajectory.p, solution.costates),
+        (trajectory.controls, solution.controls),
+    )
     for reached, expected in pairs:
         for mine, theirs in zip(jax.tree.leaves(reached), jax.tree.leaves(expected), strict=True):
             assert norm(mine - theirs) < 1e-10 * norm(theirs)

@@ -1,4 +1,5 @@
-"""Extremals of one problem from drawn guesses: on a rotation group the geodesics with all numbers of turns are known."""
+"""Extremals of one problem from drawn guesses: on a rotation group the geodesics with all numbers of turns are
+known."""
 
 import jax.numpy as jnp
 import numpy as np

@@ -60,7 +60,9 @@ def pulled() -> Solution:
 
 def test_a_terminal_cost_on_the_rotations_balances_the_way_against_the_rest():
     """``|R - R1|_F^2 = 4 (1 - cos(angle between))``, so the optimum is that of one angle."""
-    best = minimize_scalar(lambda a: a**2 / 2 + 4 * (1 - np.cos(ANGLE - a)), bounds=(0, ANGLE), options={"xatol": 1e-12})
+    best = minimize_scalar(
+        lambda a: a**2 / 2 + 4 * (1 - np.cos(ANGLE - a)), bounds=(0, ANGLE), options={"xatol": 1e-12}
+    )
     assert pulled().cost == pytest.approx(best.fun, abs=1e-12)
 
 
@@ -86,7 +88,8 @@ def test_the_regulator_costs_half_the_hyperbolic_tangent_of_one_to_order_two():
 
 @pytest.mark.parametrize("theta", [0.0, 0.3, 1.0])
 def test_the_regulator_solves_the_discrete_riccati_equation(theta):
-    """The stage is at ``q + theta h u``: minimize ``h ((q + theta h u)^2 + u^2) / 2 + P (q + h u)^2 / 2`` backward in time."""
+    """The stage is at ``q + theta h u``: minimize ``h ((q + theta h u)^2 + u^2) / 2 + P (q + h u)^2 / 2`` backward in
+    time."""
     steps, h, value = 8, 1 / 8, 0.0
     for _ in range(steps):
         uu, qu, qq = h * (theta * h) ** 2 + h + value * h**2, theta * h**2 + value * h, h + value
@@ -129,7 +132,8 @@ def test_rest_at_the_best_place_is_optimal_where_both_ends_are_free():
 
 
 def test_a_hanging_chain_is_found_with_headings_on_the_sphere():
-    """``q' = u`` with ``|u| = 1``, least mean height: rods whose tension ``p = (a, 0, z)`` grows by the weight of a rod."""
+    """``q' = u`` with ``|u| = 1``, least mean height: rods whose tension ``p = (a, 0, z)`` grows by the weight of a
+    rod."""
     steps, distance, space = 10, 0.8, Euclidean(3)
     heights = (np.arange(steps) + 0.5) / steps - 0.5
 

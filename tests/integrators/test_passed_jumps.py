@@ -1,4 +1,5 @@
-"""Hamiltonians that jump along a trajectory, or whose derivatives do not tell of their values: no success without a word."""
+"""Hamiltonians that jump along a trajectory, or whose derivatives do not tell of their values: no success without a
+word."""
 
 import equinox as eqx
 import jax
@@ -64,14 +65,19 @@ def test_jumps_on_the_sphere_are_seen():
     def energy(q: Array, p: Array, height: float) -> Array:
         return pendulum_energy(q, p) + jnp.where(q[1] > 0.3, height, 0.0)
 
-    method, start = SymplecticIntegrator(Gauss(2, Projection(SPHERE))), (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.3]))
+    method, start = (
+        SymplecticIntegrator(Gauss(2, Projection(SPHERE))),
+        (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.3])),
+    )
     for height in (0.0, 1e-8, 1e-3, 1.0):
         path = integrate(lambda q, p, height=height: energy(q, p, height), method, start, 0.05, 40, throw=False)
         assert (path.result == Result.jump) == (height > 1e-6)
 
 
 def test_the_error_names_the_place_and_the_record_keeps_the_result(tmp_path):
-    with pytest.raises(ConvergenceError, match=r"(?s)step 10, from t = 0.5: the Hamiltonian jumps by 0.5 .*a comparison"):
+    with pytest.raises(
+        ConvergenceError, match=r"(?s)step 10, from t = 0.5: the Hamiltonian jumps by 0.5 .*a comparison"
+    ):
         integrate(step(0.5), METHOD, START, 0.05, 40)
     path = integrate(step(0.5), METHOD, START, 0.05, 40, save_every=4, throw=False)
     assert path.failed_step == 8  # the first of the four between two nodes
@@ -88,7 +94,8 @@ def test_each_member_of_a_batch_has_a_result_of_its_own():
 
 
 def test_a_time_that_is_a_coordinate_may_switch_the_hamiltonian():
-    """The momentum of the time jumps there, and nothing depends on it; in a coordinate that moves with its momentum it does."""
+    """The momentum of the time jumps there, and nothing depends on it; in a coordinate that moves with its momentum it
+    does."""
 
     def energy(q: Array, p: Array, entry: int) -> Array:
         return p[0] ** 2 / 2 + q[0] ** 2 / 2 + p[1] + jnp.where(q[entry] > 0.513, 1.0 + q[0], 0.0)

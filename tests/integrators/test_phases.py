@@ -26,7 +26,8 @@ def bang_bang(length, guesses):
 
 
 def test_bang_bang_arcs_of_a_double_integrator():
-    """From rest to rest over L with ``|u| = 1``: both arcs take ``sqrt(L)``, ``H = 0``, and ``dT/dL = 1 / sqrt(L) = p_x``."""
+    """From rest to rest over L with ``|u| = 1``: both arcs take ``sqrt(L)``, ``H = 0``, and ``dT/dL = 1 / sqrt(L) =
+    p_x``."""
     for length, guesses in ((1.0, (0.3, 4.0)), (100.0, (3.0, 3.0))):
         seen = []
         found = solve_phases(bang_bang(length, guesses), callback=lambda one, seen=seen: seen.append(one.cost[0]))
@@ -68,7 +69,8 @@ def test_bang_bang_arcs_of_an_attitude():
         ]
     )
     np.testing.assert_allclose(found.durations, np.sqrt(angle), rtol=1e-9)
-    np.testing.assert_allclose(found.phases[1].multipliers["end"], np.sqrt([0.5, 1.0]), rtol=1e-8)  # dT by angle and rate
+    # dT by angle and rate.
+    np.testing.assert_allclose(found.phases[1].multipliers["end"], np.sqrt([0.5, 1.0]), rtol=1e-8)
     assert found.strict_minimum
 
 
@@ -86,10 +88,18 @@ def test_an_arc_that_rests_between_two_that_do_not():
 
 
 def rocket(dry, duration=0.15):
-    """Two stages: exhaust velocities 3 and 2, masses burn at rate 1, the first drops its dry mass; the final mass is largest."""
-    burning = OptimalControlProblem(PLANE, lambda q, u, c: jnp.stack([c / q[1], -1.0 + 0 * q[1]]), lambda q, u, c: 0.0, 0)
+    """Two stages: exhaust velocities 3 and 2, masses burn at rate 1, the first drops its dry mass; the final mass is
+    largest."""
+    burning = OptimalControlProblem(
+        PLANE, lambda q, u, c: jnp.stack([c / q[1], -1.0 + 0 * q[1]]), lambda q, u, c: 0.0, 0
+    )
     last = OptimalControlProblem(
-        PLANE, burning.dynamics, burning.running_cost, 0, terminal_cost=lambda q, c: -q[1], boundary_constraints={"speed": speed}
+        PLANE,
+        burning.dynamics,
+        burning.running_cost,
+        0,
+        terminal_cost=lambda q, c: -q[1],
+        boundary_constraints={"speed": speed},
     )
     method = Gauss(4, Addition(PLANE))
     return [
@@ -105,7 +115,8 @@ def speed(a, b, c):
 @pytest.mark.slow
 @pytest.mark.parametrize("dry", [0.2, 0.33])
 def test_staging_of_a_rocket(dry):
-    """``ln((m - d) / m_f) = (V - 3 ln(1 / m)) / 2`` is best at the staging mass ``m = 3 d``; the mass costate jumps in no way."""
+    """``ln((m - d) / m_f) = (V - 3 ln(1 / m)) / 2`` is best at the staging mass ``m = 3 d``; the mass costate jumps in
+    no way."""
     found = solve_phases(*rocket(dry))
     mass = 3 * dry
     final = (mass - dry) * np.exp(-(2.5 + 3 * np.log(mass)) / 2)
@@ -130,14 +141,17 @@ def test_a_stage_that_is_best_left_out_is_named():
 def refracted(manifold, method, dynamics, ends, height):
     """Two media above and below ``height(q) = 0``: where the path passes from one to the other is found."""
     costs = [lambda q, u, w=weight: w * u @ u / 2 for weight in (1.0, 3.0)]
-    upper = OptimalControlProblem(manifold, dynamics, costs[0], 3, boundary_constraints={"interface": lambda a, b: height(b)})
+    upper = OptimalControlProblem(
+        manifold, dynamics, costs[0], 3, boundary_constraints={"interface": lambda a, b: height(b)}
+    )
     lower = OptimalControlProblem(manifold, dynamics, costs[1], 3)
     return solve_phases([Phase(upper, method, 4, 1.0, start=ends[0]), Phase(lower, method, 6, 2.0, end=ends[1])])
 
 
 @pytest.mark.slow
 def test_a_path_is_refracted_on_a_sphere_and_in_space():
-    """The costate along the interface is continuous, its normal part jumps by the multiplier; the place is the best one."""
+    """The costate along the interface is continuous, its normal part jumps by the multiplier; the place is the best
+    one."""
     a, b = np.array([0.6, 0.0, 0.8]), np.array([0.0, 0.8, -0.6])
     found = refracted(GLOBE, Gauss(2, default_retraction(GLOBE)), lambda q, u: jnp.cross(u, q), (a, b), lambda q: q[2])
 
@@ -149,7 +163,9 @@ def test_a_path_is_refracted_on_a_sphere_and_in_space():
     q, before, after = found.phases[1].states[0], found.phases[0].costates[-1], found.phases[1].costates[0]
     assert found.cost == pytest.approx(best.fun, rel=1e-7)
     assert np.arctan2(q[1], q[0]) == pytest.approx(best.x, abs=1e-5)
-    np.testing.assert_allclose(before, after - found.phases[0].multipliers["interface"] * np.array([0, 0, 1.0]), atol=1e-9)
+    np.testing.assert_allclose(
+        before, after - found.phases[0].multipliers["interface"] * np.array([0, 0, 1.0]), atol=1e-9
+    )
     space = Euclidean(3)
     found = refracted(space, Midpoint(Addition(space)), lambda q, u: u, (a, b), lambda q: q[2])
     jump = found.phases[1].costates[0] - found.phases[0].costates[-1]
@@ -158,9 +174,11 @@ def test_a_path_is_refracted_on_a_sphere_and_in_space():
 
 @pytest.mark.slow
 def test_a_cycle_of_two_phases():
-    """``x' = u``, ``int u^2 / 2 + (x -+ 1)^2 / 2``, one unit of time each: ``x = +-(1 - cosh(t - 1/2) / cosh(1/2))``."""
+    """``x' = u``, ``int u^2 / 2 + (x -+ 1)^2 / 2``, one unit of time each: ``x = +-(1 - cosh(t - 1/2) /
+    cosh(1/2))``."""
     sides = [
-        OptimalControlProblem(LINE, lambda q, u: u, lambda q, u, s=side: u @ u / 2 + (q[0] - s) ** 2 / 2, 1) for side in (1, -1)
+        OptimalControlProblem(LINE, lambda q, u: u, lambda q, u, s=side: u @ u / 2 + (q[0] - s) ** 2 / 2, 1)
+        for side in (1, -1)
     ]
     phases = [Phase(problem, ALONG, 4, 1.0) for problem in sides]
     phases[0] = phases[0]._replace(start=Free(np.full(1, 0.3)))
@@ -195,7 +213,9 @@ def test_the_time_goes_on_from_phase_to_phase():
 def test_phases_are_one_trajectory():
     """A bounded slew in two phases is the one in one: same steps, same cost, same costates."""
     body = SO(3) * Euclidean(3)
-    slew = OptimalControlProblem(body, lambda q, u: (q[0] @ hat(q[1]), u), lambda q, u: u @ u / 2, 3, control_bounds=(-2.5, 2.5))
+    slew = OptimalControlProblem(
+        body, lambda q, u: (q[0] @ hat(q[1]), u), lambda q, u: u @ u / 2, 3, control_bounds=(-2.5, 2.5)
+    )
     target = np.array([[np.cos(2.0), -np.sin(2.0), 0], [np.sin(2.0), np.cos(2.0), 0], [0, 0, 1.0]])
     start, end, method = (np.eye(3), np.zeros(3)), (target, np.zeros(3)), Gauss(2, Cayley(body))
     one = solve(slew, method, start, end, 2.0, 10)
@@ -218,7 +238,10 @@ def phase(**changes):
         (([],), "solve_phases takes a list of at least one Phase"),
         (([phase(), 3],), "solve_phases takes a list of at least one Phase"),
         (([phase(duration=-1.0)],), "phase 0: duration must be a positive finite time"),
-        (([phase(), phase(duration=Free(-1.0))],), "phase 1: duration must be a positive finite time, or Free, got Free"),
+        (
+            ([phase(), phase(duration=Free(-1.0))],),
+            "phase 1: duration must be a positive finite time, or Free, got Free",
+        ),
         (([phase(start=None)],), r"phase 0 has a start that is free, and nothing .* try start=Free"),
         (([phase(), phase()], [None]), r"links\[0\] must be True for a continuous state"),
         (([phase(), phase()], [True, True, True]), r"links must be a list of 1, one from each phase to the next"),
@@ -229,9 +252,15 @@ def phase(**changes):
         (([phase(), phase(start=None)], [lambda q: q[:1]]), r"the value of links\[0\], a point"),
         (([phase(duration=1.0)], None, 2.0), r"horizon\[0\] depends on"),
         (([phase()], None, np.nan), r"horizon must be a positive finite time, the sum .*, got nan"),
-        (([phase()], None, None, {"a": 3}), r"boundary_constraints\['a'\] must be a function of the ends of all phases"),
+        (
+            ([phase()], None, None, {"a": 3}),
+            r"boundary_constraints\['a'\] must be a function of the ends of all phases",
+        ),
         (([phase()], None, 2.0, {"horizon": lambda ends: 0.0}), r"\['horizon'\] has a name under which"),
-        (([phase()], None, None, {"start of phase 0": lambda ends: 0.0}), r"\['start of phase 0'\] has a name under which"),
+        (
+            ([phase()], None, None, {"start of phase 0": lambda ends: 0.0}),
+            r"\['start of phase 0'\] has a name under which",
+        ),
         (([phase()], None, None, None, 3), r"guess must be a PhasedSolution of 1 phase, got 3; try"),
         (([phase(guess=3)],), r"phase 0: guess must be a Guess or a Solution, got 3; try"),
         (([phase(parameters=None)],), r"phase 0: the problem's functions take parameters, and none are given"),
@@ -250,7 +279,10 @@ def test_what_are_no_phases_is_named(given, words):
 @pytest.mark.slow
 def test_boundary_constraints_of_all_phases():
     """Both arcs of equal length, though the second brakes twice as hard: from rest over L to the speed that is left."""
-    phases = [bang_bang(1.0, (1.0, 1.0))[0], Phase(FORCED, GAUSS, 2, Free(1.0), end=Free(np.array([1.0, 0.0])), parameters=-0.5)]
+    phases = [
+        bang_bang(1.0, (1.0, 1.0))[0],
+        Phase(FORCED, GAUSS, 2, Free(1.0), end=Free(np.array([1.0, 0.0])), parameters=-0.5),
+    ]
     between = {
         "same": lambda ends: ends[0].duration - ends[1].duration,
         "there": lambda ends: ends[1].end[0] - 1.0,

@@ -1,4 +1,5 @@
-"""Integration in pieces: the numbers of one loop, whatever the pieces; compiled once; interrupted with what was reached."""
+"""Integration in pieces: the numbers of one loop, whatever the pieces; compiled once; interrupted with what was
+reached."""
 
 import logging
 import signal
@@ -50,7 +51,9 @@ def shear(q):
     return jnp.array([[q[1], 1.0]])
 
 
-CONTROLLED = OptimalControlProblem(PLANE, lambda q, u: jnp.array([q[1], u[0] - q[0] ** 3]), lambda q, u: u @ u / 2 + q @ q, 1)
+CONTROLLED = OptimalControlProblem(
+    PLANE, lambda q, u: jnp.array([q[1], u[0] - q[0] ** 3]), lambda q, u: u @ u / 2 + q @ q, 1
+)
 CONSTRAINED = DiracSystem(PLANE, quartic, shear)
 SYSTEMS = {
     "Hamiltonian": (quartic, MIDPOINT, START),
@@ -93,7 +96,9 @@ def require_same(path: Trajectory, other: Trajectory) -> None:
         assert norm(mine - theirs) < 1e-12
 
 
-@pytest.mark.parametrize("name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])])
+@pytest.mark.parametrize(
+    "name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])]
+)
 def test_pieces_are_the_one_loop_that_is_traced(name, taken, monkeypatch):
     """Through pieces that end within blocks of ``save_every`` steps, at their ends, and where no more can be kept."""
     system, method, start = SYSTEMS[name]
@@ -124,7 +129,9 @@ def test_a_step_that_fails_in_any_piece_ends_the_trajectory_there(taken, monkeyp
     heights = jnp.append(jnp.linspace(0.02, 2.6, 32), 9.0)
 
     def run(height, every=1) -> Trajectory:
-        return integrate(BelowHeight(height), MIDPOINT, (np.zeros(2), np.array([0.0, 1.0])), 0.1, STEPS, every, throw=False)
+        return integrate(
+            BelowHeight(height), MIDPOINT, (np.zeros(2), np.array([0.0, 1.0])), 0.1, STEPS, every, throw=False
+        )
 
     whole = jax.jit(jax.vmap(run))(heights)
     failed = set()
@@ -150,7 +157,9 @@ def compilations():
     jax.monitoring.unregister_event_duration_listener(listen)
 
 
-@pytest.mark.parametrize("name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])])
+@pytest.mark.parametrize(
+    "name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])]
+)
 def test_another_number_of_steps_compiles_nothing(name, compilations):
     system, method, start = SYSTEMS[name]
     integrate(system, method, start, 0.1, 3)

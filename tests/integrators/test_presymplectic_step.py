@@ -1,6 +1,7 @@
 """One step of an optimal control problem: Definition 1 of the paper, and what follows from it.
 
-``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in ``S_H``, over its base point ``(x, pi)`` and the control ``u`` of the stage.
+``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in ``S_H``, over its base point ``(x, pi)`` and the control ``u`` of the
+stage.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,15 @@ from retrax.integrators.extremal_controls import extremal_control
 from retrax.integrators.initial_value import lifted_step
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Midpoint, Projection, Theta, default_retraction
+from retrax.retractions import (
+    CotangentLift,
+    DiscretizationMap,
+    Exponential,
+    Midpoint,
+    Projection,
+    Theta,
+    default_retraction,
+)
 
 from tests.support.numerics import SEEDS, compiled, norm
 
@@ -65,7 +74,10 @@ MAPS: dict[str, DiscretizationMap] = {
 }
 on_every_problem = pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=[pytest.mark.slow] * (name in ("steered sphere", "underactuated body"))) for name in PROBLEMS],
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("steered sphere", "underactuated body")))
+        for name in PROBLEMS
+    ],
 )
 
 

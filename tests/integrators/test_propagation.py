@@ -46,7 +46,8 @@ def stage_times(times: np.ndarray, stages: int) -> np.ndarray:
 
 
 def reference(field: Callable, start: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """States at the nodes from SciPy, in the ambient space, one step after the other: controls may jump between them."""
+    """States at the nodes from SciPy, in the ambient space, one step after the other: controls may jump between
+    them."""
     states = [start]
     for begin, end in pairwise(times):
         states.append(solve_ivp(field, (begin, end), states[-1], "DOP853", rtol=1e-13, atol=1e-14).y[:, -1])
@@ -59,7 +60,9 @@ def body_states(times: np.ndarray, degree: int) -> tuple[np.ndarray, np.ndarray]
     def field(t: float, y: np.ndarray) -> np.ndarray:
         attitude, rate = y[:9].reshape(3, 3), y[9:]
         momentum = INERTIA * rate
-        return np.concatenate([np.cross(attitude, rate[None]).ravel(), (torque(t, degree) - np.cross(rate, momentum)) / INERTIA])
+        return np.concatenate(
+            [np.cross(attitude, rate[None]).ravel(), (torque(t, degree) - np.cross(rate, momentum)) / INERTIA]
+        )
 
     y = reference(field, np.concatenate([rotation([0.4, -0.2, 0.1]).ravel(), [0.3, -0.5, 0.8]]), times)
     return y[:, :9].reshape(-1, 3, 3), y[:, 9:]
@@ -82,7 +85,8 @@ def body_error(propagator: Propagator, stages: int, states: tuple) -> Discretiza
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 4])
 def test_states_off_by_known_distances(propagator: Propagator, stages: int) -> None:
-    """From rounding to most of a turn: through the decision whether steps are propagated at once or one after the other."""
+    """From rounding to most of a turn: through the decision whether steps are propagated at once or one after the
+    other."""
     attitudes, rates = body_states(TIMES, stages - 1)
     axis = np.array([2.0, -1.0, 2.0]) / 3
     for angle in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.03, 0.1, 0.3, 1.0, 2.0, 3.0):
@@ -127,7 +131,9 @@ def test_stiff_dynamics_are_resolved_or_said_not_to_be(stiffness: float) -> None
     line = OptimalControlProblem(Euclidean(1), lambda q, u: stiffness * (u - q), half_square, 1)
     times = np.linspace(0, 1, 11)
     exact = 1 + np.exp(-stiffness * times)[:, None]
-    found = Propagator(line, Exponential(Euclidean(1))).discretization_error(times, exact, times[:-1] + 0.05, np.ones((10, 1)))
+    found = Propagator(line, Exponential(Euclidean(1))).discretization_error(
+        times, exact, times[:-1] + 0.05, np.ones((10, 1))
+    )
     assert np.isinf(found.resolution["R^1"]) or found.largest["R^1"] <= found.resolution["R^1"] + 1e-13
 
 
@@ -185,7 +191,8 @@ def test_controls_on_a_sphere() -> None:
 
 @cache
 def gauss_run(name: str, stages: int) -> tuple[Propagator, Callable]:
-    """States of collocation under controls at its stages, by fixed-point iteration, the number of steps as data; compiled."""
+    """States of collocation under controls at its stages, by fixed-point iteration, the number of steps as data;
+    compiled."""
     problem, retraction, start = SUBJECTS[name]
     method, n = Gauss(stages, retraction), problem.manifold.dimension
 
@@ -283,6 +290,8 @@ def test_distances_of_factors() -> None:
 def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int) -> None:
     rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
     ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)
-    coarse, fine = (discretization_error(problem(), Cayley(RIGID), solve(problem(), method, *ends, 1.0, n)) for n in (8, 16))
+    coarse, fine = (
+        discretization_error(problem(), Cayley(RIGID), solve(problem(), method, *ends, 1.0, n)) for n in (8, 16)
+    )
     for name in NAMES:
         assert np.log2(coarse.largest[name] / fine.largest[name]) == pytest.approx(2 * stages, abs=0.25)

@@ -82,7 +82,8 @@ def test_limits_that_are_independent_say_nothing():
 
 
 def test_an_end_outside_a_constraint_is_no_success():
-    """The constraint holds at the stages, which begin behind the start: through the place at which the start is on it."""
+    """The constraint holds at the stages, which begin behind the start: through the place at which the start is on
+    it."""
     solver = solver_of({"gate": lambda q, u, place: place - q[0]})
     for place in (-0.5, -1e-9, 0.0, 1e-6, 1e-3, 0.1):
         found = solved(solver, place)
@@ -93,7 +94,8 @@ def test_an_end_outside_a_constraint_is_no_success():
 
 
 def test_an_end_outside_a_constraint_is_named_where_the_solve_fails():
-    """A force that cannot leave the forbidden side before the first stage, through the place at which the start is on it."""
+    """A force that cannot leave the forbidden side before the first stage, through the place at which the start is on
+    it."""
     solver = solver_of({"gate": lambda q, u, place: place - q[0]}, control_bounds=(-8.0, 8.0))
     for place in (-0.5, 0.0, 0.1, 0.3):
         found = solved(solver, place)
@@ -102,14 +104,17 @@ def test_an_end_outside_a_constraint_is_named_where_the_solve_fails():
 
 
 def test_two_bounds_of_one_control_are_not_said_to_leave_no_room():
-    """An end that cannot be reached, because the momentum of a wheel changes as that of its body: through the one that can."""
+    """An end that cannot be reached, because the momentum of a wheel changes as that of its body: through the one that
+    can."""
 
     def wheel(q: Array, u: Array) -> Array:
         return jnp.stack([q[1], u[0], -u[0]])
 
     space = Euclidean(3)
     limits = {"wheel": lambda q, u: q[2] ** 2 - 4.0}
-    problem = OptimalControlProblem(space, wheel, lambda q, u: u @ u / 2, 1, constraints=limits, control_bounds=(-6.5, 6.5))
+    problem = OptimalControlProblem(
+        space, wheel, lambda q, u: u @ u / 2, 1, constraints=limits, control_bounds=(-6.5, 6.5)
+    )
     solver = Solver(problem, Gauss(2, Addition(space)), 10)
     for last in (0.0, 1e-3, 1.0):
         found = solver.solve(np.zeros(3), np.array([1.0, 0.0, last]), 1.0, throw=False)
@@ -142,6 +147,8 @@ def test_the_stages_at_which_a_limit_holds_are_counted():
 
 def test_a_bound_that_holds_all_along_is_counted_at_all_stages():
     line = Euclidean(1)
-    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: (u[0] - 2) ** 2 / 2, 1, control_bounds=(-1.0, 1.0))
+    problem = OptimalControlProblem(
+        line, lambda q, u: u, lambda q, u: (u[0] - 2) ** 2 / 2, 1, control_bounds=(-1.0, 1.0)
+    )
     found = Solver(problem, Gauss(2, Addition(line)), 5).solve(np.zeros(1), None, 1.0)
     assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 10}

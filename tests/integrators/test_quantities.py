@@ -1,4 +1,5 @@
-"""Labels and units of a problem: one for each array, or for each entry of one, in records, files, reports and statements."""
+"""Labels and units of a problem: one for each array, or for each entry of one, in records, files, reports and
+statements."""
 
 from dataclasses import replace
 
@@ -50,7 +51,9 @@ def test_entries_of_a_vector_have_names_and_units_if_there_are_as_many(count):
         for option in ("labels", "units"):
             with pytest.raises(InvalidInputError, match="one for each of its entries"):
                 Quantities.of(
-                    Euclidean(count), Euclidean(1), *({"states": words} if option == o else None for o in ("labels", "units"))
+                    Euclidean(count),
+                    Euclidean(1),
+                    *({"states": words} if option == o else None for o in ("labels", "units")),
                 )
         return
     found = Quantities.of(Euclidean(3), Euclidean(1), {"states": words}, {"states": ("m", "m", "rad"), "controls": "N"})
@@ -87,7 +90,10 @@ def test_other_texts_are_no_quantities(text):
 
 
 def test_names_follow_a_problem_into_its_solutions_and_their_files(tmp_path):
-    names = {"labels": {"states": "attitude", "controls": "rate"}, "units": {"controls": "rad/s", "time": "s", "cost": "rad^2/s"}}
+    names = {
+        "labels": {"states": "attitude", "controls": "rate"},
+        "units": {"controls": "rad/s", "time": "s", "cost": "rad^2/s"},
+    }
     problem = OptimalControlProblem(SO(3), lambda q, u, a: a * q @ hat(u), lambda q, u: 1 + u @ u / 2, 3, **names)
     assert str(problem).splitlines()[-2:] == ["where       q: attitude", "            u: rate [rad/s]"]
     end = np.asarray(Cayley(SO(3))(jnp.eye(3), hat(jnp.array([0.3, 0.2, 0.1]))))

@@ -1,4 +1,5 @@
-"""Files of solutions and trajectories: what is not a whole record of its kind is refused in one sentence, and never loaded."""
+"""Files of solutions and trajectories: what is not a whole record of its kind is refused in one sentence, and never
+loaded."""
 
 import io
 import pickle
@@ -41,8 +42,8 @@ NUMBERS = 1e-15, 2e-14, {"kind": 1e-16, "x/0": 0.0}, 0.5, 1e-3, 1.0, {"SO(3)": 1
 CHECKS = SingularChecks(*NUMBERS)
 ARC = SingularArc(4, 1, 1, "rattle: because", True, {"start": 1e-12}, 3, "positive")
 SOLUTION = Solution(
-    TIMES, along(N + 1), along(N + 1), TIMES[:-1] + 0.1, along(N), along(N), RANDOM.normal(size=(N, 2)), np.full(N, 0.5),
-    {"SO(3)": np.ones((N + 1, 3))}, {"SO(3)": np.ones((N + 1, 3))}, {}, 0.7, True, "Solved.", CHECKS,
+    TIMES, along(N + 1), along(N + 1), TIMES[:-1] + 0.1, along(N), along(N), RANDOM.normal(size=(N, 2)),
+    np.full(N, 0.5), {"SO(3)": np.ones((N + 1, 3))}, {"SO(3)": np.ones((N + 1, 3))}, {}, 0.7, True, "Solved.", CHECKS,
     Statistics(4, 0.1, 0.2), ARC,
 )  # fmt: skip
 TRAJECTORY = Trajectory(
@@ -54,7 +55,10 @@ BETWEEN = Interpolant(default_retraction(PLACES), Euclidean(2))
 RECORDS = {
     "solution with polynomials": (replace(SOLUTION, interpolant=BETWEEN), load_solution),
     "solution": (SOLUTION, load_solution),
-    "regular solution": (replace(SOLUTION, singular=None, momenta={}, checks=RegularChecks(*NUMBERS, True)), load_solution),
+    "regular solution": (
+        replace(SOLUTION, singular=None, momenta={}, checks=RegularChecks(*NUMBERS, True)),
+        load_solution,
+    ),
     "trajectory": (TRAJECTORY, load_trajectory),
     "trajectory without controls": (replace(TRAJECTORY, controls=None), load_trajectory),
 }
@@ -68,7 +72,9 @@ def record(request):
 def contents(record) -> dict:
     """The fields of a record, with those of the records in it."""
     values = {field.name: getattr(record, field.name) for field in fields(record)}
-    return {name: contents(value) if is_dataclass(value) and name != "result" else value for name, value in values.items()}
+    return {
+        name: contents(value) if is_dataclass(value) and name != "result" else value for name, value in values.items()
+    }
 
 
 def same(one, other) -> bool:
@@ -85,7 +91,9 @@ def saved(record, tmp_path):
 
 def require_refused(load, path) -> None:
     """Refused in one sentence, which names the file and what was expected."""
-    with pytest.raises(InvalidInputError, match=rf"(?s){re.escape(str(path))} is not a saved .*; expected a file from \w+.save"):
+    with pytest.raises(
+        InvalidInputError, match=rf"(?s){re.escape(str(path))} is not a saved .*; expected a file from \w+.save"
+    ):
         load(path)
 
 
@@ -159,7 +167,8 @@ def test_a_file_that_is_cut_anywhere_is_refused(record, tmp_path):
 
 
 def test_a_byte_that_flips_anywhere_is_refused_or_means_nothing(record, tmp_path):
-    """What is stored has a checksum; in the archive's tables some bytes, such as the dates, mean nothing to the record."""
+    """What is stored has a checksum; in the archive's tables some bytes, such as the dates, mean nothing to the
+    record."""
     path, content = saved(record[0], tmp_path)
     refused = 0
     for position in range(0, len(content), 179):
@@ -182,7 +191,9 @@ class Dangerous:
         return exec, ("raise SystemExit('executed')",)
 
 
-@pytest.mark.parametrize("kind", ["empty", "text", "array", "pickle", "archive", "folder", "other record", "zip of text"])
+@pytest.mark.parametrize(
+    "kind", ["empty", "text", "array", "pickle", "archive", "folder", "other record", "zip of text"]
+)
 def test_what_is_no_record_is_refused(record, kind, tmp_path):
     path = tmp_path / "thing.npz"
     buffer = io.BytesIO()
@@ -212,7 +223,9 @@ def test_another_version_is_refused_in_words(record, version, tmp_path):
     name = type(record[0]).__name__
     expected = f"retrax.{name} {'4' if name == 'Solution' else '1'}"
     np.savez(path, **{**np.load(path), "schema": np.asarray(f"retrax.{name} {version}")})
-    with pytest.raises(InvalidInputError, match=f"schema retrax.{name} {version}, where this version .* reads '{expected}'"):
+    with pytest.raises(
+        InvalidInputError, match=f"schema retrax.{name} {version}, where this version .* reads '{expected}'"
+    ):
         record[1](path)
 
 
@@ -270,11 +283,15 @@ def test_complex_controls_of_a_real_manifold_are_refused(tmp_path):
             load_solution(tmp_path / "complex.npz")
 
 
-@pytest.mark.parametrize(("result", "failed"), [("successful", 3), ("step_not_solved", -1), ("interrupted", 0), ("singular", -1)])
+@pytest.mark.parametrize(
+    ("result", "failed"), [("successful", 3), ("step_not_solved", -1), ("interrupted", 0), ("singular", -1)]
+)
 def test_a_trajectory_and_its_result_agree(result, failed, tmp_path):
     path, _ = saved(TRAJECTORY, tmp_path)
     np.savez(path, **{**np.load(path), "result": np.asarray(result), "failed_step": np.asarray(failed)})
-    with pytest.raises(InvalidInputError, match=r"the failed step is|the result is 'singular', expected one of successful"):
+    with pytest.raises(
+        InvalidInputError, match=r"the failed step is|the result is 'singular', expected one of successful"
+    ):
         load_trajectory(path)
 
 

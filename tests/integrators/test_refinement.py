@@ -90,7 +90,9 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert structure.sides.tolist() == [[sign], [-sign]]
             side = found.multipliers["control_bounds upper"] - found.multipliers["control_bounds lower"]
             np.testing.assert_array_equal(np.sign(side[:, 0]), np.sign(found.controls[:, 0]))
-            counts = {name: np.sum(rows > 0) for name, rows in found.multipliers.items() if name.startswith("control_bounds")}
+            counts = {
+                name: np.sum(rows > 0) for name, rows in found.multipliers.items() if name.startswith("control_bounds")
+            }
             assert found.checks.active == counts
 
 
@@ -122,7 +124,8 @@ NEAR = 1.0 + np.array([-1e-5, -1e-8, 1e-9, 1e-7, 1e-2])
 
 @pytest.mark.parametrize("shares", [(1 - 5e-7,), pytest.param(tuple(NEAR), marks=pytest.mark.slow)])
 def test_a_bound_of_the_horizon_holds_in_arcs_where_it_pulls(shares):
-    """It passes the horizon in arcs, then that of the first mesh, which is too long; nearby it holds what it pulls alone."""
+    """It passes the horizon in arcs, then that of the first mesh, which is too long; nearby it holds what it pulls
+    alone."""
     least, _, _ = quickest(0.9)
     ends = np.array([0.0, 0.9]), np.array([1.0, 0.0])
     for share in shares:
@@ -160,7 +163,8 @@ def test_a_bound_that_becomes_inactive():
 
 @pytest.mark.slow
 def test_what_is_violated_between_the_points():
-    """The largest excess along the polynomials, and none of it at the points; refinement sees what depends on states alone."""
+    """The largest excess along the polynomials, and none of it at the points; refinement sees what depends on states
+    alone."""
     low = {"ceiling": lambda q, u: q[0] - 1 / 9}
     problem = OptimalControlProblem(PLANE, cart, energy, 1, constraints=low)
     given = problem, Gauss(3, Addition(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0

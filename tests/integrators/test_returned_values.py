@@ -79,7 +79,9 @@ def test_what_is_no_velocity_is_named(dynamics, words):
 
 @pytest.mark.parametrize("start", [REST + 0j, np.zeros(2, bool), np.array(["a", "b"]), np.array([None, 1])])
 def test_points_of_other_kinds_are_refused(start):
-    with pytest.raises(NotOnManifoldError, match=r"start: .* (real entries, got complex|numbers as entries, got an array)"):
+    with pytest.raises(
+        NotOnManifoldError, match=r"start: .* (real entries, got complex|numbers as entries, got an array)"
+    ):
         solve(OptimalControlProblem(PLANE, cart, effort, 1), MIDPOINT, start, AHEAD, 1.0, 4)
 
 
@@ -101,7 +103,9 @@ def test_single_precision_is_raised_with_a_warning(where):
     functions[where] = lambda q, u: function(q, u).astype(jnp.float32)
     assert exact(REST, jnp.ones(1)).dtype == float
     with pytest.warns(UserWarning, match=f"{where} returns float32 values where float64 is in use") as caught:
-        solution = solve(OptimalControlProblem(PLANE, **functions, controls=1), MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=1e-5)
+        solution = solve(
+            OptimalControlProblem(PLANE, **functions, controls=1), MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=1e-5
+        )
     assert solution.cost == pytest.approx(600 / 99, rel=1e-5)
     assert caught[0].filename == __file__, "the line is the one that called the library"
 
@@ -135,7 +139,9 @@ class Called(eqx.Module):
 @pytest.mark.parametrize("cost", [branching, Called(), partial(branching), lambda q, u: branching(q, u)])
 def test_a_function_that_jax_cannot_trace_is_named_with_its_line(cost):
     line = branching.__code__.co_firstlineno + 1
-    words = rf"fail at a point q of R\^2.* in running_cost, line {line} of {__file__}: JAX cannot trace them \(TracerBool"
+    words = (
+        rf"fail at a point q of R\^2.* in running_cost, line {line} of {__file__}: JAX cannot trace them \(TracerBool"
+    )
     for run in (
         lambda: solve(OptimalControlProblem(PLANE, cart, cost, 1), MIDPOINT, REST, AHEAD, 1.0, 4),
         lambda: classify(OptimalControlProblem(PLANE, cart, cost, 1)),

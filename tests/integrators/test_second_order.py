@@ -75,7 +75,10 @@ def test_half_a_turn_is_one_of_many_and_no_strict_minimum():
     assert solution.cost == pytest.approx(np.pi**2 / 2, rel=1e-10)
     assert not solution.checks.strict_minimum
     said = " ".join(str(solution).split())
-    assert "may be conjugate, as opposite ones of a sphere, or it is a saddle; try another guess, as Guess.from_waypoints" in said
+    assert (
+        "may be conjugate, as opposite ones of a sphere, or it is a saddle; try another guess, as Guess.from_waypoints"
+        in said
+    )
 
 
 def from_a_noisy_guess(seed: int, noise: float, **options) -> Solution:

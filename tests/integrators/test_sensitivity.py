@@ -77,7 +77,9 @@ SUBJECTS = {
     "caught cart": Subject(CAUGHT, Gauss(2, Exponential(PLANE)), UNEQUAL, np.zeros(2), None),
     "theta": Subject(CAUGHT, Theta(Exponential(PLANE), 0.3), 4, np.zeros(2), np.array([1.0, 0.0])),
     "sphere": Subject(ON_SPHERE, Midpoint(Projection(SPHERE)), 4, np.array([1.0, 0, 0]), np.array([0.6, 0, 0.8])),
-    "sphere by Gauss": Subject(ON_SPHERE, Gauss(2, Projection(SPHERE)), 3, np.array([1.0, 0, 0]), np.array([0.6, 0, 0.8])),
+    "sphere by Gauss": Subject(
+        ON_SPHERE, Gauss(2, Projection(SPHERE)), 3, np.array([1.0, 0, 0]), np.array([0.6, 0, 0.8])
+    ),
     "slew": Subject(SLEW, Midpoint(default_retraction(RIGID)), 4, *TURN),
     "slew by Gauss": Subject(SLEW, Gauss(2, default_retraction(RIGID)), UNEQUAL[:3], TURN[0], (TURN[1][0], None)),
     "boat": Subject(BOAT, Midpoint(Exponential(Euclidean(3))), 4, np.zeros(3), np.array([0.3, 0.9, -0.2])),
@@ -88,7 +90,11 @@ OFTEN = "cart", "caught cart", "theta", "sphere by Gauss", "slew"
 def moved(manifold, point, k, size):
     """A point moved along the basis vector number ``k``, with None where it is free."""
     known = jax.tree.map(lambda s: jnp.zeros(s.shape), manifold.ambient) if point is None else point
-    known = tuple(jnp.zeros(3) if part is None else jnp.asarray(part) for part in known) if isinstance(known, tuple) else known
+    known = (
+        tuple(jnp.zeros(3) if part is None else jnp.asarray(part) for part in known)
+        if isinstance(known, tuple)
+        else known
+    )
     direction = jax.tree.map(lambda leaf: size * leaf[k], manifold.basis(known))
     found = default_retraction(manifold)(known, direction)
     if isinstance(point, tuple):
@@ -101,7 +107,9 @@ def assert_derivative(found, place, solutions, what, tolerance=1e-8):
     plus, minus = solutions
     for name in NAMES:
         own = getattr(found, name)
-        for one, a, b in zip(*(jax.tree.leaves(t) for t in (own, getattr(plus, name), getattr(minus, name))), strict=True):
+        for one, a, b in zip(
+            *(jax.tree.leaves(t) for t in (own, getattr(plus, name), getattr(minus, name))), strict=True
+        ):
             expected = (a - b) / (2 * DIFFERENCE)
             limit = tolerance * (1 + np.max(np.abs(expected)))
             np.testing.assert_allclose(one[place], expected, rtol=0, atol=limit, err_msg=f"{name} by {what}")
@@ -129,7 +137,9 @@ def test_derivatives_are_those_of_differences(name):
         else:
             assert all(np.all(leaf[k] == 0) for leaf in jax.tree.leaves([getattr(found.end, part) for part in NAMES]))
     assert_derivative(found.horizon, (), pair(lambda e: (start, end, 1.1 + e, MASS)), "horizon")
-    assert_derivative(found.parameters["mass"], (), pair(lambda e: (start, end, 1.1, {**MASS, "mass": 1.3 + e})), "mass")
+    assert_derivative(
+        found.parameters["mass"], (), pair(lambda e: (start, end, 1.1, {**MASS, "mass": 1.3 + e})), "mass"
+    )
     for k in range(2):
         rate = MASS["rates"] * 0 + np.eye(2)[k]
         both = pair(lambda e, rate=rate: (start, end, 1.1, {**MASS, "rates": MASS["rates"] + e * rate}))
@@ -145,7 +155,8 @@ def oscillator():
 
 @pytest.mark.parametrize("offset", [s * 10.0**-k for k in (1, 3, 5, 7, 9) for s in (1, -1)])
 def test_derivatives_grow_towards_a_conjugate_point(oscillator, offset):
-    """They are ``sin t / sin T`` by the end, in the angles of the midpoint rule; none are given with less than six digits."""
+    """They are ``sin t / sin T`` by the end, in the angles of the midpoint rule; none are given with less than six
+    digits."""
     solver, conjugate = oscillator
     solution = solver.solve(np.zeros(1), np.zeros(1), conjugate * (1 + offset), throw=False)
     if abs(offset) < 1e-8:
@@ -186,7 +197,8 @@ def vars_of(found):
 
 
 def test_the_cost_falls_by_the_costate_at_the_start_and_by_the_hamiltonian_in_time():
-    """Pontryagin's costates: ``dJ/dq_0 = -p_0``, ``dJ/dq_N = p_N``; ``dJ/dT`` is minus the mean of the discrete energies."""
+    """Pontryagin's costates: ``dJ/dq_0 = -p_0``, ``dJ/dq_N = p_N``; ``dJ/dT`` is minus the mean of the discrete
+    energies."""
     problem, method, steps, start, end = SUBJECTS["cart"]
     solver = Solver(problem, method, steps)
     solution = solver.solve(start, end, 1.1, parameters=MASS)
@@ -202,7 +214,9 @@ def test_another_solver_s_solution_and_one_without_success_are_refused(oscillato
     solution = other.solve(np.zeros(1), np.ones(1), 1.0)
     missed = solver.solve(np.zeros(1), np.ones(1), conjugate, throw=False)
     for wrong in (solution, missed, None):
-        with pytest.raises(InvalidInputError, match="a solution with success of a regular problem that this solver found"):
+        with pytest.raises(
+            InvalidInputError, match="a solution with success of a regular problem that this solver found"
+        ):
             solver.sensitivity(wrong)
 
 

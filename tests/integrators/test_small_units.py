@@ -41,7 +41,14 @@ def orbit(method, evaluator, length, time, mass):
     return np.concatenate([path.q / length, path.p / momentum], axis=1)
 
 
-UNITS = [(1e-3, 1.0, 1.0), (1e-10, 1e-15, 1e-30), (1e-20, 1.0, 1.0), (1.0, 1.0, 1e-25), (1e12, 1e7, 1e30), (1e-10, 1e10, 1e-30)]
+UNITS = [
+    (1e-3, 1.0, 1.0),
+    (1e-10, 1e-15, 1e-30),
+    (1e-20, 1.0, 1.0),
+    (1.0, 1.0, 1e-25),
+    (1e12, 1e7, 1e30),
+    (1e-10, 1e10, 1e-30),
+]
 
 
 @pytest.mark.parametrize("method", [MIDPOINT, GAUSS], ids=["midpoint", "gauss"])
@@ -63,7 +70,9 @@ def test_derivatives_of_an_orbit_are_the_same_in_all_units():
     slope = jax.jit(jax.jacfwd(end, argnums=1))
     expected = slope(tuple(jnp.ones(3)), 0.8)
     for units in UNITS:
-        assert jnp.abs(slope(tuple(map(jnp.asarray, units)), 0.8) - expected).max() < 1e-10 * jnp.abs(expected).max(), units
+        assert jnp.abs(slope(tuple(map(jnp.asarray, units)), 0.8) - expected).max() < 1e-10 * jnp.abs(expected).max(), (
+            units
+        )
 
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
@@ -83,7 +92,9 @@ def test_an_extremal_is_the_same_in_all_units(evaluator):
         problem = OptimalControlProblem(PLANE, move, eqx.Partial(lambda c, q, u: c * u @ u / 2, weight), 1)
         start = length * np.array([1.0, 0.3]), cost * length * np.array([0.5, -0.7])
         path = integrate(problem, method, start, 0.2, 10, evaluator=evaluator)
-        found.append(np.concatenate([path.q[1:] / length, path.p[1:] / (cost * length), path.controls / length], axis=1))
+        found.append(
+            np.concatenate([path.q[1:] / length, path.p[1:] / (cost * length), path.controls / length], axis=1)
+        )
     assert np.abs(np.array(found[1:]) - found[0]).max() < 1e-11
 
 

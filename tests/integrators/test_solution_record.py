@@ -31,13 +31,18 @@ def solution() -> Solution:
 def same(a: object, b: object) -> bool:
     """Equal field by field, arrays bit by bit and with their types."""
     one, other = jax.tree.flatten(a), jax.tree.flatten(b)
-    equal = [np.array_equal(x, y) and np.asarray(x).dtype == np.asarray(y).dtype for x, y in zip(one[0], other[0], strict=True)]
+    equal = [
+        np.array_equal(x, y) and np.asarray(x).dtype == np.asarray(y).dtype
+        for x, y in zip(one[0], other[0], strict=True)
+    ]
     return one[1] == other[1] and all(equal)
 
 
 def test_nodes_and_stages_are_numpy_arrays_along_the_leading_axis(solution):
     (attitude, rate), last = solution.states
-    assert all(type(leaf) is np.ndarray for leaf in jax.tree.leaves((solution.states, solution.controls, solution.costates)))
+    assert all(
+        type(leaf) is np.ndarray for leaf in jax.tree.leaves((solution.states, solution.controls, solution.costates))
+    )
     assert attitude.shape == (STEPS + 1, 3, 3)
     assert rate.shape == solution.costates[0][1].shape == (STEPS + 1, 3)
     assert last.shape == (STEPS + 1, 1)
@@ -64,7 +69,12 @@ def test_the_report_has_the_numbers(solution, capsys):
     text = capsys.readouterr().out
     assert text.strip() == str(solution).strip()
     checks = solution.checks
-    for number in (f"{solution.cost:.12g}", f"{checks.gap:.1e}", f"{checks.stationarity:.1e}", f"{checks.hamiltonian:.10g}"):
+    for number in (
+        f"{solution.cost:.12g}",
+        f"{checks.gap:.1e}",
+        f"{checks.stationarity:.1e}",
+        f"{checks.hamiltonian:.10g}",
+    ):
         assert number in text
     for words, violation in checks.violations.items():
         assert f"{words}: {violation:.1e}" in text

@@ -147,8 +147,16 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
         ),
         ({"cost": lambda q, u: u * u}, InvalidInputError, r"running_cost must return a scalar, got .*\(3,\)"),
         ({"terminal_cost": lambda q: q}, InvalidInputError, r"terminal_cost must return a scalar, got .*\(3, 3\)"),
-        ({"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)}, InvalidInputError, r"finite at .*u = \[0. 0. 0.\].*cost nan"),
-        ({"dynamics": lambda q, u: q @ hat(u * jnp.sqrt(1e-4 - u @ u))}, InvalidInputError, r"at .*u = \[.\d\.\d.* velocity nan"),
+        (
+            {"cost": lambda q, u: u @ u / jnp.trace(q - IDENTITY)},
+            InvalidInputError,
+            r"finite at .*u = \[0. 0. 0.\].*cost nan",
+        ),
+        (
+            {"dynamics": lambda q, u: q @ hat(u * jnp.sqrt(1e-4 - u @ u))},
+            InvalidInputError,
+            r"at .*u = \[.\d\.\d.* velocity nan",
+        ),
         ({"cost": lambda q, u: jnp.sqrt(u @ u)}, InvalidInputError, r"no finite derivative .*try .*u @ u"),
         (
             {"cost": lambda q, u: np.sin(u) @ u},
@@ -185,7 +193,9 @@ def test_a_guess_has_the_shapes_of_the_stages(guess, words):
 def test_whole_numbers_and_lists_that_mean_a_point_are_taken():
     """NumPy's integers count steps, an integer matrix is the identity, a list holds the factors of a product."""
     expected = slew()
-    assert slew(steps=np.int64(STEPS), start=np.eye(3, dtype=int), horizon=1).cost == pytest.approx(expected.cost, rel=1e-12)
+    assert slew(steps=np.int64(STEPS), start=np.eye(3, dtype=int), horizon=1).cost == pytest.approx(
+        expected.cost, rel=1e-12
+    )
     body = Midpoint(Cayley(RIGID))
     as_tuple = solve(SLEW, body, (IDENTITY, REST), (END, REST), 60.0, STEPS)
     as_list = solve(SLEW, body, [IDENTITY, REST], [END, REST], 60.0, STEPS)
@@ -230,7 +240,9 @@ def test_a_wrong_attitude_is_no_success_next_to_a_large_position():
     guess = Guess((RESTING.states, np.broadcast_to(position, (STEPS, 3))), np.zeros((STEPS, 6)))
     start, end = (IDENTITY, position), (HALF_TURN, position)
     for most in (1, 100):
-        solution = solve(flying, Midpoint(Cayley(RIGID)), start, end, 1.0, STEPS, guess=guess, throw=False, max_iterations=most)
+        solution = solve(
+            flying, Midpoint(Cayley(RIGID)), start, end, 1.0, STEPS, guess=guess, throw=False, max_iterations=most
+        )
         assert solution.success == (most == 100)
     np.testing.assert_allclose(solution.states[0][-1], HALF_TURN, atol=1e-12)
 
@@ -244,7 +256,9 @@ def test_a_guess_off_the_manifold_leads_to_no_trajectory_off_it():
     hill = problem(lambda q, u: SPHERE.projection(q, u), height, manifold=SPHERE)
     states = np.broadcast_to(1.5 * np.array([0.6, 0.8, 0.0]), (4, 3))
     try:
-        solution = solve(hill, Midpoint(Exponential(SPHERE)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False)
+        solution = solve(
+            hill, Midpoint(Exponential(SPHERE)), None, None, 1.0, 4, Guess(states, np.zeros((4, 3))), throw=False
+        )
     except InvalidInputError:
         return
     assert not solution.success or norm(np.linalg.norm(solution.states, axis=1) - 1) < 1e-8
@@ -288,7 +302,10 @@ def test_free_ends_on_a_level_set_start_from_the_guess():
     assert solution.cost < -1.5
     assert solution.checks.constraint < 1e-9
     assert (
-        norm((solution.costates[0], solution.costates[-1] + ELLIPSOID.projection(solution.states[-1], np.eye(3)[2] / 3))) < 1e-9
+        norm(
+            (solution.costates[0], solution.costates[-1] + ELLIPSOID.projection(solution.states[-1], np.eye(3)[2] / 3))
+        )
+        < 1e-9
     )
 
 
@@ -310,7 +327,8 @@ def test_the_report_says_when_steps_are_too_coarse_for_the_hamiltonian(steps, co
 
 
 def test_a_hamiltonian_that_is_zero_gives_no_alarm():
-    """``F = (x + u)^2 / 2`` vanishes along ``x' = -x``, which the midpoint rule solves in powers: all of it is rounding."""
+    """``F = (x + u)^2 / 2`` vanishes along ``x' = -x``, which the midpoint rule solves in powers: all of it is
+    rounding."""
     line, steps, h = Euclidean(1), 8, 1 / 8
     decay = OptimalControlProblem(line, lambda q, u: u, lambda q, u: q @ q / 2 + q @ u + u @ u / 2, 1)
     solution = solve(decay, Midpoint(Addition(line)), np.ones(1), np.full(1, ((2 - h) / (2 + h)) ** steps), 1.0, steps)

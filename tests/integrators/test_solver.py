@@ -123,7 +123,9 @@ def test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_
     parameters["drag"][0][1] = 0
     parameters["mass"][2] = 1e300
     seen = []
-    many = solver.solve_many(START, ends, horizons, parameters=parameters, callback=lambda i: seen.append(list(i.members)))
+    many = solver.solve_many(
+        START, ends, horizons, parameters=parameters, callback=lambda i: seen.append(list(i.members))
+    )
     assert list(many.success) == [True, True, False, True]
     assert seen[0] == [0, 1, 2, 3]
     # The third is moved aside at first, in vain, and then tried as it is, alone.
@@ -214,7 +216,8 @@ def oscillator(q, u):
 
 
 def test_success_across_a_conjugate_point():
-    """From 0 to 1 the action has the extremal ``sin t / sin T``, unless ``T = pi``; it is a minimum for ``T < pi`` alone."""
+    """From 0 to 1 the action has the extremal ``sin t / sin T``, unless ``T = pi``; it is a minimum for ``T < pi``
+    alone."""
     line, steps = Euclidean(1), 20
     solver = Solver(OptimalControlProblem(line, lambda q, u: u, oscillator, 1), Midpoint(Exponential(line)), steps)
     conjugate = 2 * steps * np.tan(np.pi / 2 / steps)  # of the midpoint rule
@@ -240,7 +243,9 @@ def gravity(q, u):
 
 
 SPHERE = Sphere(2)
-ON_SPHERE = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q) + jnp.cross(jnp.array([0, 0, 0.4]), q), gravity, 3)
+ON_SPHERE = OptimalControlProblem(
+    SPHERE, lambda q, u: jnp.cross(u, q) + jnp.cross(jnp.array([0, 0, 0.4]), q), gravity, 3
+)
 SLEW = OptimalControlProblem(RIGID, body, lambda q, u: u @ u / 2 + 0.1 * q[1] @ q[1], 3)
 EVALUATED = {
     "S2": (ON_SPHERE, Projection(SPHERE), np.array([1.0, 0, 0]), np.array([0.6, 0.0, 0.8])),

@@ -1,4 +1,5 @@
-"""Orders of the Gauss methods in the boundary-value problem, their Newton iteration, and the extremals that they are steps of."""
+"""Orders of the Gauss methods in the boundary-value problem, their Newton iteration, and the extremals that they are
+steps of."""
 
 import jax
 import jax.numpy as jnp
@@ -81,7 +82,8 @@ def weighted():
 
 @pytest.mark.parametrize("weight", [-30.0, -1.0, 1e-3, 0.3, 3.0, 30.0, 1e3])
 def test_a_terminal_cost_at_a_fixed_end_changes_neither_the_trajectory_nor_the_iteration(weighted, weight):
-    """It is a constant there; its curvature acts on all points of the last step, and leaves Newton's iteration quadratic."""
+    """It is a constant there; its curvature acts on all points of the last step, and leaves Newton's iteration
+    quadratic."""
     free, seen = weighted.solve(START[0], END[0], 1.0, parameters=0.0), []
     found = weighted.solve(START[0], END[0], 1.0, parameters=weight, callback=lambda i: seen.append(i.stationarity[0]))
     np.testing.assert_allclose(found.states, free.states, rtol=0, atol=1e-11)

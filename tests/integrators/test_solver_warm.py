@@ -99,13 +99,20 @@ def test_warm_calls_see_what_is_off_its_manifold(solver, far):
     bent = END[0] + far * np.ones((3, 3)), END[1]
     ends = tuple(np.stack([a, b, a]) for a, b in zip(END, bent, strict=True))
     found = solver.solve(START, END, HORIZON, parameters=1.0)
-    states = found.stage_states[0] + far * (np.arange(len(found.stage_times)) == 2)[:, None, None], found.stage_states[1]
+    states = (
+        found.stage_states[0] + far * (np.arange(len(found.stage_times)) == 2)[:, None, None],
+        found.stage_states[1],
+    )
     guess = Guess(states, found.controls, found.costates)
     calls = (
         (NotOnManifoldError, "end, factor 0", lambda: solver.solve(START, bent, HORIZON, parameters=1.0)),
         (NotOnManifoldError, "end, factor 0", lambda: solver.solve_many(START, ends, HORIZON, parameters=np.ones(3))),
         (InvalidInputError, "guess: states are not on", lambda: solver.solve(START, END, HORIZON, guess, 1.0)),
-        (InvalidInputError, "guess: states", lambda: solver.solve_many(START, ends, HORIZON, [found, guess, found], np.ones(3))),
+        (
+            InvalidInputError,
+            "guess: states",
+            lambda: solver.solve_many(START, ends, HORIZON, [found, guess, found], np.ones(3)),
+        ),
     )
     for error, words, call in calls:
         if far < 1e-10:
@@ -157,7 +164,9 @@ def test_records_of_a_batch_are_made_once_and_are_those_of_its_fields(solver):
 
 def test_guesses_of_a_batch_are_one_for_each():
     line = Euclidean(1)
-    solver = Solver(OptimalControlProblem(line, lambda q, u: u, lambda q, u: jnp.sum(u**2), 1), Midpoint(Exponential(line)), 2)
+    solver = Solver(
+        OptimalControlProblem(line, lambda q, u: u, lambda q, u: jnp.sum(u**2), 1), Midpoint(Exponential(line)), 2
+    )
     ends = np.array([[1.0], [2.0]])
     guess = Guess(np.ones((2, 1)), np.ones((2, 1)))
     assert solver.solve_many(np.zeros(1), ends, 1.0, guess).converged == 2

@@ -1,4 +1,5 @@
-"""Functions that jump in the states, and derivatives that do not tell of their values: nothing of it ends in a success."""
+"""Functions that jump in the states, and derivatives that do not tell of their values: nothing of it ends in a
+success."""
 
 from typing import Any
 
@@ -55,7 +56,9 @@ def solver() -> Solver:
 
 def test_a_jump_that_is_passed_is_seen_from_a_height_on(solver):
     heights = np.array([0.0, *10.0 ** np.arange(-15, 3, 4), -1e-2])
-    found = solver.solve_many(0 * END, END, 1.0, parameters=(np.outer(heights, JUMP[0]), np.outer(0 * heights, KINK[0])))
+    found = solver.solve_many(
+        0 * END, END, 1.0, parameters=(np.outer(heights, JUMP[0]), np.outer(0 * heights, KINK[0]))
+    )
     assert list(found.success) == [abs(height) < 2e-5 for height in heights]  # of a cost of 18 a 1e-6th
     for height, solution in zip(heights, found, strict=True):
         if not solution.success:
@@ -143,7 +146,8 @@ def test_a_trajectory_that_lies_on_a_jump_is_no_minimum():
 
 
 def test_a_jump_that_a_trajectory_touches_is_seen(with_places):
-    """It goes out and back; the place moves through the farthest point, which is that of a parabola between two nodes."""
+    """It goes out and back; the place moves through the farthest point, which is that of a parabola between two
+    nodes."""
     smooth = with_places.solve(np.array([0.0, 1.0]), np.zeros(2), 1.0, parameters=np.array([0, 0, 0, 0, 0.0]))
     at = np.array([0.31, 0.35, 0.39])
     a, b, c = np.polyfit(at, smooth(at).states[:, 0], 2)
@@ -175,7 +179,9 @@ def test_jumps_of_dynamics_and_constraints_are_named_on_manifolds_too():
     group = SO(3)
 
     def turn(q: Array, u: Array) -> Array:
-        return q @ jnp.array([[0.0, -u[0], 0.0], [u[0], 0.0, 0.0], [0.0, 0.0, 0.0]]) * jnp.where(q[1, 0] > 0.5, 0.8, 1.0)
+        return (
+            q @ jnp.array([[0.0, -u[0], 0.0], [u[0], 0.0, 0.0], [0.0, 0.0, 0.0]]) * jnp.where(q[1, 0] > 0.5, 0.8, 1.0)
+        )
 
     problem = OptimalControlProblem(group, turn, lambda q, u: u @ u / 2, 1)
     last = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -243,7 +249,9 @@ wrong_square.defjvp(lambda x, t: (x[0] ** 2, x[0] * t[0]))
 @pytest.mark.parametrize("name", STOPPED)
 def test_derivatives_that_do_not_tell_of_the_values_are_refused(name):
     price, about = STOPPED[name]
-    with pytest.raises(InvalidInputError, match=f"running_cost changes with the {about} at another rate than its derivative"):
+    with pytest.raises(
+        InvalidInputError, match=f"running_cost changes with the {about} at another rate than its derivative"
+    ):
         OptimalControlProblem(PLANE, cart, price, 1).check(AT, np.zeros(1))
 
 

@@ -1,4 +1,5 @@
-"""Parts of steps, of their records and of what is decided by them, one by one: what no trajectory as a whole shows at once."""
+"""Parts of steps, of their records and of what is decided by them, one by one: what no trajectory as a whole shows at
+once."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -54,7 +55,8 @@ def test_stages_of_a_record_are_at_theta(theta):
     ("weights", "order"), [(TRIPLE_JUMP, 4), (SUZUKI, 4), (YOSHIDA_6, 6), (KAHAN_LI_6, 6), (KAHAN_LI_8, 8)], ids=str
 )
 def test_weights_of_compositions_meet_the_order_conditions_of_one_power(weights, order):
-    """Sums of odd powers of the weights vanish [Hairer, Lubich, Wanner 2006, V.3.2]; those of Yoshida have 14 digits."""
+    """Sums of odd powers of the weights vanish [Hairer, Lubich, Wanner 2006, V.3.2]; those of Yoshida have 14
+    digits."""
     w = np.array(weights)
     for power in range(3, order, 2):
         assert abs(np.sum(w**power)) < (1e-12 if weights == YOSHIDA_6 else 1e-14) * np.sum(np.abs(w) ** power)
@@ -148,19 +150,36 @@ def test_the_gap_has_the_defects_of_the_points():
     states = (np.repeat(np.arange(3), 2) + np.tile(Gauss(2, Addition(LINE)).nodes, 3))[:, None] / 3
     guess = Guess(states, stages, np.zeros((4, 1)), nodes, stages)
     solution = solve(
-        INTEGRATOR, Gauss(2, Addition(LINE)), nodes[0], nodes[-1], 1.0, 3, guess=guess, callback=lambda seen_: seen.append(seen_)
+        INTEGRATOR,
+        Gauss(2, Addition(LINE)),
+        nodes[0],
+        nodes[-1],
+        1.0,
+        3,
+        guess=guess,
+        callback=lambda seen_: seen.append(seen_),
     )
     assert seen[0].gap[0] == pytest.approx(1 / 3)  # of the way, that of each step
     assert solution.checks.gap < 1e-12
 
 
 def test_steps_of_a_flat_space_are_followed_whole():
-    """Points of a plane that begin on one circle do not stay there: a linear problem takes one step, however long it is."""
+    """Points of a plane that begin on one circle do not stay there: a linear problem takes one step, however long it
+    is."""
     problem = OptimalControlProblem(PLANE, lambda q, u: u + jnp.array([0.0, 1e3]) * q[0], half_square, 2)
     angles = np.linspace(0, np.pi / 2, 9)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     guess, seen = Guess(circle[1::2], np.zeros((4, 2))), []
-    solve(problem, Midpoint(Addition(PLANE)), circle[0], circle[-1], 1.0, 4, guess=guess, callback=lambda one: seen.append(one))
+    solve(
+        problem,
+        Midpoint(Addition(PLANE)),
+        circle[0],
+        circle[-1],
+        1.0,
+        4,
+        guess=guess,
+        callback=lambda one: seen.append(one),
+    )
     assert np.max(np.abs(seen[-1].fraction)) == 1.0
     assert len(seen) <= 3
 
@@ -170,7 +189,8 @@ BOUNDED = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1, control_bo
 
 @pytest.mark.parametrize("jump", [0.0, 0.01, 0.15, 0.19, 0.21, 0.3, 1.5])
 def test_arcs_end_by_jumps(jump):
-    """A control that stays at its bound to the middle and leaves it by a jump, or without; the room is 2, a tenth of it tells."""
+    """A control that stays at its bound to the middle and leaves it by a jump, or without; the room is 2, a tenth of it
+    tells."""
     times = np.linspace(0, 1, 21)
     stages = (times[1:] + times[:-1]) / 2
     controls = np.where(stages < 0.5, 1.0, 1.0 - jump - 1e-3 * (stages - 0.5))[:, None]
@@ -220,7 +240,8 @@ def test_the_curvature_of_a_terminal_cost_counts(pull):
 
 @pytest.mark.parametrize("place", [-0.5, -0.01, 0.01, 0.5])
 def test_the_curvature_of_boundary_constraints_counts(place):
-    """Straight to the point (1, 0) of the unit circle: the nearest one from (a, 0) with a > 0, the farthest with a < 0."""
+    """Straight to the point (1, 0) of the unit circle: the nearest one from (a, 0) with a > 0, the farthest with a <
+    0."""
     problem = OptimalControlProblem(
         PLANE, lambda q, u: u, half_square, 2, boundary_constraints={"circle": lambda a, b: b @ b - 1}
     )

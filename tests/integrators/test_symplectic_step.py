@@ -50,12 +50,17 @@ SUBJECTS = {
 }
 
 on_every_manifold = pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3", "SO3*R3") else name for name in MANIFOLDS]
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name in ("ellipsoid", "SO3", "SO3*R3") else name
+        for name in MANIFOLDS
+    ],
 )
 
 
 def with_every_theta(test: Callable) -> Callable:
-    """Random points, steps and thetas, the four thetas that have names, and two points that a lax stopping rule misses."""
+    """Random points, steps and thetas, the four thetas that have names, and two points that a lax stopping rule
+    misses."""
     for theta in THETAS:
         test = example(seed=1, h=0.2, theta=theta)(test)
     test = example(seed=121, h=0.1, theta=0.3)(example(seed=57, h=0.02, theta=1.0)(test))

@@ -63,7 +63,9 @@ def start_of(method, size=0.5) -> tuple:
     return q, jax.tree.map(lambda a: size * a, manifold.random_tangent(KEY, q))
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
+)
 @pytest.mark.usual("rotations", "optimal control", "plane, backward Euler")
 def test_the_tape_computes_the_numbers_of_xla(name):
     """Relative to the size of the numbers, over steps enough for each Jacobian to grow old."""
@@ -81,7 +83,8 @@ def test_the_tape_computes_the_numbers_of_xla(name):
 @pytest.mark.parametrize("name", ["sphere", "rotations", "optimal control"])
 @pytest.mark.usual("rotations", "optimal control")
 def test_both_fail_at_the_same_step_or_both_succeed(name):
-    """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as another."""
+    """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as
+    another."""
     system, method = CASES[name]
     q, p = start_of(method, 2.0)
     sizes = np.geomspace(0.1, 8.0, 40)  # beyond, rounding decides to where Newton's method wanders
@@ -129,7 +132,9 @@ def test_many_trajectories_are_those_of_one_after_the_other(count):
     assert many.stage_times.shape == (count, 2)
     for k in {0, count // 2, count - 1}:
         one = integrate(pendulum_energy, method, jax.tree.map(lambda a, k=k: a[k], starts), sizes[k], 6, save_every=3)
-        for mine, theirs in zip(jax.tree.leaves(jax.tree.map(lambda a, k=k: a[k], many)), jax.tree.leaves(one), strict=True):
+        for mine, theirs in zip(
+            jax.tree.leaves(jax.tree.map(lambda a, k=k: a[k], many)), jax.tree.leaves(one), strict=True
+        ):
             assert norm(mine - theirs) <= 1e-13
 
 
@@ -164,7 +169,9 @@ def test_starts_and_step_sizes_of_many_are_checked():
         integrate_many(pendulum_energy, method, (q, np.where(np.arange(4)[:, None] == 2, np.nan, p)), 0.1, 2)
     with pytest.raises(InvalidInputError, match=r"one more axis, of one length, in front; got shapes"):
         integrate_many(pendulum_energy, method, (q, p[:3]), 0.1, 2)
-    with pytest.raises(InvalidInputError, match=r"one number or one for each of the 4 starts, got an array of shape \(3,\)"):
+    with pytest.raises(
+        InvalidInputError, match=r"one number or one for each of the 4 starts, got an array of shape \(3,\)"
+    ):
         integrate_many(pendulum_energy, method, (q, p), np.ones(3), 2)
     with pytest.raises(InvalidInputError, match=r"each of step_sizes must be a finite number other than 0"):
         integrate_many(pendulum_energy, method, (q, p), [0.1, 0.1, 0.0, 0.1], 2)

@@ -1,4 +1,5 @@
-"""Extremals along which a switching function vanishes: a success, with a sentence on the control that nothing determines."""
+"""Extremals along which a switching function vanishes: a success, with a sentence on the control that nothing
+determines."""
 
 import re
 from typing import Any
@@ -62,7 +63,9 @@ def test_a_turn_about_one_axis_is_said_to_be_only_stationary():
     assert found.success
     assert np.isclose(found.horizon, 2 * np.sqrt(np.pi), rtol=1e-4)
     assert not found.checks.strict_minimum
-    assert re.search(r"that of u\[0\] from t = 0 to 3.5449\d* and that of u\[1\] from t = 0 to 3.5449\d*, where", found.result)
+    assert re.search(
+        r"that of u\[0\] from t = 0 to 3.5449\d* and that of u\[1\] from t = 0 to 3.5449\d*, where", found.result
+    )
     assert "may be one of many or only stationary, and another may cost less; try a guess in which this" in found.result
 
 
@@ -91,7 +94,10 @@ def test_a_singular_arc_between_bangs_is_named_with_its_interval():
             assert not said(found)
         else:
             name, begin, end, meaning = said(found)
-            assert (name, meaning) == ("u[0]", "this is a singular arc" if found.checks.strict_minimum else "the extremal is not")
+            assert (name, meaning) == (
+                "u[0]",
+                "this is a singular arc" if found.checks.strict_minimum else "the extremal is not",
+            )
             assert [float(begin), float(end)] == pytest.approx([1.0, 1.0 + width], abs=2.5 * found.horizon / 60)
 
 

@@ -111,4 +111,6 @@ def test_controls_of_a_costate_are_found_in_any_units(size):
     problem = OptimalControlProblem(Euclidean(3), lambda q, u: u / units, cost, 3)
     found = extremal_control(problem, jnp.zeros(3), jnp.asarray(p))
     np.testing.assert_allclose(found / units, np.linalg.solve(a, np.arcsinh(np.linalg.solve(a.T, p))), rtol=1e-12)
-    PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(Euclidean(3))))).check(problem, jnp.zeros(3), jnp.asarray(p))
+    PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(Euclidean(3))))).check(
+        problem, jnp.zeros(3), jnp.asarray(p)
+    )

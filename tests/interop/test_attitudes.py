@@ -33,7 +33,9 @@ def test_quaternions_there_and_back(scalar):
     np.testing.assert_allclose(found[:, k], start * np.cos(ANGLES / 2), atol=1e-12)
     np.testing.assert_allclose(np.delete(found, k, axis=1), start * np.sin(ANGLES / 2)[:, None] * AXIS, atol=1e-12)
     np.testing.assert_allclose(from_quaternions(found, scalar), TURNS, atol=1e-14)
-    np.testing.assert_allclose(from_quaternions(-found.reshape(3, 19, 4), scalar), TURNS.reshape(3, 19, 3, 3), atol=1e-14)
+    np.testing.assert_allclose(
+        from_quaternions(-found.reshape(3, 19, 4), scalar), TURNS.reshape(3, 19, 3, 3), atol=1e-14
+    )
     assert to_quaternions(TURNS[3], scalar).shape == (4,)
     assert np.linalg.norm(from_quaternions(found, {"first": "last", "last": "first"}[scalar]) - TURNS) > 1
 
@@ -88,8 +90,8 @@ def test_conventions_of_the_first_version_are_those_of_its_keywords(tmp_path, sc
     row = "0.5 0.1 0.7 0.5" if scalar == "FIRST" else "0.1 0.7 0.5 0.5"
     (tmp_path / "old.aem").write_text(
         f"CCSDS_AEM_VERS = 1.0\nCOMMENT by hand = 1\nMETA_START\nREF_FRAME_A = {frames[0]}\nREF_FRAME_B = {frames[1]}\n"
-        f"ATTITUDE_DIR = {direction}\nTIME_SYSTEM = UTC\nATTITUDE_TYPE = quaternion\nQUATERNION_TYPE = {scalar}\nMETA_STOP\n"
-        f"DATA_START\n2026-059T23:59:30 {row}\n2026-060T00:00:00.25Z {row}\nDATA_STOP\n"
+        f"ATTITUDE_DIR = {direction}\nTIME_SYSTEM = UTC\nATTITUDE_TYPE = quaternion\nQUATERNION_TYPE = "
+        f"{scalar}\nMETA_STOP\nDATA_START\n2026-059T23:59:30 {row}\n2026-060T00:00:00.25Z {row}\nDATA_STOP\n"
     )
     found = from_aem(tmp_path / "old.aem")
     assert (found.reference, found.body) == ("EME2000", "SC_BODY_1")
@@ -97,7 +99,9 @@ def test_conventions_of_the_first_version_are_those_of_its_keywords(tmp_path, sc
     np.testing.assert_allclose(found.attitudes[1], Rotation.from_quat([0.1, 0.7, 0.5, 0.5]).as_matrix(), atol=1e-14)
 
 
-@pytest.mark.parametrize("change", ["CCSDS_AEM_VERS = 2.0", "REF_FRAME_A", "TIME_SYSTEM", "= QUATERNION", "META_START", "T23"])
+@pytest.mark.parametrize(
+    "change", ["CCSDS_AEM_VERS = 2.0", "REF_FRAME_A", "TIME_SYSTEM", "= QUATERNION", "META_START", "T23"]
+)
 def test_other_files_are_refused(tmp_path, change):
     path = tmp_path / "slew.aem"
     to_aem(record(TURNS[:3]), path, **NAMES, problem=SO(3))

@@ -1,4 +1,5 @@
-"""The discrete problem in CasADi has the optimum that ``solve`` finds, by IPOPT, and its points, controls and costates."""
+"""The discrete problem in CasADi has the optimum that ``solve`` finds, by IPOPT, and its points, controls and
+costates."""
 
 import casadi as ca
 import jax
@@ -47,11 +48,25 @@ DOCKED = OptimalControlProblem(
 POSE = np.asarray(MOTIONS.pose(SLEW_END, np.array([1.0, 2.0, 3.0])))
 CASES = {
     "slew": (SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, 20),
-    "slew to any rate, uneven steps": (SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, None), 60.0, [1.0, 2.0] * 5),
+    "slew to any rate, uneven steps": (
+        SLEW,
+        Midpoint(Cayley(RIGID)),
+        (IDENTITY, REST),
+        (SLEW_END, None),
+        60.0,
+        [1.0, 2.0] * 5,
+    ),
     "slew by collocation": (SLEW, Gauss(2, default_retraction(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, 6),
     "pendulum": (SPUN, Midpoint(default_retraction(SPUN.manifold)), (-TARGET, REST), (np.eye(3)[0], REST), 2.0, 20),
     "free end": (LANDED, Midpoint(default_retraction(SPHERE)), np.eye(3)[0], None, 1.0, 10),
-    "docking": (DOCKED, Midpoint(default_retraction(DOCKED.manifold)), (np.eye(4), np.zeros(6)), (POSE, np.zeros(6)), 2.0, 10),
+    "docking": (
+        DOCKED,
+        Midpoint(default_retraction(DOCKED.manifold)),
+        (np.eye(4), np.zeros(6)),
+        (POSE, np.zeros(6)),
+        2.0,
+        10,
+    ),
 }
 
 
@@ -64,7 +79,9 @@ def test_ipopt_finds_the_solution(name):
     np.testing.assert_allclose(float(found["f"]), solution.cost, rtol=1e-9)
     guess = discrete.guess(found)
     pairs = zip(
-        (guess.states, guess.controls, guess.costates), (solution.stage_states, solution.controls, solution.costates), strict=True
+        (guess.states, guess.controls, guess.costates),
+        (solution.stage_states, solution.controls, solution.costates),
+        strict=True,
     )
     for a, b in ((a, b) for pair in pairs for a, b in zip(*map(jax.tree.leaves, pair), strict=True)):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * max(1.0, np.max(np.abs(b))))

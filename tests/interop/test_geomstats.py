@@ -1,4 +1,5 @@
-"""The door to geomstats: what goes through agrees with geomstats' own, and its learning algorithms run on our manifolds."""
+"""The door to geomstats: what goes through agrees with geomstats' own, and its learning algorithms run on our
+manifolds."""
 
 import equinox as eqx
 import numpy as np
@@ -125,7 +126,9 @@ def test_means_and_principal_components_of_trajectories_of_poses():
     pca = TangentPCA(space, n_components=2).fit(points, base_point=mean)
     variances, axes = np.linalg.eigh(np.cov(weights.T))
     np.testing.assert_allclose(pca.explained_variance_, variances[::-1], rtol=1e-8)
-    np.testing.assert_allclose(np.abs(pca.components_.reshape(2, -1) @ (axes[:, ::-1].T @ directions).T), np.eye(2), atol=1e-8)
+    np.testing.assert_allclose(
+        np.abs(pca.components_.reshape(2, -1) @ (axes[:, ::-1].T @ directions).T), np.eye(2), atol=1e-8
+    )
 
 
 @pytest.mark.parametrize("manifold", [SE(3), U(2)], ids=str)
@@ -158,7 +161,8 @@ def test_metrics_have_the_exponential_maps_that_are_known(name):
 
 def test_other_metrics_have_integrated_geodesics():
     assert exponential_map(BODY).metric == BODY
-    assert isinstance(exponential_map(EmbeddedMetric(SL(2))), GeodesicRetraction)  # no bi-invariant metric, no closed form
+    # No bi-invariant metric, no closed form.
+    assert isinstance(exponential_map(EmbeddedMetric(SL(2))), GeodesicRetraction)
     assert not is_symmetric(BODY)
     assert is_symmetric(EmbeddedMetric(SO(3)))
 

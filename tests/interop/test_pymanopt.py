@@ -205,7 +205,11 @@ def test_matrices_of_fixed_rank_are_written_by_their_singular_value_decompositio
         x, y = FACTORED.random_point(), FACTORED.random_point()
         v, z = FACTORED.random_tangent_vector(x), np.random.standard_normal((5, 4))  # noqa: NPY002
         g = [np.random.standard_normal(leaf.shape) for leaf in x]  # noqa: NPY002
-    assert (mine.dim, mine.point_layout, mine.typical_dist) == (FACTORED.dim, FACTORED.point_layout, FACTORED.typical_dist)
+    assert (mine.dim, mine.point_layout, mine.typical_dist) == (
+        FACTORED.dim,
+        FACTORED.point_layout,
+        FACTORED.typical_dist,
+    )
     check(mine.projection(x, z), FACTORED.projection(x, z))
     check(mine.projection(x, mine.embedding(x, v)), v)
     check(mine.inner_product(x, v, v), 1)
@@ -213,7 +217,8 @@ def test_matrices_of_fixed_rank_are_written_by_their_singular_value_decompositio
     there, other = mine.retraction(x, v), FACTORED.retraction(x, v)  # equal up to signs of singular vectors
     check((there.u * there.s) @ there.vt, (other.u * other.s) @ other.vt)
     assert np.all(np.sum(there.u * x.u, axis=0) >= 0)
-    gap = 1e-12 / min(abs(x.s[0] ** 2 - x.s[1] ** 2), x.s[1], 1) ** 2  # of the singular values: the derivative divides by it
+    # Of the singular values: the derivative divides by it.
+    gap = 1e-12 / min(abs(x.s[0] ** 2 - x.s[1] ** 2), x.s[1], 1) ** 2
     check(mine.euclidean_to_riemannian_gradient(x, g), FACTORED.euclidean_to_riemannian_gradient(x, g), gap)
 
 
@@ -231,7 +236,9 @@ def test_an_optimiser_finds_the_nearest_matrix_of_a_rank():
     result = pymanopt.optimizers.ConjugateGradient(**options).run(pymanopt.Problem(space, cost), initial_point=start)
     u, s, vt = np.linalg.svd(a)
     assert result.cost == pytest.approx(np.sum(s[2:] ** 2), abs=1e-12)
-    np.testing.assert_allclose((result.point.u * result.point.s) @ result.point.vt, (u[:, :2] * s[:2]) @ vt[:2], atol=1e-6)
+    np.testing.assert_allclose(
+        (result.point.u * result.point.s) @ result.point.vt, (u[:, :2] * s[:2]) @ vt[:2], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize(

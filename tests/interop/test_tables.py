@@ -38,8 +38,8 @@ def batch():
 
 TRAJECTORY = Trajectory(
     jnp.linspace(0.0, 1.0, 4), (jnp.broadcast_to(jnp.eye(3), (4, 3, 3)), jnp.arange(8.0).reshape(4, 2)),
-    (jnp.zeros((4, 3, 3)), jnp.ones((4, 2))), jnp.arange(18.0).reshape(3, 2, 3), jnp.arange(6.0).reshape(3, 2), Result.successful,
-    jnp.asarray(-1),
+    (jnp.zeros((4, 3, 3)), jnp.ones((4, 2))), jnp.arange(18.0).reshape(3, 2, 3), jnp.arange(6.0).reshape(3, 2),
+    Result.successful, jnp.asarray(-1),
 )  # fmt: skip
 
 
@@ -50,7 +50,9 @@ def test_a_data_set_has_named_dimensions_units_and_the_numbers(batch):
     np.testing.assert_array_equal(data["costate of q[1]"], solution.costates[1])
     np.testing.assert_array_equal(data["q[1]"].sel({"q[1]_0": "right, m"}), solution.states[1][:, 1])
     np.testing.assert_array_equal(data["rate"].isel(stage_time=-1), solution.controls[-1])
-    np.testing.assert_array_equal(data["multiplier of control_bounds upper"], solution.multipliers["control_bounds upper"])
+    np.testing.assert_array_equal(
+        data["multiplier of control_bounds upper"], solution.multipliers["control_bounds upper"]
+    )
     np.testing.assert_array_equal(data["hamiltonian"].stage_time, solution.stage_times)
     assert data["attitude"].dims == ("time", "attitude_0", "attitude_1")
     assert data["rate"].attrs == {"units": "rad/s"}
@@ -102,7 +104,8 @@ def test_a_csv_file_is_read_back_as_it_was(batch, at, tmp_path):
 
 
 def test_multipliers_of_boundary_constraints_are_no_rows_of_stages(tmp_path):
-    """They have one entry for each equation, here as many as there are stages, and have no place in a table of these."""
+    """They have one entry for each equation, here as many as there are stages, and have no place in a table of
+    these."""
     plane = Euclidean(2)
     problem = OptimalControlProblem(
         plane,
@@ -150,5 +153,7 @@ def test_other_places_are_refused(batch, at):
 @pytest.mark.parametrize(("name", "convert"), [("xarray", to_xarray), ("pandas", to_pandas)])
 def test_a_missing_package_is_named(monkeypatch, name, convert):
     monkeypatch.setitem(sys.modules, name, None)
-    with pytest.raises(MissingPackageError, match=f"the package {name}, which is not installed; try: pip install {name}"):
+    with pytest.raises(
+        MissingPackageError, match=f"the package {name}, which is not installed; try: pip install {name}"
+    ):
         convert(TRAJECTORY)

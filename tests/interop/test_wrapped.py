@@ -1,4 +1,5 @@
-"""Spaces of the peers that we do not have: derivatives by differences, good enough for symplectic steps; and those refused."""
+"""Spaces of the peers that we do not have: derivatives by differences, good enough for symplectic steps; and those
+refused."""
 
 from functools import cache
 
@@ -31,14 +32,18 @@ def geomstats_space(module, name, *arguments, **options):
 BALL = from_geomstats(geomstats_space("poincare_ball", "PoincareBall", 2))
 
 
-# Spaces without a counterpart of ours, and one with it that is wrapped all the same; points well inside the balls and the cone.
+# Spaces without a counterpart of ours, and one with it that is wrapped all the same; points well inside the balls and
+# the cone.
 WRAPPED = {
     "geomstats ball": (lambda: BALL[:2], [0.3, -0.2]),
     "geomstats half-plane": (
         lambda: from_geomstats(geomstats_space("poincare_half_space", "PoincareHalfSpace", 2))[:2],
         [0.4, 1.2],
     ),
-    "geomstats sphere": (lambda: forced("geomstats", geomstats_space("hypersphere", "Hypersphere", 2)), [0.6, 0.0, -0.8]),
+    "geomstats sphere": (
+        lambda: forced("geomstats", geomstats_space("hypersphere", "Hypersphere", 2)),
+        [0.6, 0.0, -0.8],
+    ),
     "pymanopt ball": (lambda: from_pymanopt(theirs.PoincareBall(2))[:2], [0.3, -0.2]),
     "geomstats shapes": (
         lambda: from_geomstats(geomstats_space("pre_shape", "PreShapeSpace", 3, 2))[:2],
@@ -50,7 +55,9 @@ WRAPPED = {
 
 def forced(library, space):
     """A space that we have, through its own functions all the same."""
-    return wrap(getattr(import_peer(f"retrax.interop.{library}.spaces"), f"{library.capitalize()}Host")(space), str(space))
+    return wrap(
+        getattr(import_peer(f"retrax.interop.{library}.spaces"), f"{library.capitalize()}Host")(space), str(space)
+    )
 
 
 def energy(q, p):
@@ -60,7 +67,8 @@ def energy(q, p):
 
 
 def midpoint_steps(name):
-    """Points on curves through a point of T*Q along a frame of its tangent space, and where a midpoint step takes them."""
+    """Points on curves through a point of T*Q along a frame of its tangent space, and where a midpoint step takes
+    them."""
     (manifold, retraction), q = WRAPPED[name][0](), jnp.array(WRAPPED[name][1])
     stage = SymplecticIntegrator(CotangentLift(Midpoint(retraction))).stage(energy, 0.1)
 
@@ -108,7 +116,8 @@ def test_derivatives_of_a_wrapped_retraction_are_those_of_its_formula(seed):
 
 @cache
 def derivatives():
-    """Random vectors on a sphere, and derivatives of order 0, 1, 2 of pymanopt's projection retraction there, and of ours."""
+    """Random vectors on a sphere, and derivatives of order 0, 1, 2 of pymanopt's projection retraction there, and of
+    ours."""
     space = theirs.SphereSubspaceIntersection(np.eye(3))
     manifold, retraction, _, _ = from_pymanopt(space)
 
@@ -195,7 +204,11 @@ def test_a_wrapped_space_keeps_the_promises_of_a_manifold():
 def test_a_wrapped_retraction_keeps_the_promises_of_one():
     lost = "geomstats takes vectors shorter than about 1e-8 for zero"
     check_retraction(
-        BALL.retraction, reach=0.2, seeds=(0, 1), tolerance=1e-9, skip={"inverse_keeps_the_accuracy_of_short_vectors": lost}
+        BALL.retraction,
+        reach=0.2,
+        seeds=(0, 1),
+        tolerance=1e-9,
+        skip={"inverse_keeps_the_accuracy_of_short_vectors": lost},
     )
 
 
@@ -210,8 +223,14 @@ REFUSED = {
     "quotient": (lambda: from_pymanopt(theirs.PSDFixedRank(4, 2)), "stand for classes"),
     "another quotient": (lambda: from_pymanopt(theirs.Elliptope(4, 2)), "span 4 dimensions where it says 3"),
     "complex": (lambda: from_pymanopt(theirs.ComplexCircle(3)), "points are complex"),
-    "coordinates": (lambda: from_geomstats(geomstats_space("hypersphere", "Hypersphere", 2, intrinsic=True)), "in angles"),
-    "no metric": (lambda: from_geomstats(geomstats_space("poincare_ball", "PoincareBall", 2, equip=False)), "no metric"),
+    "coordinates": (
+        lambda: from_geomstats(geomstats_space("hypersphere", "Hypersphere", 2, intrinsic=True)),
+        "in angles",
+    ),
+    "no metric": (
+        lambda: from_geomstats(geomstats_space("poincare_ball", "PoincareBall", 2, equip=False)),
+        "no metric",
+    ),
     "angles": (
         lambda: from_geomstats(geomstats_space("special_orthogonal", "SpecialOrthogonal", 2, "vector")),
         "its own functions fail .* try the same space by matrices",

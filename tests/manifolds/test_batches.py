@@ -50,7 +50,9 @@ def test_methods_of_metrics_refuse_batches(name):
 def test_arguments_by_their_names_are_checked_too():
     sphere, batch = MANIFOLDS["S2"], jnp.eye(3)
     assert jnp.array_equal(sphere.projection(a=batch[0], x=batch[1]), batch[0])
-    with pytest.raises(InvalidInputError, match=r"an ambient vector of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"):
+    with pytest.raises(
+        InvalidInputError, match=r"an ambient vector of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"
+    ):
         sphere.projection(a=batch, x=batch[1])
 
 

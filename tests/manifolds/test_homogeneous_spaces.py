@@ -58,7 +58,9 @@ def test_vee_takes_the_skew_part(seed):
 
 @pytest.mark.parametrize("name", SPACES)
 @given(seed=SEEDS)
-@pytest.mark.usual("R2x3", "S2", "SO3", "SE3", "SU2", "U2", "SL2", "heisenberg", "H2", "SPD2", "St42", "Gr42", "oblique32")
+@pytest.mark.usual(
+    "R2x3", "S2", "SO3", "SE3", "SU2", "U2", "SL2", "heisenberg", "H2", "SPD2", "St42", "Gr42", "oblique32"
+)
 def test_momentum_pairs_the_covector_with_the_generators(name, seed):
     x, p, _ = draw_point(MANIFOLDS[name], seed)
     xi, momentum, _ = _generators(name)(x, p)

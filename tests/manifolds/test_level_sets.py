@@ -74,7 +74,9 @@ def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
 
 
 def test_a_level_set_without_points_says_so():
-    with pytest.raises(InvalidInputError, match=r"no point of Nowhere.* was found from 20 random starts; check its equations"):
+    with pytest.raises(
+        InvalidInputError, match=r"no point of Nowhere.* was found from 20 random starts; check its equations"
+    ):
         jax.block_until_ready(Nowhere(2).random_point(jax.random.key(0)))
 
 
@@ -99,7 +101,9 @@ def test_equations_that_are_none_are_refused_in_words():
         Two(3)
     with pytest.raises(InvalidInputError, match=r"the constraint of TooMany has 6 equations for points of 3 numbers"):
         TooMany(3)
-    with pytest.raises(InvalidInputError, match=r"return a vector, one entry an equation, got .*try x\[2:\] in place of x\[2\]"):
+    with pytest.raises(
+        InvalidInputError, match=r"return a vector, one entry an equation, got .*try x\[2:\] in place of x\[2\]"
+    ):
         Submanifold(Sphere(2), lambda x: x[2])
 
 
@@ -175,7 +179,9 @@ class Circle(LevelSet):
         return jnp.stack([self.first * (x @ x - 1.0), self.second * (x[0] + x[1])])
 
 
-@pytest.mark.parametrize("units", [(1e-14, 1e-14), (1e-12, 1e6), (1e-9, 1.0), (1.0, 1.0), (1.0, 1e9), (1e12, 1e-3), (1e14, 1e14)])
+@pytest.mark.parametrize(
+    "units", [(1e-14, 1e-14), (1e-12, 1e6), (1e-9, 1.0), (1.0, 1.0), (1.0, 1e9), (1e12, 1e-3), (1e14, 1e14)]
+)
 def test_points_are_judged_by_their_distance_in_whatever_units_the_equations_are(units):
     manifold = Circle((3,), *map(jnp.asarray, units))
     x = jnp.array([0.48, -0.48, np.sqrt(1 - 2 * 0.48**2)])
@@ -185,7 +191,10 @@ def test_points_are_judged_by_their_distance_in_whatever_units_the_equations_are
             assert bool(manifold.contains(x + distance * away)) == (distance < 1.5e-8)
     expected = np.cross(along, x)
     assert np.abs(np.abs(manifold.basis(x)[0] @ expected) - 1) < 1e-12
-    assert np.abs(manifold.projection(x, jnp.array([0.3, 0.2, -0.7])) - expected * (expected @ [0.3, 0.2, -0.7])).max() < 1e-12
+    assert (
+        np.abs(manifold.projection(x, jnp.array([0.3, 0.2, -0.7])) - expected * (expected @ [0.3, 0.2, -0.7])).max()
+        < 1e-12
+    )
     moved = Projection(manifold)(x, 0.2 * jnp.asarray(expected))
     assert np.abs(moved - (x + 0.2 * expected) / np.sqrt(1.04)).max() < 1e-12
     assert np.abs(Projection(manifold).preimage(x, moved) - 0.2 * expected).max() < 1e-12

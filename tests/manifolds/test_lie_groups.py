@@ -8,7 +8,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SE, SL, SO, SU, Euclidean, InvalidInputError, LeftInvariantMetric, MatrixLieGroup, U, hat, vee
+from retrax.manifolds import (
+    SE,
+    SL,
+    SO,
+    SU,
+    Euclidean,
+    InvalidInputError,
+    LeftInvariantMetric,
+    MatrixLieGroup,
+    U,
+    hat,
+    vee,
+)
 from retrax.manifolds.numerics import ambient as vec
 
 from tests.support.cases import MANIFOLDS, Heisenberg
@@ -175,7 +187,9 @@ def test_the_gell_mann_basis_is_the_published_one():
     # Structure constants f_123 = 1, f_147 = 1/2, f_458 = sqrt(3)/2 in [lambda_a/2, lambda_b/2] = i f_abc lambda_c/2.
     ad = np.stack([np.asarray(SU(3).ad(e)) for e in jnp.eye(8)])
     np.testing.assert_allclose([ad[0, 2, 1], ad[0, 6, 3], ad[3, 7, 4]], [1, 0.5, np.sqrt(3) / 2], atol=1e-15)
-    np.testing.assert_allclose(np.stack([SU(2).ad(e) for e in jnp.eye(3)]), np.stack([hat(e) for e in jnp.eye(3)]), atol=1e-15)
+    np.testing.assert_allclose(
+        np.stack([SU(2).ad(e) for e in jnp.eye(3)]), np.stack([hat(e) for e in jnp.eye(3)]), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("group", [SE(2), SU(2)], ids=str)

@@ -70,4 +70,6 @@ def test_the_exponential_of_large_matrices(seed, size):
     # A skew matrix, whose exponential is a rotation: each squaring of the approximant may double its error.
     a = np.random.default_rng(seed).standard_normal((3, 3))
     a = size * (a - a.T)
-    np.testing.assert_allclose(KERNELS["general exp"](a, a, a, a)["value"], scipy.linalg.expm(a), atol=1e-14 * (10 + size))
+    np.testing.assert_allclose(
+        KERNELS["general exp"](a, a, a, a)["value"], scipy.linalg.expm(a), atol=1e-14 * (10 + size)
+    )

@@ -53,7 +53,10 @@ METRICS: dict[str, tuple[Metric, dict]] = {
     "canonical-St32": (CanonicalMetric(Stiefel(3, 2)), {"rotation": translated}),
     "left-invariant-SO3": (LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0]), {"left translation": translated}),
     "left-invariant-SL2": (LeftInvariantMetric(SL(2), np.diag([1.0, 2.0, 3.0]) + 0.1), {}),
-    "sum-SO3*S2": (ProductMetric(LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0]), ScaledMetric(EmbeddedMetric(Sphere(2)), 1e-6)), {}),
+    "sum-SO3*S2": (
+        ProductMetric(LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0]), ScaledMetric(EmbeddedMetric(Sphere(2)), 1e-6)),
+        {},
+    ),
     "power-S2": (PowerMetric(EmbeddedMetric(Sphere(2)), 2), {}),
 }
 
@@ -61,7 +64,9 @@ METRICS: dict[str, tuple[Metric, dict]] = {
 QUICK = ("Lorentz-H3", "affine-SPD3")
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METRICS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in METRICS]
+)
 def test_is_a_metric(name, seeds):
     metric, isometries = METRICS[name]
     check_metric(metric, isometries=isometries, seeds=seeds, tolerance=1e-13)

@@ -119,7 +119,9 @@ def test_second_derivatives_of_roots_in_a_loop_are_right_in_every_mode(outer, in
 
     def twice(y):
         def step(y, _):
-            root, _ = find_root(lambda c: jnp.stack([c[0] + c[0] ** 2, c[1] + c[0] * c[1]]) - y, 0 * y, inverse=0.7 * np.eye(2))
+            root, _ = find_root(
+                lambda c: jnp.stack([c[0] + c[0] ** 2, c[1] + c[0] * c[1]]) - y, 0 * y, inverse=0.7 * np.eye(2)
+            )
             return root, None
 
         return jax.lax.scan(step, y, length=2)[0]
@@ -140,7 +142,8 @@ def test_find_root_knows_the_size_of_its_unknowns(scale):
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-8, 9, 2))
 def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_unknowns(size):
-    """Of unknowns with sizes given too large, or beside one that is found at once, the small one is found to rounding as well."""
+    """Of unknowns with sizes given too large, or beside one that is found at once, the small one is found to rounding
+    as well."""
     c, converged = find_root(
         lambda c: jnp.stack([c[0] - size, jnp.exp(c[1]) - 2]), jnp.array([0.0, 0.69]), jnp.array([size, 1.0])
     )
@@ -172,7 +175,9 @@ def test_orthonormalise_keeps_the_span(seed):
 @given(seed=SEEDS)
 def test_gradients_and_pullbacks_of_complex_arrays_are_covectors_in_the_real_pairing(seed):
     # The convention of JAX is the complex conjugate: <gradient, d> = Df d fails with it.
-    a, d, p, weight = (jnp.asarray(w) for w in np.random.default_rng(seed).standard_normal((4, 3, 2)) @ np.array([1, 1j]))
+    a, d, p, weight = (
+        jnp.asarray(w) for w in np.random.default_rng(seed).standard_normal((4, 3, 2)) @ np.array([1, 1j])
+    )
 
     def height(z):
         return jnp.sum(jnp.real(weight * z * z) + jnp.abs(z) ** 4)

@@ -1,4 +1,5 @@
-"""Points and vectors as NumPy arrays, which have no ``at``: every public method of every manifold and retraction takes them."""
+"""Points and vectors as NumPy arrays, which have no ``at``: every public method of every manifold and retraction takes
+them."""
 
 import inspect
 from collections.abc import Iterator
@@ -35,7 +36,8 @@ def calls(subject: Any, manifold: Manifold) -> Iterator[tuple[str, list[Any]]]:
 
 
 @pytest.mark.parametrize(
-    "name", [*MANIFOLDS, *(name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in RETRACTIONS)]
+    "name",
+    [*MANIFOLDS, *(name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in RETRACTIONS)],
 )
 def test_public_methods_take_numpy_arrays(name):
     subject = {**MANIFOLDS, **RETRACTIONS}[name]
@@ -45,5 +47,7 @@ def test_public_methods_take_numpy_arrays(name):
         with np.errstate(all="ignore"):
             jax.eval_shape(lambda method=method, given=given: getattr(subject, method)(*given))
         found.append(method)
-    wanted = {"projection", "basis", "restore", "violations"} if subject is manifold else {"__call__", "preimage", "domain"}
+    wanted = (
+        {"projection", "basis", "restore", "violations"} if subject is manifold else {"__call__", "preimage", "domain"}
+    )
     assert wanted <= set(found)

@@ -46,5 +46,7 @@ def test_a_wrong_copy_is_found():
 
 @pytest.mark.parametrize("arguments", [(Sphere(2), 0), (Sphere(2), 2.5), (Sphere, 3), (Sphere(2), True)])
 def test_a_power_of_other_things_is_refused(arguments):
-    with pytest.raises(InvalidInputError, match=r"takes a manifold and a whole number of copies of at least 1, got .*try Power"):
+    with pytest.raises(
+        InvalidInputError, match=r"takes a manifold and a whole number of copies of at least 1, got .*try Power"
+    ):
         Power(*arguments)

@@ -11,7 +11,9 @@ LEAST = {SO: 2, SE: 2, SU: 2, SL: 2, U: 1, Sphere: 1, Hyperbolic: 1, Simplex: 1,
 @pytest.mark.parametrize("size", [None, 2.0, "3", True, 0, -1, (2,)])
 def test_a_wrong_size_is_refused(kind, size):
     name, least = kind.__name__, LEAST[kind]
-    with pytest.raises(InvalidInputError, match=rf"{name}\(n\) takes a whole number n of at least {least}, got .*; try {name}\("):
+    with pytest.raises(
+        InvalidInputError, match=rf"{name}\(n\) takes a whole number n of at least {least}, got .*; try {name}\("
+    ):
         kind(size)
 
 

@@ -243,7 +243,9 @@ PULLED_WIDE = preimage(
 )
 
 
-@pytest.mark.parametrize("submanifold", [CLOSED, WIDE, PULLED, PULLED_WIDE], ids=["dS", "dS x R", "pulled dS", "pulled dS x R"])
+@pytest.mark.parametrize(
+    "submanifold", [CLOSED, WIDE, PULLED, PULLED_WIDE], ids=["dS", "dS x R", "pulled dS", "pulled dS x R"]
+)
 @given(seed=SEEDS)
 def test_closed_one_forms_and_their_preimages_are_lagrangian(submanifold, seed):
     verdict = is_lagrangian(submanifold, submanifold.source.random_point(jax.random.key(seed)))

@@ -31,7 +31,8 @@ PRIMITIVES = "tests/tape/test_primitives.py"
 
 
 class Planted(NamedTuple):
-    """An error: what a line of a file says, which is said there once, what it says instead, and tests that should fail then."""
+    """An error: what a line of a file says, which is said there once, what it says instead, and tests that should fail
+    then."""
 
     file: str
     right: str
@@ -184,7 +185,10 @@ PLANTED: dict[str, Planted] = {
         ("tests/retractions/test_discretization.py::test_the_inverse_of_an_adjoint_returns",),
     ),
     "the second-order correction is twice as long": Planted(
-        "retractions/constructions/second_order.py", "vec.scale(0.5, ", "vec.scale(1.0, ", ("tests/retractions/test_order.py",)
+        "retractions/constructions/second_order.py",
+        "vec.scale(0.5, ",
+        "vec.scale(1.0, ",
+        ("tests/retractions/test_order.py",),
     ),
     "the acceleration lacks the force of the metric": Planted(
         "retractions/constructions/second_order.py",
@@ -224,7 +228,10 @@ PLANTED: dict[str, Planted] = {
     ),
     # The tape.
     "the machine takes the smaller for the larger": Planted(
-        "src/retrax/tape/machine.py", "return x if x > y or y != y else y", "return x if x < y or y != y else y", (PRIMITIVES,)
+        "src/retrax/tape/machine.py",
+        "return x if x > y or y != y else y",
+        "return x if x < y or y != y else y",
+        (PRIMITIVES,),
     ),
     "fused products are added where they are subtracted": Planted(
         "src/retrax/tape/machine.py",
@@ -245,7 +252,10 @@ PLANTED: dict[str, Planted] = {
         (PRIMITIVES,),
     ),
     "the factors are not pivoted": Planted(
-        "src/retrax/tape/linear.py", "bigger = ca.fabs(a[i, k]) > best", "bigger = ca.fabs(a[i, k]) < 0 * best", (PRIMITIVES,)
+        "src/retrax/tape/linear.py",
+        "bigger = ca.fabs(a[i, k]) > best",
+        "bigger = ca.fabs(a[i, k]) < 0 * best",
+        (PRIMITIVES,),
     ),
     "the reflections have the other sign": Planted(
         "src/retrax/tape/linear.py",
@@ -285,7 +295,10 @@ PLANTED: dict[str, Planted] = {
         (CONDENSING,),
     ),
     "the slope of points is not condensed": Planted(
-        f"{ENGINE}/condensing_kernels.py", "y[a, z + j] += slope[a, j]", "y[a, z + j] += 0.0 * slope[a, j]", (CONDENSING,)
+        f"{ENGINE}/condensing_kernels.py",
+        "y[a, z + j] += slope[a, j]",
+        "y[a, z + j] += 0.0 * slope[a, j]",
+        (CONDENSING,),
     ),
     "multipliers of points have the other sign": Planted(
         f"{ENGINE}/condensing_kernels.py", "out[1][t, i] = -x[i]", "out[1][t, i] = x[i]", (CONDENSING,)

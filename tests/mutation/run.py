@@ -1,8 +1,9 @@
 """Plants errors in a copy of the project, one after the other, and runs the tests that should notice them.
 
-``python tests/mutation/run.py`` prints a line for each error, then those that no test noticed; its exit status is their number.
-``--only WORDS``: those with these words in their name or file; ``--part K/M``: every M-th, from the K-th on; ``--trust``:
-do not run the tests without an error first. The kernels of Numba are compiled anew where a compiled file is changed.
+``python tests/mutation/run.py`` prints a line for each error, then those that no test noticed; its exit status is their
+number. ``--only WORDS``: those with these words in their name or file; ``--part K/M``: every M-th, from the K-th on;
+``--trust``: do not run the tests without an error first. The kernels of Numba are compiled anew where a compiled file
+is changed.
 """
 
 import argparse
@@ -60,7 +61,8 @@ class Copy:
             (package / name).symlink_to(self.tree / room)
 
     def run(self, tests: tuple[str, ...], kernels: str) -> tuple[int, float]:
-        """Run tests up to the first that fails, in a fork of this process; pytest's exit status, and the seconds it took."""
+        """Run tests up to the first that fails, in a fork of this process; pytest's exit status, and the seconds it
+        took."""
         begin, output = time.monotonic(), self.folder / "output"
         child = os.fork()
         if child == 0:
@@ -137,7 +139,10 @@ def main() -> int:
         if check:
             tests = tuple(dict.fromkeys(test for one in errors.values() for test in one.tests))
             status, seconds = copy.run(tests, "kernels")
-            print(f"{seconds:6.1f} s  {'passed' if status == PASSED else f'FAILED ({status})'}  without an error", flush=True)
+            print(
+                f"{seconds:6.1f} s  {'passed' if status == PASSED else f'FAILED ({status})'}  without an error",
+                flush=True,
+            )
             if status != PASSED:
                 return 1
         for number, (name, planted) in enumerate(errors.items()):

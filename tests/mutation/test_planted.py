@@ -17,4 +17,6 @@ def test_an_error_has_one_place_and_tests(name):
     assert planted.tests
     for test in planted.tests:
         path, _, function = test.partition("::")
-        assert f"def {function.partition('[')[0]}(" in (ROOT / path).read_text() if function else (ROOT / path).exists(), test
+        assert (
+            f"def {function.partition('[')[0]}(" in (ROOT / path).read_text() if function else (ROOT / path).exists()
+        ), test

@@ -1,4 +1,5 @@
-"""Settings of the peers' tests on our classes: double precision, seeds, and what docs/peers.md says is expected to fail."""
+"""Settings of the peers' tests on our classes: double precision, seeds, and what docs/peers.md says is expected to
+fail."""
 
 import builtins
 import random

@@ -1,8 +1,8 @@
 """geomstats' own test cases, unmodified, on our classes.
 
-They ship in geomstats' wheel as classes that want a ``space`` and data. Every test of them that draws its data is activated
-here: once (``trials = 1``), and it fails where something is not implemented. The spaces are geomstats' own through both doors,
-``to_geomstats(*from_geomstats(...))``; in the comparisons the original stands beside ours.
+They ship in geomstats' wheel as classes that want a ``space`` and data. Every test of them that draws its data is
+activated here: once (``trials = 1``), and it fails where something is not implemented. The spaces are geomstats' own
+through both doors, ``to_geomstats(*from_geomstats(...))``; in the comparisons the original stands beside ours.
 """
 
 import inspect
@@ -103,7 +103,12 @@ def of(name, suffix, case):
     manifold, retraction, metric, conventions = from_geomstats(theirs)
     radius = 0.5 if name == "Stiefel" and suffix else None
     ours = to_geomstats(manifold, retraction, metric, conventions)
-    body = {"space": ours, "other_space": theirs, "data_generator": NearbyData(ours, radius), "testing_data": drawn_data(case)}
+    body = {
+        "space": ours,
+        "other_space": theirs,
+        "data_generator": NearbyData(ours, radius),
+        "testing_data": drawn_data(case),
+    }
     return DataBasedParametrizer(f"Test{name}{suffix}", (case,), body)
 
 

@@ -1,7 +1,8 @@
 """pymanopt's own test files, unmodified, on our classes.
 
-The files come from pymanopt's source distribution, unpacked in the folder that PYMANOPT_SOURCE names. In each loaded module the
-names of pymanopt's manifolds are bound to ``to_pymanopt(*from_pymanopt(...))``: the same constructor, our code behind it.
+The files come from pymanopt's source distribution, unpacked in the folder that PYMANOPT_SOURCE names. In each loaded
+module the names of pymanopt's manifolds are bound to ``to_pymanopt(*from_pymanopt(...))``: the same constructor, our
+code behind it.
 """
 
 import importlib.util
@@ -32,7 +33,9 @@ FILES = {
 
 def ours(name):
     """The constructor of a pymanopt manifold, with our manifold as its value."""
-    return lambda *arguments, **options: to_pymanopt(*from_pymanopt(getattr(pymanopt.manifolds, name)(*arguments, **options)))
+    return lambda *arguments, **options: to_pymanopt(
+        *from_pymanopt(getattr(pymanopt.manifolds, name)(*arguments, **options))
+    )
 
 
 def loaded(file, rebound):

@@ -1,4 +1,5 @@
-"""A page holds the motion that its record has, in one file that asks for nothing; in a browser it moves to what it holds."""
+"""A page holds the motion that its record has, in one file that asks for nothing; in a browser it moves to what it
+holds."""
 
 import importlib.util
 import json

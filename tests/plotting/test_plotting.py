@@ -66,14 +66,20 @@ def poses(n, count=9):
     """Poses in the plane or in space that go along a line and turn about the last axis."""
     turn = Rotation.from_rotvec(np.linspace(0, 2, count)[:, None] * [0, 0, 1]).as_matrix()
     found = np.zeros((count, n + 1, n + 1))
-    found[:, :n, :n], found[:, :n, n], found[:, n, n] = turn[:, :n, :n], np.linspace(0, 1, count)[:, None] + np.arange(n), 1
+    found[:, :n, :n], found[:, :n, n], found[:, n, n] = (
+        turn[:, :n, :n],
+        np.linspace(0, 1, count)[:, None] + np.arange(n),
+        1,
+    )
     return found
 
 
 def test_histories_are_the_numbers_with_names_and_units(solved):
     solution, _ = solved
     attitude, beside, control = plotting.histories(solution)
-    assert all(tick.label1.get_visible() for axis in (attitude, beside, control) for tick in axis.xaxis.get_major_ticks())
+    assert all(
+        tick.label1.get_visible() for axis in (attitude, beside, control) for tick in axis.xaxis.get_major_ticks()
+    )
     vectors = Rotation.from_matrix(solution.states[0]).as_rotvec()
     for axis, times, values in (
         (attitude, solution.times, vectors),

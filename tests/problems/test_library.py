@@ -14,7 +14,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-effort", "detumbling", "rendezvous")
 UNSOLVED: dict[str, str] = {
     "orbit-raising": "runs away from a spiral with thrust out and in; collocation with IPOPT arrives from it",
-    "zermelo": "the horizon shrinks to nothing, from a straight line with a heading that turns; collocation with IPOPT arrives",
+    "zermelo": "the horizon shrinks to nothing, from a straight line with a heading that turns; "
+    "collocation with IPOPT arrives",
 }
 
 
@@ -34,7 +35,9 @@ def arrives(name: str) -> tuple[bool, str]:
     return solution.success and abs(distance) <= entry.error, f"{distance:.1e} from the optimum: {solution.result}"
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in problems.names()])
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in problems.names()]
+)
 def test_a_problem_is_solved_from_its_default_guess_unless_it_is_listed(name):
     arrived, said = arrives(name)
     assert arrived == (name not in UNSOLVED), said

@@ -84,7 +84,11 @@ def _cone(make):
 
 
 @pytest.mark.parametrize("make", [Exponential, SPDSecondOrder], ids=["exponential", "second order"])
-@given(seed=SEEDS, length=st.one_of(st.sampled_from([0.0, 1e-12, 1e-6]), st.floats(0.0, 0.99)), spread=st.floats(1.0, 100.0))
+@given(
+    seed=SEEDS,
+    length=st.one_of(st.sampled_from([0.0, 1e-12, 1e-6]), st.floats(0.0, 0.99)),
+    spread=st.floats(1.0, 100.0),
+)
 def test_inverses_on_the_cone_are_as_exact_as_the_condition_of_the_point(make, seed, length, spread):
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
@@ -119,7 +123,9 @@ def _simplex():
     return compiled(facts)
 
 
-@given(seed=SEEDS, length=st.one_of(st.sampled_from([1e-12, 1e-6]), st.floats(0.0, 300.0)), smallest=st.floats(1e-8, 0.2))
+@given(
+    seed=SEEDS, length=st.one_of(st.sampled_from([1e-12, 1e-6]), st.floats(0.0, 300.0)), smallest=st.floats(1e-8, 0.2)
+)
 def test_inverses_on_the_simplex_up_to_its_corners(seed, length, smallest):
     # In units of x, entry by entry: entries of v/x up to 300 make values down to e^-600.
     x = np.array([smallest, 0.3, 0.2, 0.5 - smallest])

@@ -39,7 +39,10 @@ ZEROS = np.zeros((3, 3))
         (lambda: SPHERE([1.0, 0.0, 0.0], POINTS[1]), r"float\]; a list or a tuple is no array, try jax.numpy.array"),
         (lambda: differentiated(SPHERE, POINTS[0], ZEROS[0], ZEROS), r"a direction of Sphere\(2\) .* \(3, 3\) came"),
         (lambda: fibre_adjoint(ROTATIONS, POINTS, ZEROS, ZEROS[0]), r"a covector of SO\(3\) .* where \(3,\) came"),
-        (lambda: ROTATIONS(Rotation.identity(), ZEROS), r"a point of SO\(3\) .* where Rotation came; try its as_matrix\(\)"),
+        (
+            lambda: ROTATIONS(Rotation.identity(), ZEROS),
+            r"a point of SO\(3\) .* where Rotation came; try its as_matrix\(\)",
+        ),
     ],
 )
 def test_one_point_and_one_vector_of_the_shapes_of_the_manifold(call, words):

@@ -38,7 +38,9 @@ def marked(name: str):
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])
-@pytest.mark.long("theta=0.3, polar-SO3", "theta=0.3, projection-H2", "theta=0.3, softmax-simplex3", "theta=0.5, exponential-S2")
+@pytest.mark.long(
+    "theta=0.3, polar-SO3", "theta=0.3, projection-H2", "theta=0.3, softmax-simplex3", "theta=0.5, exponential-S2"
+)
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)

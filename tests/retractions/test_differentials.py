@@ -14,7 +14,9 @@ from retrax.testing.checks.derivatives import flat_retraction
 from tests.support.cases import RETRACTIONS, reach
 from tests.support.numerics import FRACTIONS, SEEDS, compiled, draw_point, draw_tangent, flat, unflat
 
-CLOSED_FORMS = {name: retraction for name, retraction in RETRACTIONS.items() if isinstance(retraction, DifferentiatedRetraction)}
+CLOSED_FORMS = {
+    name: retraction for name, retraction in RETRACTIONS.items() if isinstance(retraction, DifferentiatedRetraction)
+}
 
 
 @lru_cache

@@ -25,7 +25,9 @@ def marked(name: str):
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in MAPS])
-@pytest.mark.long("theta=0.3, nearest-ellipsoid", "theta=0.3, cayley-Gr42", "theta=0.3, polar-St42", "theta=0.3, cayley-SO2")
+@pytest.mark.long(
+    "theta=0.3, nearest-ellipsoid", "theta=0.3, cayley-Gr42", "theta=0.3, polar-St42", "theta=0.3, cayley-SO2"
+)
 def test_is_a_discretization_map(name, seeds):
     discretization = MAPS[name]
     symmetric = isinstance(discretization, Theta) and discretization.theta == 0.5 and discretization.other is None
@@ -34,7 +36,8 @@ def test_is_a_discretization_map(name, seeds):
 
 
 def left_of_the_axioms(retraction: Retraction) -> Callable:
-    """One compiled function: for each theta, what is left of the axioms at a point with a basis of its tangent vectors ``v``.
+    """One compiled function: for each theta, what is left of the axioms at a point with a basis of its tangent vectors
+    ``v``.
 
     And how far the map at ``v`` is from that with theta as data, of which ``test_cotangent_lift`` takes the lift.
     """
@@ -85,7 +88,10 @@ def test_the_adjoint_of_theta_is_one_minus_theta_with_the_retractions_exchanged(
 
 @pytest.mark.parametrize("theta", [0.0, 0.5, 1.0])
 def test_the_inverse_of_an_adjoint_returns(theta):
-    adjoint, z = Adjoint(Theta(Exponential(Sphere(2)), theta)), (jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3]))
+    adjoint, z = (
+        Adjoint(Theta(Exponential(Sphere(2)), theta)),
+        (jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3])),
+    )
     np.testing.assert_allclose(flat(adjoint.preimage(*adjoint(*z))), flat(z), atol=1e-14)
 
 

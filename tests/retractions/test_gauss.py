@@ -40,7 +40,8 @@ def legendre_values(x: np.ndarray, degree: int) -> np.ndarray:
 
 @pytest.mark.parametrize("stages", STAGES)
 def test_the_tableau_integrates_legendres_polynomials_exactly(stages):
-    """``sum b_j P_k(c_j) = 0`` for ``0 < k < 2 s``, ``sum a_ij P_k(c_j) = int_0^c_i P_k`` for ``k < s``: definitions."""
+    """``sum b_j P_k(c_j) = 0`` for ``0 < k < 2 s``, ``sum a_ij P_k(c_j) = int_0^c_i P_k`` for ``k < s``:
+    definitions."""
     method = gauss(stages)
     x = 2 * method.nodes.astype(np.longdouble) - 1
     values = legendre_values(x, 2 * stages)

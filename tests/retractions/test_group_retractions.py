@@ -55,7 +55,13 @@ def _exponential(name: str):
         a = group.hat(c)
         x = retraction(group.identity, a)
         back = retraction.preimage(group.identity, x)
-        return {"a": a, "exp": x, "log": back, "root": retraction.square_root(x), "inside": retraction.domain(group.identity, a)}
+        return {
+            "a": a,
+            "exp": x,
+            "log": back,
+            "root": retraction.square_root(x),
+            "inside": retraction.domain(group.identity, a),
+        }
 
     return compiled(facts)
 
@@ -89,7 +95,8 @@ def test_the_logarithm_inverts_the_exponential_and_halves_are_square_roots(name,
 @pytest.mark.parametrize("name", WITH_ANGLES)
 @given(seed=SEEDS, gap=st.sampled_from([1e-2, 1e-4, 1e-6, 1e-8]))
 def test_the_logarithm_is_accurate_to_the_edge_of_its_domain(name, seed, gap):
-    # A vector whose largest angle is pi - gap. Planes that reach the half turn together are told apart to 1e-16 / gap only.
+    # A vector whose largest angle is pi - gap. Planes that reach the half turn together are told apart to 1e-16 / gap
+    # only.
     a = facts_at(name, seed, 1.0)["a"]
     angles = np.sort(np.abs(np.linalg.eigvals(a).imag))
     largest = angles[-1]
@@ -130,7 +137,9 @@ def test_the_logarithm_of_motions_has_the_derivatives_of_baker_campbell_hausdorf
     for first in (forward, reverse):
         np.testing.assert_allclose(first, np.stack([a, b], axis=-1), atol=1e-14)
     bracket = (a @ b - b @ a) / 2
-    np.testing.assert_allclose(twice, np.stack([0 * a, bracket, bracket, 0 * a], axis=-1).reshape(4, 4, 2, 2), atol=1e-13)
+    np.testing.assert_allclose(
+        twice, np.stack([0 * a, bracket, bracket, 0 * a], axis=-1).reshape(4, 4, 2, 2), atol=1e-13
+    )
 
 
 @compiled
@@ -268,7 +277,9 @@ def test_a_wrong_group_map_is_refused(kind):
         Translated(*arguments)
 
 
-@pytest.mark.parametrize("arguments", [(SO(3),), (SE(3), SOQR(SO(3))), (SE(3), SOPolar(SO(2)))], ids=["SO", "QR", "size"])
+@pytest.mark.parametrize(
+    "arguments", [(SO(3),), (SE(3), SOQR(SO(3))), (SE(3), SOPolar(SO(2)))], ids=["SO", "QR", "size"]
+)
 def test_a_wrong_decoupled_retraction_is_refused(arguments):
     with pytest.raises(InvalidInputError, match="SEDecoupled takes a"):
         SEDecoupled(*arguments)
@@ -283,7 +294,9 @@ def test_the_decoupled_exponential_turns_and_shifts():
 
 
 @pytest.mark.parametrize(
-    "retraction", [Cayley(SO(3) * Euclidean(2)), Polar(SO(4)), Exponential(SU(2)), Exponential(SE(2)), QR(SO(3))], ids=str
+    "retraction",
+    [Cayley(SO(3) * Euclidean(2)), Polar(SO(4)), Exponential(SU(2)), Exponential(SE(2)), QR(SO(3))],
+    ids=str,
 )
 def test_charts_and_pairs_are_the_retraction_itself(retraction):
     """Closed forms of ``R(x, sum c_k E_k)`` and of ``R(x, -v)``, ``R(x, v)``."""
@@ -301,7 +314,8 @@ def test_charts_and_pairs_are_the_retraction_itself(retraction):
 
 @lru_cache
 def _frobenius_geodesic():
-    """Time derivatives of the body velocity of a geodesic on SL(3), against the basis, and those of Euler and Poincare."""
+    """Time derivatives of the body velocity of a geodesic on SL(3), against the basis, and those of Euler and
+    Poincare."""
     group = SL(3)
     retraction, metric = FrobeniusExponential(group), LeftInvariantMetric(group, group.lie_algebra.gram)
     basis = jnp.asarray(group.algebra)

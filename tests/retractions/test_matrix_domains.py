@@ -1,4 +1,5 @@
-"""Inverses of the retractions of matrix manifolds, from short tangent vectors to the edges of their domains and beyond."""
+"""Inverses of the retractions of matrix manifolds, from short tangent vectors to the edges of their domains and
+beyond."""
 
 from functools import lru_cache
 
@@ -69,8 +70,8 @@ def test_the_logarithm_of_frames_reaches_the_edge_of_its_domain():
         np.testing.assert_allclose(back, v, atol=1e-14 / gap)
 
 
-# The rational retractions send tangent vectors of any length t into their images, with edges at t = infinity: a rounding of
-# v by eps t is one of y by eps t, and a rounding of y by eps is magnified to eps t^2.
+# The rational retractions send tangent vectors of any length t into their images, with edges at t = infinity: a
+# rounding of v by eps t is one of y by eps t, and a rounding of y by eps is magnified to eps t^2.
 SIZES = [1e-12, 1e-6, 1.0, 1e2, 1e4, 1e8]
 GRADED = {"polar": Polar(Stiefel(4, 2)), "QR": QR(Stiefel(4, 2)), "Cayley": Cayley(Stiefel(4, 2))}
 
@@ -139,14 +140,16 @@ FIRST_TWO = np.eye(4, 3) @ np.diag([1.0, 1.0, 0.0])
 
 
 def shrinking(t):
-    """A tangent vector at ``FIRST_TWO``: the second singular value shrinks, columns and rows turn from the first axis."""
+    """A tangent vector at ``FIRST_TWO``: the second singular value shrinks, columns and rows turn from the first
+    axis."""
     v = np.zeros((4, 3))
     v[1, 1], v[0, 2], v[2, 0] = -t, 0.8 * t, 0.7 * t
     return v
 
 
 def gap(t):
-    """Second singular value of ``FIRST_TWO + shrinking(t)`` less the third: zero where 1 - t is that of the other block."""
+    """Second singular value of ``FIRST_TWO + shrinking(t)`` less the third: zero where 1 - t is that of the other
+    block."""
     other = np.linalg.svd(np.array([[1.0, 0.8 * t], [0.7 * t, 0.0]]))[1][1]
     return 1 - t - other
 
@@ -235,7 +238,8 @@ def test_outside_the_image_the_inverse_says_so(name):
 
 @lru_cache
 def _midpoint_of_subspaces(retraction: Retraction):
-    """Midpoints of subspaces with given principal angles: how far the inverse's values are from the points, and its vector."""
+    """Midpoints of subspaces with given principal angles: how far the inverse's values are from the points, and its
+    vector."""
     midpoint = Midpoint(retraction)
 
     def facts(key: jax.Array, angles: jax.Array) -> tuple[jax.Array, ...]:
@@ -251,13 +255,16 @@ def _midpoint_of_subspaces(retraction: Retraction):
 @pytest.mark.parametrize("double", [True, False], ids=["double", "single"])
 @pytest.mark.parametrize("family", [Cayley, pytest.param(Polar, marks=pytest.mark.slow)])
 def test_the_midpoint_of_subspaces_is_nan_where_the_cosine_of_an_angle_is_rounding(family, double):
-    # Through the right angle at all distances: an angle beyond it is that of nearer points, as subspaces have no orientation.
+    # Through the right angle at all distances: an angle beyond it is that of nearer points, as subspaces have no
+    # orientation.
     with jax.enable_x64(double):
         eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)
         gaps = np.geomspace(eps, 1.0, 30)
         first = np.concatenate([np.pi / 2 - gaps, np.pi / 2 + gaps])
         angles = jnp.asarray(np.stack([first, np.full(60, 0.3)], axis=1))
-        missed, length = _midpoint_of_subspaces(family(Grassmann(4, 2)))(jax.random.split(jax.random.key(0), 10), angles)
+        missed, length = _midpoint_of_subspaces(family(Grassmann(4, 2)))(
+            jax.random.split(jax.random.key(0), 10), angles
+        )
     gaps, known = np.tile(gaps, 2), np.isfinite(length)
     assert np.all(known[gaps > 5 * eps**0.5])
     assert not np.any(known[gaps < 3 * eps**0.5])

@@ -1,4 +1,5 @@
-"""Closed forms of the retractions of matrix manifolds against their definitions, their special cases and other libraries."""
+"""Closed forms of the retractions of matrix manifolds against their definitions, their special cases and other
+libraries."""
 
 import warnings
 from functools import lru_cache

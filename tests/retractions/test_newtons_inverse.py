@@ -12,7 +12,17 @@ from retrax.retractions.retraction import newton_preimage
 from retrax.testing.checks.derivatives import flat_retraction
 
 from tests.support.cases import QUICK, REPRESENTATIVES, RETRACTIONS, reach
-from tests.support.numerics import FRACTIONS, NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
+from tests.support.numerics import (
+    FRACTIONS,
+    NODES,
+    SEEDS,
+    compiled,
+    differences,
+    draw_point,
+    draw_tangent,
+    flat,
+    unflat,
+)
 
 # Spacing of the differences: the error of order 6 and the rounding divided by it are both below 1e-10.
 STEP = 2e-3

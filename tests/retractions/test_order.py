@@ -94,7 +94,8 @@ def test_a_retraction_is_corrected_for_any_metric():
 
 
 def test_the_order_at_a_point_is_the_order_there():
-    # For entries 1/3 and v = (1, -1, 0) the acceleration of x exp(v/x) is 3 (1, 1, -2)/3; for two entries of 1/2 it is none.
+    # For entries 1/3 and v = (1, -1, 0) the acceleration of x exp(v/x) is 3 (1, 1, -2)/3; for two entries of 1/2 it is
+    # none.
     measured = order(SOFTMAX, at=(jnp.full(3, 1 / 3), jnp.array([1.0, -1.0, 0.0])))
     assert measured.order == 1
     np.testing.assert_allclose(measured.acceleration, 1.0, rtol=1e-12)

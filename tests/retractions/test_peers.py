@@ -42,7 +42,9 @@ def test_the_exponential_of_hyperbolic_space_is_that_of_geomstats(geometry):
     space = geometry.hyperboloid.Hyperboloid(2)
     retraction, (x, v, y) = Exponential(Hyperbolic(2)), draws(Hyperbolic(2), 0.5)
     np.testing.assert_allclose(jax.jit(jax.vmap(retraction))(x, v), space.metric.exp(v, x), atol=1e-9)
-    np.testing.assert_allclose(jax.jit(jax.vmap(retraction.inverse))(x[:2], y[:2]), space.metric.log(y[:2], x[:2]), atol=1e-9)
+    np.testing.assert_allclose(
+        jax.jit(jax.vmap(retraction.inverse))(x[:2], y[:2]), space.metric.log(y[:2], x[:2]), atol=1e-9
+    )
 
 
 def test_retractions_are_those_of_pymanopt():
@@ -59,4 +61,6 @@ def test_retractions_are_those_of_pymanopt():
 def test_the_simplex_is_multiplicative_weights():
     x, v, _ = draws(Simplex(3), 0.1)
     weights = x * np.exp(v / x)
-    np.testing.assert_allclose(jax.vmap(Exponential(Simplex(3)))(x, v), weights / weights.sum(1, keepdims=True), atol=1e-14)
+    np.testing.assert_allclose(
+        jax.vmap(Exponential(Simplex(3)))(x, v), weights / weights.sum(1, keepdims=True), atol=1e-14
+    )

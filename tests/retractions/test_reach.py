@@ -1,7 +1,7 @@
 """The ends of domains: from vectors of length 1 to those whose squares overflow, in both precisions.
 
-A tangent vector is in the domain where the inverse gives it back to more than half of its digits; whatever its length, its value
-is a point of the manifold to rounding, or not finite.
+A tangent vector is in the domain where the inverse gives it back to more than half of its digits; whatever its length,
+its value is a point of the manifold to rounding, or not finite.
 """
 
 import time
@@ -28,14 +28,15 @@ POINTS = 20
 
 # Rounding units, relative to 1 + the size of the value, to which values satisfy the equations of their manifold.
 UNITS = 500
-# Where the exponential of a matrix, or of many turns, is taken this grows as |v|: its squarings, or the angle, have the rounding.
+# Where the exponential of a matrix, or of many turns, is taken this grows as |v|: its squarings, or the angle, have the
+# rounding.
 GROWING = ("exponential-", "frobenius-", "canonical-", "orthographic-curve")
-# Of SL(3) a value is x g with det g = 1 to rounding, in which that of det x g is magnified by the products of three entries
-# of the value, which the size of the value alone does not say: relative to its cube.
+# Of SL(3) a value is x g with det g = 1 to rounding, in which that of det x g is magnified by the products of three
+# entries of the value, which the size of the value alone does not say: relative to its cube.
 CUBED = ("exponential-SL3",)
 
-# Those of the default run, one for each way in which a domain ends; the slow one has all. Logarithms of SO(4) and U(2) need more
-# digits of a point than single precision has, unless they are taken with care.
+# Those of the default run, one for each way in which a domain ends; the slow one has all. Logarithms of SO(4) and U(2)
+# need more digits of a point than single precision has, unless they are taken with care.
 QUICK = {
     "double": ("exponential-S2", "projection-S2", "cayley-SO2", "polar-SO3", "softmax-simplex3", "quadratic-SPD2"),
     "single": ("exponential-SO4", "exponential-U2"),
@@ -45,11 +46,14 @@ QUICK = {
 def _cases():
     for name in RETRACTIONS:
         for precision, quick in QUICK.items():
-            yield pytest.param(name, precision, marks=[pytest.mark.slow] * (name not in quick), id=f"{name}-{precision}")
+            yield pytest.param(
+                name, precision, marks=[pytest.mark.slow] * (name not in quick), id=f"{name}-{precision}"
+            )
 
 
 def _facts(retraction: Retraction, key: jax.Array, length: jax.Array) -> dict:
-    """Of one random point and vector: whether it is in the domain, comes back, and how far off the manifold its value is."""
+    """Of one random point and vector: whether it is in the domain, comes back, and how far off the manifold its value
+    is."""
     manifold = retraction.manifold
     first, second = jax.random.split(key)
     x = manifold.random_point(first)
@@ -79,7 +83,8 @@ def test_a_vector_of_any_length_comes_back_or_is_outside_the_domain(name, precis
 
 @lru_cache
 def _logarithms(kind: str):
-    """Logarithms of rotations, or of unitary matrices, with given angles in random planes: whether in the domain, and errors."""
+    """Logarithms of rotations, or of unitary matrices, with given angles in random planes: whether in the domain, and
+    errors."""
 
     def facts(key: jax.Array, angles: jax.Array) -> tuple[jax.Array, jax.Array]:
         if kind == "U":
@@ -115,7 +120,8 @@ def test_the_logarithm_tells_planes_that_are_near_a_half_turn_together(kind, pre
         eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)
         angles, apart = _angles(kind, eps)
         inside, error = _logarithms(kind)(jax.random.split(jax.random.key(3), 5), jnp.asarray(angles))
-    # In the domain if both are a few roundings from the half turn and their distances make up a few roots of eps, out if not.
+    # In the domain if both are a few roundings from the half turn and their distances make up a few roots of eps, out
+    # if not.
     single = np.pi - np.max(np.abs(angles), axis=1)
     far, near = (single > 400 * eps) & (apart > 40 * eps**0.5), (single < 20 * eps) | (apart < 10 * eps**0.5)
     assert np.all(inside[far])
@@ -125,7 +131,9 @@ def test_the_logarithm_tells_planes_that_are_near_a_half_turn_together(kind, pre
 
 @pytest.mark.parametrize("kind", ["SO", "U"])
 def test_the_logarithm_is_exact_whichever_way_angles_lie(kind):
-    angles = np.array([(t, sign * s, 0.7) for t in np.linspace(0, 3, 16) for s in (0.0, 1.5, 1.6, 2.5, t) for sign in (1, -1)])
+    angles = np.array(
+        [(t, sign * s, 0.7) for t in np.linspace(0, 3, 16) for s in (0.0, 1.5, 1.6, 2.5, t) for sign in (1, -1)]
+    )
     inside, error = _logarithms(kind)(jax.random.split(jax.random.key(3), 5), jnp.asarray(angles))
     assert np.all(inside)
     assert np.max(error) < 1e-13
@@ -133,7 +141,8 @@ def test_the_logarithm_is_exact_whichever_way_angles_lie(kind):
 
 @lru_cache
 def _defects(kind: str):
-    """How far Cayley transforms and polar factors of ``I + a`` are from unitary, ``a`` with given angles in random planes."""
+    """How far Cayley transforms and polar factors of ``I + a`` are from unitary, ``a`` with given angles in random
+    planes."""
     make = rotations if kind == "SO" else unitary
 
     def facts(key: jax.Array, angles: jax.Array) -> jax.Array:
@@ -145,7 +154,9 @@ def _defects(kind: str):
             q, turn = qr_factor(jax.random.normal(key, (2 * angles.size,) * 2)), jnp.array([[0.0, -1.0], [1.0, 0.0]])
             a = q @ jnp.kron(jnp.diag(angles), turn) @ q.T
         a = (a - a.conj().T) / 2
-        return jnp.stack([jnp.max(jnp.abs(y.conj().T @ y - jnp.eye(y.shape[0]))) for y in (make.cayley(a), make.polar(a))])
+        return jnp.stack(
+            [jnp.max(jnp.abs(y.conj().T @ y - jnp.eye(y.shape[0]))) for y in (make.cayley(a), make.polar(a))]
+        )
 
     return compiled(jax.vmap(jax.vmap(facts, (0, None)), (None, 0)))
 
@@ -181,7 +192,9 @@ def test_the_exponential_of_a_matrix_is_right_or_nan_however_large(precision):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("family", [Exponential, pytest.param(SPDLogEuclidean, marks=pytest.mark.slow)], ids=["affine", "log"])
+@pytest.mark.parametrize(
+    "family", [Exponential, pytest.param(SPDLogEuclidean, marks=pytest.mark.slow)], ids=["affine", "log"]
+)
 def test_a_definite_matrix_stays_one_however_far_its_eigenvalues_spread(family, precision):
     retraction, spreads = family(SPD(3)), np.linspace(1.0, 100.0, 100)
 
@@ -189,7 +202,12 @@ def test_a_definite_matrix_stays_one_however_far_its_eigenvalues_spread(family, 
         q = qr_factor(jax.random.normal(key, (3, 3)))
         x, v = jnp.eye(3), (q * jnp.array([0.0, spread / 3, spread])) @ q.T
         y = retraction(x, v)
-        return retraction.domain(x, v), y, vec.size(retraction.preimage(x, y) - v) / spread, retraction.manifold.violations(y)
+        return (
+            retraction.domain(x, v),
+            y,
+            vec.size(retraction.preimage(x, y) - v) / spread,
+            retraction.manifold.violations(y),
+        )
 
     with PRECISIONS[precision]():
         eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)

@@ -14,7 +14,9 @@ from tests.support.cases import METRICS, QUICK, RETRACTIONS, order, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in RETRACTIONS])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in RETRACTIONS]
+)
 @pytest.mark.long("nearest-ellipsoid", "cayley-SO2", "polar-SO3")
 def test_is_a_retraction(name, seeds):
     claims = {"order": order(name), "metric": METRICS.get(name), "reach": reach(name)}
@@ -34,7 +36,8 @@ def _qr_acceleration(n: int):
 @pytest.mark.parametrize("n", [2, 3, 4])
 @given(seed=SEEDS)
 def test_the_qr_retraction_has_a_tangential_acceleration(n, seed):
-    # I + t W = q r gives q'' = -2u with u + u' = -W^2, u upper triangular: the skew part of W^2 with its signs below turned.
+    # I + t W = q r gives q'' = -2u with u + u' = -W^2, u upper triangular: the skew part of W^2 with its signs below
+    # turned.
     x, _, basis = draw_point(SO(n), seed)
     x, w = (a.reshape(n, n) for a in (x, draw_tangent(np.random.default_rng(seed), basis, 1.0)))
     square = x.T @ w @ x.T @ w

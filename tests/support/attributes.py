@@ -1,4 +1,5 @@
-"""Abstract attributes as class attributes, fields with and without a default, and properties: each kind in its own class.
+"""Abstract attributes as class attributes, fields with and without a default, and properties: each kind in its own
+class.
 
 Type checkers read this file as they would a user's; ``tests/test_attributes.py`` makes the objects.
 """

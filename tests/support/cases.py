@@ -260,8 +260,8 @@ METRICS: dict[str, Metric] = {
 # On these groups one-parameter subgroups are not geodesics: rigid motions are screws.
 _NOT_GEODESIC = ("SE2", "SE3", "SL2", "SL3", "heisenberg")
 
-# One retraction for each closed form of an inverse. Newton's method is compared with them, and their discretization maps are
-# lifted: a lift does not know from which closed form a retraction comes.
+# One retraction for each closed form of an inverse. Newton's method is compared with them, and their discretization
+# maps are lifted: a lift does not know from which closed form a retraction comes.
 REPRESENTATIVES = (
     "addition-R2x3",
     "exponential-S2",
@@ -299,7 +299,11 @@ THETAS = (0.0, 0.3, 0.5, 1.0)
 
 LIFTED_MAPS: dict[str, DiscretizationMap] = {
     **{f"theta=0.3, {name}": Theta(RETRACTIONS[name], 0.3) for name in REPRESENTATIVES},
-    **{f"theta={theta}, {name}": Theta(RETRACTIONS[name], theta) for name in REPRESENTATIVES[:2] for theta in (0.0, 0.5, 1.0)},
+    **{
+        f"theta={theta}, {name}": Theta(RETRACTIONS[name], theta)
+        for name in REPRESENTATIVES[:2]
+        for theta in (0.0, 0.5, 1.0)
+    },
     "two, cayley-SO3": Theta(Cayley(SO(3)), 0.4, QR(SO(3))),
     "adjoint, exponential-S2": Adjoint(Theta(Exponential(Sphere(2)), 0.3, Projection(Sphere(2)))),
 }

@@ -1,4 +1,5 @@
-"""Numerics that the facts are stated with, those of the conformance kit among them, and draws that remember their kernels."""
+"""Numerics that the facts are stated with, those of the conformance kit among them, and draws that remember their
+kernels."""
 
 from functools import lru_cache
 
@@ -31,7 +32,8 @@ _sampler = lru_cache(Sampler)
 
 
 def draw_point(manifold: Manifold, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A random point and a random tangent vector there, flat, and the orthonormal basis of the tangent space, by rows."""
+    """A random point and a random tangent vector there, flat, and the orthonormal basis of the tangent space, by
+    rows."""
     return _sampler(manifold).point(seed)
 
 

@@ -1,4 +1,5 @@
-"""A small study for sweeps, in a module that other processes import; as a script it sweeps with workers until one is killed."""
+"""A small study for sweeps, in a module that other processes import; as a script it sweeps with workers until one is
+killed."""
 
 import os
 import sys

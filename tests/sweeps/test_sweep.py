@@ -85,7 +85,10 @@ def test_failed_members_keep_their_reason_and_harm_no_other(whole):
     assert np.isnan([whole.cost[REFUSED], whole.kept["peak"][REFUSED]]).all()
     assert not whole.success[[REFUSED, UNREACHED]].any()
     assert np.isfinite(whole.cost[UNREACHED]), "that of the best iterate"
-    assert {words: members.tolist() for words, members in whole.reasons.items()} == {refused: [REFUSED], unreached: [UNREACHED]}
+    assert {words: members.tolist() for words, members in whole.reasons.items()} == {
+        refused: [REFUSED],
+        unreached: [UNREACHED],
+    }
     assert f"1 as member {REFUSED}: {refused}" in repr(whole)
     assert sum(work.members for work in whole.workers.values()) == COUNT
 
@@ -222,13 +225,19 @@ def test_the_end_of_an_executor_says_what_is_there(finished, tmp_path):
 def test_workers_that_write_elsewhere_are_found_out(tmp_path):
     with pytest.raises(RetraxError, match=f"16 of {COUNT} members are in .* every worker sees"):
         sweep(
-            base, COUNT, tmp_path, Now(2, lambda job, part: run(job._replace(folder=str(tmp_path / "away")), part)), chunk=CHUNK
+            base,
+            COUNT,
+            tmp_path,
+            Now(2, lambda job, part: run(job._replace(folder=str(tmp_path / "away")), part)),
+            chunk=CHUNK,
         )
 
 
 def test_a_worker_in_another_precision_is_refused(tmp_path):
     with pytest.raises(InvalidInputError, match=r"computes in float64, and .* in float32"):
-        sweep(base, COUNT, tmp_path, Now(0, lambda job, part: run(job._replace(precision="float32"), part)), chunk=CHUNK)
+        sweep(
+            base, COUNT, tmp_path, Now(0, lambda job, part: run(job._replace(precision="float32"), part)), chunk=CHUNK
+        )
 
 
 def test_few_chunks_wait_at_a_time(whole, tmp_path, monkeypatch):
@@ -259,7 +268,10 @@ def test_few_chunks_wait_at_a_time(whole, tmp_path, monkeypatch):
         ({"count": 0}, "count must be a whole number"),
         ({"chunk": 2.5}, "chunk must be a whole number"),
         ({"executor": 4}, "executor must be"),
-        ({"build": lambda: replace(base(), cases=lambda members: {"starts": 1})}, "cases returned .* expected a dictionary"),
+        (
+            {"build": lambda: replace(base(), cases=lambda members: {"starts": 1})},
+            "cases returned .* expected a dictionary",
+        ),
         ({"build": lambda: Study(3, cases)}, "Study takes a Solver"),  # pyright: ignore[reportArgumentType]
     ],
 )

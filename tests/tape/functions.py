@@ -20,17 +20,25 @@ SMOOTH = {
     "logistic": lambda x: jax.nn.sigmoid(x) + jax.nn.softplus(x) + jax.nn.silu(x) + jax.nn.softmax(x),
     "log-sum-exp": lambda x: jax.scipy.special.logsumexp(x) + jnp.logaddexp(x[0], x[1]),
     "sinc": jnp.sinc,
-    "clip": lambda x: jnp.clip(x, 0.2, 0.7) + jnp.minimum(x, 0.5) + jnp.maximum(x[0], x[1]) + jax.lax.clamp(0.1, x, 0.9),
-    "rounding": lambda x: x * (jnp.floor(3 * x) + jnp.ceil(3 * x) + jnp.round(3 * x) + jnp.trunc(3 * x) + jnp.sign(x - 0.5)),
+    "clip": lambda x: (
+        jnp.clip(x, 0.2, 0.7) + jnp.minimum(x, 0.5) + jnp.maximum(x[0], x[1]) + jax.lax.clamp(0.1, x, 0.9)
+    ),
+    "rounding": lambda x: (
+        x * (jnp.floor(3 * x) + jnp.ceil(3 * x) + jnp.round(3 * x) + jnp.trunc(3 * x) + jnp.sign(x - 0.5))
+    ),
     "remainder": lambda x: jnp.fmod(3 * x, 0.7) * x + jnp.remainder(-3 * x, 0.7),
     "choice": lambda x: jnp.where((x > 0.4) & ~(x >= 0.9) | (x[0] <= 0.1), x**2, jnp.sin(x)),
     "switch": lambda x: jax.lax.switch((3 * x[0]).astype(int), [jnp.sin, jnp.cos, jnp.exp], x),
     "branch": lambda x: jax.lax.cond(x[0] != x[1], lambda x: x * x[2], jnp.sin, x),
     "is finite": lambda x: jnp.where(jnp.isfinite(x) & ~jnp.isnan(x) & jnp.logical_xor(x < 2, x == 2), x**2, 0.0),
-    "scan": lambda x: jax.lax.scan(lambda c, a: (c * a + 1, c), x[0], x)[1] + jax.lax.fori_loop(0, 3, lambda i, c: c * x[i], 1.0),
+    "scan": lambda x: (
+        jax.lax.scan(lambda c, a: (c * a + 1, c), x[0], x)[1] + jax.lax.fori_loop(0, 3, lambda i, c: c * x[i], 1.0)
+    ),
     "associative": lambda x: jnp.cumsum(x) * jnp.cumprod(1 + x) + jax.lax.cummax(x) * jax.lax.cummin(x),
     "indices": lambda x: x[::-1] * x[jnp.array([2, 0, 0])] + x.at[1].set(x[0]).at[2].add(x[1]).at[0].multiply(3.0),
-    "extrema": lambda x: x.at[0].min(x[1]).at[1].max(x[2]) + x[jnp.argmax(x)] * x[jnp.argmin(x)] + jnp.max(x) * jnp.min(x),
+    "extrema": lambda x: (
+        x.at[0].min(x[1]).at[1].max(x[2]) + x[jnp.argmax(x)] * x[jnp.argmin(x)] + jnp.max(x) * jnp.min(x)
+    ),
     "shapes": lambda x: jnp.pad(x, 1)[1:-1] * jnp.roll(x, 1) + jnp.tile(x, 2)[3:] + jnp.stack([x, x**2]).T[:, 1],
     "precision": lambda x: jax.lax.reduce_precision(jnp.stack(jnp.unstack(x)[::-1]), 11, 52) * x,
     "pieces": lambda x: jnp.concatenate([*jnp.split(x, 3)][::-1]) + jnp.array([*x])[::-1] + jnp.repeat(x, 2)[::2],
@@ -38,14 +46,24 @@ SMOOTH = {
         jax.lax.dynamic_slice(x, ((2 * x[0]).astype(int),), (2,))[0] * jax.lax.dynamic_update_slice(x, x[:1], (2,))
     ),
     "sums": lambda x: jnp.sum(jnp.outer(x, x), 0) * jnp.prod(x) + jnp.mean(x) + jnp.var(x),
-    "truth": lambda x: jnp.where(jnp.all(x > 0) | jnp.any(x < 0), x, -x) * x + jnp.where(jnp.array([True, False, True]), x, 0.0),
-    "products": lambda x: jnp.einsum("i,ij,jk->k", x, jnp.outer(x, x), jnp.eye(3) * x) + jnp.cross(x, x**2) * jnp.dot(x, x),
-    "batched products": lambda x: jnp.einsum("bij,bj->i", jnp.stack([jnp.outer(x, x), jnp.eye(3)]), jnp.stack([x, x**2])),
+    "truth": lambda x: (
+        jnp.where(jnp.all(x > 0) | jnp.any(x < 0), x, -x) * x + jnp.where(jnp.array([True, False, True]), x, 0.0)
+    ),
+    "products": lambda x: (
+        jnp.einsum("i,ij,jk->k", x, jnp.outer(x, x), jnp.eye(3) * x) + jnp.cross(x, x**2) * jnp.dot(x, x)
+    ),
+    "batched products": lambda x: jnp.einsum(
+        "bij,bj->i", jnp.stack([jnp.outer(x, x), jnp.eye(3)]), jnp.stack([x, x**2])
+    ),
     "norm": lambda x: x / jnp.linalg.norm(x),
     "interpolation": lambda x: jnp.interp(3 * x, jnp.arange(4.0), jnp.array([0.0, 1.0, -1.0, 2.0])) * x,
     "solve": lambda x: jnp.linalg.solve(_matrix(x), x) + jnp.linalg.inv(_matrix(x))[0],
-    "batched solve": lambda x: jnp.linalg.solve(jnp.stack([_matrix(x), _matrix(-x)]), jnp.stack([x, x**2])[..., None])[0, :, 0],
-    "determinant": lambda x: jnp.linalg.det(_matrix(x)) * jnp.linalg.det(jnp.eye(4) + jnp.outer(jnp.tile(x, 2)[:4], jnp.ones(4))),
+    "batched solve": lambda x: jnp.linalg.solve(jnp.stack([_matrix(x), _matrix(-x)]), jnp.stack([x, x**2])[..., None])[
+        0, :, 0
+    ],
+    "determinant": lambda x: (
+        jnp.linalg.det(_matrix(x)) * jnp.linalg.det(jnp.eye(4) + jnp.outer(jnp.tile(x, 2)[:4], jnp.ones(4)))
+    ),
     "cholesky": lambda x: jnp.linalg.cholesky(jnp.eye(3) + jnp.outer(x, x))[2],
     "triangular": lambda x: jax.scipy.linalg.solve_triangular(_matrix(x), x, trans=1) + _right_sided(x),
     "qr": lambda x: jnp.linalg.qr(_matrix(x)[:, :2], mode="complete")[0][2] + jnp.linalg.qr(_matrix(x))[1][0],
@@ -58,11 +76,14 @@ SMOOTH = {
     "own rule": lambda x: _squared(x) + _cubed(x),
     "whole numbers": lambda x: x * ((5 * x).astype(int) // 2 + (7 * x).astype(int) % 3),
     "complex": lambda x: _complex(x),
-    "complex with a number as part": lambda x: jnp.real(jnp.outer(jax.lax.complex(x, 0.0), 1j * x) @ jax.lax.complex(x, 2.0)),
+    "complex with a number as part": lambda x: jnp.real(
+        jnp.outer(jax.lax.complex(x, 0.0), 1j * x) @ jax.lax.complex(x, 2.0)
+    ),
     "complex solve": lambda x: jnp.real(jnp.linalg.solve(_matrix(x) + 1j * jnp.eye(3), x * (1 + 2j))),
 }
 
-# Where x^2/|x| and the like would divide by zero, and where functions have kinks, as many times as JAX gives derivatives there.
+# Where x^2/|x| and the like would divide by zero, and where functions have kinks, as many times as JAX gives
+# derivatives there.
 SPECIAL = {
     "zero of sinc": (jnp.sinc, ZERO),
     "zero of logistic": (lambda x: jax.nn.sigmoid(x) + jax.nn.softplus(x), ZERO),
@@ -88,7 +109,9 @@ def _complex(x):
     z = jax.lax.complex(x, x[::-1])
     w = jnp.conj(z) * jnp.exp(z) / (1 + z**2) - jnp.square(z) + z**-1 + jnp.log(2 + z)
     turned = jnp.where(x > 0.5, w, -z) @ jnp.outer(z, jnp.conj(z))
-    return jnp.real(turned) * jnp.imag(jnp.sum(w)) + jnp.abs(z) + jnp.angle(1 + z) * (z != w) + jnp.where(z == z, x, 0.0)
+    return (
+        jnp.real(turned) * jnp.imag(jnp.sum(w)) + jnp.abs(z) + jnp.angle(1 + z) * (z != w) + jnp.where(z == z, x, 0.0)
+    )
 
 
 @jax.custom_jvp

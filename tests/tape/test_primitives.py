@@ -52,7 +52,9 @@ def test_values_and_two_derivatives_are_those_of_xla(name, by_xla):
 def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)
-        for value in jax.tree.leaves(list(eqn.params.values()), is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")):
+        for value in jax.tree.leaves(
+            list(eqn.params.values()), is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
+        ):
             if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
                 primitives(getattr(value, "jaxpr", value), found)
     return found

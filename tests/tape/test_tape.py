@@ -232,7 +232,9 @@ def test_a_loop_is_written_out_as_long_as_its_length_is_known():
         np.testing.assert_allclose(Tape.trace(powers(count), np.ones(3))(np.ones((3, 1)) * 1.001)[:, 0], 1.001**count)
     with pytest.raises(NotTraceableError, match="1001 iterations"):
         Tape.trace(powers(1001), np.ones(3))
-    known = Tape.trace(lambda x: jax.lax.while_loop(lambda c: c[0] < 5, lambda c: (c[0] + 1, c[1] * x), (0, x))[1], np.ones(3))
+    known = Tape.trace(
+        lambda x: jax.lax.while_loop(lambda c: c[0] < 5, lambda c: (c[0] + 1, c[1] * x), (0, x))[1], np.ones(3)
+    )
     np.testing.assert_allclose(known(np.full((3, 1), 2.0)), 2.0**6)
 
 

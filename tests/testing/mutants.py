@@ -210,7 +210,8 @@ class MutantMidpoint(MidpointRetraction):
 
 @final
 class ThroughEigenvalues(Retraction):
-    """``x + v + v x^-1 v / 2`` with ``x^-1`` from eigenvectors, which have no derivative where two eigenvalues are equal."""
+    """``x + v + v x^-1 v / 2`` with ``x^-1`` from eigenvectors, which have no derivative where two eigenvalues are
+    equal."""
 
     @property
     def manifold(self):
@@ -271,7 +272,8 @@ def through_the_centre(x, y):
 
 
 def straight_beyond(x, y):
-    """The inverse of the projection; of points behind the horizon, the vector to them, which is not tangent and leads there."""
+    """The inverse of the projection; of points behind the horizon, the vector to them, which is not tangent and leads
+    there."""
     height = x @ y
     return jnp.where(height > 0, y / jnp.where(height > 0, height, 1.0), y) - x
 
@@ -340,14 +342,18 @@ MUTANTS: dict[str, Mutant] = {
     "an inverse of a map that is constant along `v` from the length 3/2 on": Mutant(
         check_retraction, MutantInverse(saturated, EXPONENTIAL.preimage, jnp.pi)
     ),
-    "an inverse of points outside the image": Mutant(check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)),
+    "an inverse of points outside the image": Mutant(
+        check_retraction, MutantInverse(PROJECTION, through_the_centre, jnp.inf)
+    ),
     "an inverse of points outside the image that is not tangent": Mutant(
         check_retraction, MutantInverse(PROJECTION, straight_beyond, jnp.inf)
     ),
     "an inverse without its derivative by the base point": Mutant(
         check_retraction, MutantInverse(EXPONENTIAL, held(EXPONENTIAL.preimage), jnp.pi)
     ),
-    "a midpoint without its derivative by the first point": Mutant(check_retraction, MutantMidpoint(held(EXPONENTIAL.midpoint))),
+    "a midpoint without its derivative by the first point": Mutant(
+        check_retraction, MutantMidpoint(held(EXPONENTIAL.midpoint))
+    ),
     "a chart, a pair and a midpoint that are not those of the values": Mutant(check_retraction, MutantForms()),
     "a map whose step is too long": Mutant(
         check_discretization_map, MutantMap(lambda x, v: (PROJECTION(x, -v / 2), PROJECTION(x, 0.6 * v)))

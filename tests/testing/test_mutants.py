@@ -77,9 +77,9 @@ def test_the_table_says_which_checks_catch_a_mutant(name):
 
 
 def test_the_tables_have_a_row_for_each_mutant_and_each_check():
-    assert [row.split(" | ")[0].removeprefix("| ") for row in documented_rows("Which check catches which mutant")] == list(
-        MUTANTS
-    )
+    assert [
+        row.split(" | ")[0].removeprefix("| ") for row in documented_rows("Which check catches which mutant")
+    ] == list(MUTANTS)
     assert documented_rows("The checks") == fact_rows()
 
 

@@ -195,8 +195,12 @@ def test_zero_is_not_said_to_be_a_kink_where_an_equation_is_missing():
     assert gone.where.startswith("at seed")
     assert lacking not in gone.words
 
-    sharp = MutantManifold(SPHERE, projection=lambda x, a: SPHERE.projection(x, a) + 0 * jnp.sqrt(x[1] ** 2 + x[2] ** 2))
-    words = check_manifold(sharp, only="derivative_of_the_projection_is_that_of_differences", throw=False).failures[0].words
+    sharp = MutantManifold(
+        SPHERE, projection=lambda x, a: SPHERE.projection(x, a) + 0 * jnp.sqrt(x[1] ** 2 + x[2] ** 2)
+    )
+    words = (
+        check_manifold(sharp, only="derivative_of_the_projection_is_that_of_differences", throw=False).failures[0].words
+    )
     assert kink in words
 
 
@@ -224,7 +228,9 @@ def test_special_points_are_the_identity_zero_poles_and_barycentres(manifold, po
         assert all(np.allclose(a, b) for a, b in zip(jax.tree.leaves(x), jax.tree.leaves(expected), strict=True))
 
 
-@pytest.mark.parametrize("option", [{"only": "no_such_check"}, {"skip": {"no_such_check": "why"}}], ids=["only", "skip"])
+@pytest.mark.parametrize(
+    "option", [{"only": "no_such_check"}, {"skip": {"no_such_check": "why"}}], ids=["only", "skip"]
+)
 def test_an_unknown_name_is_refused(option):
     with pytest.raises(InvalidInputError, match="no check is named 'no_such_check'; the checks here are random_points"):
         check_manifold(SPHERE, **option)

@@ -1,4 +1,5 @@
-"""The conformance kit in single precision: what is right passes, what is wrong is caught, what rounding hides is not decided."""
+"""The conformance kit in single precision: what is right passes, what is wrong is caught, what rounding hides is not
+decided."""
 
 from typing import final
 
@@ -53,7 +54,9 @@ SLOW_OBJECTS = {
         Exponential(SPD(2)), order=2, metric=AffineInvariantMetric(SPD(2)), reach=3.0, tolerance=TOLERANCE
     ),
     "Cayley of Gr(4, 2)": lambda: check_retraction(Cayley(Grassmann(4, 2)), order=2, reach=2.5, tolerance=TOLERANCE),
-    "lift": lambda: check_cotangent_lift(CotangentLift(Midpoint(Projection(Sphere(2)))), symmetric=True, tolerance=TOLERANCE),
+    "lift": lambda: check_cotangent_lift(
+        CotangentLift(Midpoint(Projection(Sphere(2)))), symmetric=True, tolerance=TOLERANCE
+    ),
 }
 
 
@@ -126,7 +129,9 @@ def test_an_error_that_rounding_hides_is_not_decided(c, single, double):
     with jax.enable_x64(False):
         report = check_retraction(Stretched(Euclidean(2), c), only=name, seeds=[0], throw=False)
     assert report.outcomes[0].status == single
-    assert ("not decided in single precision: the errors of most lengths are below rounding" in str(report)) == (c == 4e-4)
+    assert ("not decided in single precision: the errors of most lengths are below rounding" in str(report)) == (
+        c == 4e-4
+    )
     assert ("1 not decided" in str(report)) == (c == 4e-4)
 
 

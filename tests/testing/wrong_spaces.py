@@ -155,8 +155,12 @@ def _one_of_two(x):
 # The equations of each are there, but for what its name says.
 VIOLATIONS: dict[str, Manifold] = {
     "violations without `det = 1`": MutantManifold(SU(2), violations=lambda x: {"gram": _largest(_gram(x))}),
-    "violations of the diagonal alone": MutantManifold(FRAMES, violations=lambda x: {"gram": _largest(jnp.diagonal(_gram(x)))}),
-    "violations added up with their signs": MutantManifold(FRAMES, violations=lambda x: {"gram": jnp.abs(jnp.sum(_gram(x)))}),
+    "violations of the diagonal alone": MutantManifold(
+        FRAMES, violations=lambda x: {"gram": _largest(jnp.diagonal(_gram(x)))}
+    ),
+    "violations added up with their signs": MutantManifold(
+        FRAMES, violations=lambda x: {"gram": jnp.abs(jnp.sum(_gram(x)))}
+    ),
     "violations of the first of two equations": MutantManifold(TWO_EQUATIONS, violations=_one_of_two),
     "violations of which the smaller counts": MutantManifold(TangentBundle(SPHERE), violations=_together(jnp.min)),
     "violations multiplied with each other": MutantManifold(TangentBundle(SPHERE), violations=_together(jnp.prod)),

@@ -74,10 +74,13 @@ def test_the_energy_error_of_the_pendulum_does_not_drift(name):
 
 @pytest.mark.slow
 def test_a_free_rigid_body_after_a_million_steps():
-    """Rounding adds up in the momentum alone; the energy oscillates as the step size squared, and as much in every quarter."""
+    """Rounding adds up in the momentum alone; the energy oscillates as the step size squared, and as much in every
+    quarter."""
     integrator = SymplecticIntegrator(CotangentLift(Midpoint(Cayley(SO3))))
 
-    @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False})
+    @partial(
+        jax.jit, compiler_options={"xla_backend_optimization_level": 3, "xla_llvm_disable_expensive_passes": False}
+    )
     def run(*start: Array) -> Trajectory:
         return integrate(rigid_body_energy, integrator, start, 0.05, 1_000_000, save_every=100)
 
@@ -110,8 +113,8 @@ def spread_of_the_energy(integrator: Integrator, system: object) -> tuple[float,
     """How much more the energy changes over half a run of 8000 steps than over an eighth of it.
 
     The logarithm of the ratio of the root mean squares over all such spans of the run: its mean over 32 starts, and the
-    standard error of that mean. Zero for a bounded error that has forgotten its start after an eighth of the run, log 2 for
-    a random walk.
+    standard error of that mean. Zero for a bounded error that has forgotten its start after an eighth of the run, log 2
+    for a random walk.
     """
     q = 1.5 * jax.random.normal(jax.random.key(0), (32, 5))
     p = jax.vmap(QUARTIC.project)(q, 1.5 * jax.random.normal(jax.random.key(1), (32, 5)))
@@ -132,7 +135,8 @@ def spread_of_the_energy(integrator: Integrator, system: object) -> tuple[float,
 def test_a_nonholonomic_constraint_lets_the_energy_of_chaotic_motion_wander():
     """Reversible and symmetric as the method is; without the constraint the same method, then symplectic, does not.
 
-    Over six draws of the starts the means were -0.4 to 1.6 standard errors without the constraint, and 6.2 to 8.0 with it.
+    Over six draws of the starts the means were -0.4 to 1.6 standard errors without the constraint, and 6.2 to 8.0 with
+    it.
     """
     lift = CotangentLift(Midpoint(Addition(R5)))
     mean, error = spread_of_the_energy(SymplecticIntegrator(lift), quartic_energy)
@@ -155,10 +159,12 @@ def curved_cost(q: Array, u: Array) -> Array:
 
 @pytest.mark.slow
 def test_rattle_stays_on_a_curved_final_manifold_and_its_energy_does_not_drift():
-    """From this start in steps of 1/10 an independent program finds errors up to 1.08e-5 in every quarter of 1000 steps.
+    """From this start in steps of 1/10 an independent program finds errors up to 1.08e-5 in every quarter of 1000
+    steps.
 
-    They are largest once a period, of some 70 steps, so a hundred times as many steps find the same. The third coordinate, which
-    the equations do not contain, comes to -176; a start far along it changes nothing but the precision of times.
+    They are largest once a period, of some 70 steps, so a hundred times as many steps find the same. The third
+    coordinate, which the equations do not contain, comes to -176; a start far along it changes nothing but the
+    precision of times.
     """
     space = Euclidean(3)
     problem = OptimalControlProblem(space, curved_drift, curved_cost, 1)

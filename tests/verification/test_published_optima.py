@@ -34,7 +34,11 @@ def spatial_covector(steps: int) -> np.ndarray:
     return covector
 
 
-STEPS = [pytest.param(50, marks=pytest.mark.slow), 100, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (200, 400))]
+STEPS = [
+    pytest.param(50, marks=pytest.mark.slow),
+    100,
+    *(pytest.param(steps, marks=pytest.mark.slow) for steps in (200, 400)),
+]
 
 
 @pytest.mark.slow

@@ -1,4 +1,5 @@
-"""Where the iterates of Newton's method stand, whether a trial is accepted inside the funnel, and with which shift to go on."""
+"""Where the iterates of Newton's method stand, whether a trial is accepted inside the funnel, and with which shift to
+go on."""
 
 from typing import NamedTuple, Self
 

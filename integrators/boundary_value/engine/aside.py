@@ -1,9 +1,9 @@
 """Guesses from which Newton's method cannot set out, moved aside.
 
-At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess are
-dependent, and Newton's step has no bound. Near to rest it has one, far beyond anything that the trajectory is like. Nor is
-it known which way round ends come together that are opposite to each other. Then the guess is moved by controls that are random
-but always the same, and by the states to which they lead to first order.
+At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess
+are dependent, and Newton's step has no bound. Near to rest it has one, far beyond anything that the trajectory is like.
+Nor is it known which way round ends come together that are opposite to each other. Then the guess is moved by controls
+that are random but always the same, and by the states to which they lead to first order.
 """
 
 import numpy as np
@@ -23,8 +23,8 @@ WAVES = 3  # half periods in the horizon, and less
 
 
 def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
-    """Whether Newton's step leads a member far off, and all that the linearised constraints allow, or leaves what these ask
-    for; or ends are opposite.
+    """Whether Newton's step leads a member far off, and all that the linearised constraints allow, or leaves what these
+    ask for; or ends are opposite.
     """
     lost = _is_far(conditions, assembled, step)
     if lost.any():
@@ -65,14 +65,17 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Ite
 
 
 def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
-    """Whether a step leaves much of what the linearised constraints ask for, as where these are dependent, shape (B,)."""
+    """Whether a step leaves much of what the linearised constraints ask for, as where these are dependent, shape
+    (B,)."""
     system, d = conditions.system(iterate, assembled), step.unknowns
     left = np.array(system.gap[..., 0])
     left[:, :-1] += np.einsum("bknz,bkz->bkn", system.left, d)
     left[:, 1:] -= np.einsum("bknz,bkz->bkn", system.right, d)
     left[:, 0] *= system.fixed_start
     left[:, -1] *= system.fixed_end
-    left, asked = (np.abs(found / conditions.measured.nodes[:, None]).max(axis=(1, 2)) for found in (left, system.gap[..., 0]))
+    left, asked = (
+        np.abs(found / conditions.measured.nodes[:, None]).max(axis=(1, 2)) for found in (left, system.gap[..., 0])
+    )
     return (asked > MET) & ~(left <= UNMET * asked)
 
 

@@ -1,8 +1,8 @@
 """The augmented KKT system, with the multipliers of the inequalities among the unknowns of the steps.
 
 Where an inequality is active its stiffness D grows without bound as the barrier vanishes: ``H + w J' D J`` then has a
-curvature beside it that is small relative to its entries, and lost in their rounding. Newton's steps bear that [Wright 1998];
-the inertia and derivatives by data do not. With ``e = w dnu`` as unknowns,
+curvature beside it that is small relative to its entries, and lost in their rounding. Newton's steps bear that [Wright
+1998]; the inertia and derivatives by data do not. With ``e = w dnu`` as unknowns,
 
     [H  J'         ]
     [J  -1 / (w D) ],
@@ -34,10 +34,14 @@ def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembl
     return conditions.blocks(iterate._replace(slacks=free), *around)
 
 
-def solved(conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray) -> BlockSolution:
-    """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a step.
+def solved(
+    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray
+) -> BlockSolution:
+    """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a
+    step.
 
-    ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c, k).
+    ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c,
+    k).
     """
     units, ends = conditions.measured, (conditions.ends.start_coordinates, conditions.ends.end_coordinates)
     fixed = (np.broadcast_to(a, (len(gap), a.size)) for a in ends)
@@ -49,7 +53,8 @@ def solved(conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np
 
 
 def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
-    """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding, (B,).
+    """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding,
+    (B,).
 
     An inequality counts by its stiffness: as a constraint where it is active, not at all elsewhere.
     """
@@ -61,11 +66,13 @@ def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: A
     return is_strict_minimum(found._replace(negative=found.negative - others), assembled.gap[0].size)
 
 
-def augmented(system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks) -> tuple[BlockSystem, Units]:
+def augmented(
+    system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks
+) -> tuple[BlockSystem, Units]:
     """The system of the Lagrangian alone with its inequalities, and their units.
 
-    ``limits``: derivatives in the unknowns of the steps, shape (B, N, c, z) with the inequalities of all points of a step. The
-    slope of the system comes with their rows, shape (B, N, z + c, k).
+    ``limits``: derivatives in the unknowns of the steps, shape (B, N, c, z) with the inequalities of all points of a
+    step. The slope of the system comes with their rows, shape (B, N, z + c, k).
     """
     shape, (c, z) = limits.shape[:2], limits.shape[2:]
     with np.errstate(all="ignore"):

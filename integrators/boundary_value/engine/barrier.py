@@ -1,4 +1,5 @@
-"""The barrier of the inequalities of a batch: its units, its first slacks, when it is lowered and when excesses cost more."""
+"""The barrier of the inequalities of a batch: its units, its first slacks, when it is lowered and when excesses cost
+more."""
 
 from typing import NamedTuple, final
 
@@ -8,7 +9,8 @@ from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.3  # the first barrier, relative to the unit of the cost rate
-SOLVED, LESS, FASTER = 10.0, 0.2, 1.5  # a barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5
+# A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
+SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 ROUNDING = 4 * float(np.finfo(float).eps)
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
@@ -18,7 +20,8 @@ NEAR = 0.5  # of its price, a multiplier says that it is too low
 
 @final
 class Missed(NamedTuple):
-    """Largest residuals, shape (B,), relative: of ``g + s = t``, of ``t = 0``, of ``nu s = 0``, and of ``nu s = mu``."""
+    """Largest residuals, shape (B,), relative: of ``g + s = t``, of ``t = 0``, of ``nu s = 0``, and of ``nu s =
+    mu``."""
 
     violation: np.ndarray
     excess: np.ndarray
@@ -63,7 +66,9 @@ class Barrier(NamedTuple):
         """The slacks with all inequalities elastic in some members."""
         price = np.where(where[:, None, None, None], np.minimum(slacks.price, PRICE * self.price), slacks.price)
         fresh = central(held, np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price)
-        return Slacks(*(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True)))
+        return Slacks(
+            *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
+        )
 
     def missed(self, held: Held, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""

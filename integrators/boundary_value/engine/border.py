@@ -1,16 +1,16 @@
 """The border that couples the ends of trajectories to each other: elimination of each, then a small dense system.
 
-Each trajectory is eliminated with its start prescribed to move by ``e``, and its end free, with a linear cost ``f`` of what that
-moves by, ``w = R d``: with both prescribed an arc without controls would have dependent equations. The end is held by a weight
-``rho |w|^2 / 2``, which the border takes back, so that focal points are no singular pivots. What is left is one system in
-``(e, w, f)`` of all trajectories and the steps of the multipliers of ``b(ends) = 0``, with ``L`` the curvature of the costs of
-the ends and of the multipliers times b,
+Each trajectory is eliminated with its start prescribed to move by ``e``, and its end free, with a linear cost ``f`` of
+what that moves by, ``w = R d``: with both prescribed an arc without controls would have dependent equations. The end is
+held by a weight ``rho |w|^2 / 2``, which the border takes back, so that focal points are no singular pivots. What is
+left is one system in ``(e, w, f)`` of all trajectories and the steps of the multipliers of ``b(ends) = 0``, with ``L``
+the curvature of the costs of the ends and of the multipliers times b,
 
     (L_ee - C_e) e + L_ew w - C_f f + B_e' dmu = c_0,     L_we e + (L_ww - rho) w - f + B_w' dmu = 0,
     W_e e - w + W_f f = -W_0,                             B_e e + B_w w = -b.
 
-Prescribed coordinates of the start have no ``e``, those of the end a ``w`` that is known. By Haynsworth's formula the inertia
-of the whole is that of the eliminated systems and of this one.
+Prescribed coordinates of the start have no ``e``, those of the end a ``w`` that is known. By Haynsworth's formula the
+inertia of the whole is that of the eliminated systems and of this one.
 """
 
 from typing import NamedTuple, final
@@ -48,7 +48,9 @@ def responses(conditions: Conditions, iterate: Iterate, assembled: Assembled, sh
     Without one, the multipliers of the inequalities are unknowns, by which the inertia is not lost in their stiffness.
     """
     blocks = assembled.blocks if shift is not None else of_lagrangian(conditions, iterate, assembled)
-    first, last = (np.flatnonzero(mask == 0) for mask in (conditions.ends.start_coordinates, conditions.ends.end_coordinates))
+    first, last = (
+        np.flatnonzero(mask == 0) for mask in (conditions.ends.start_coordinates, conditions.ends.end_coordinates)
+    )
     right, z = blocks.right[:, -1], blocks.hessian.shape[3]
     after = np.zeros(right.shape[:2]) if blocks.inner is None else blocks.inner.after[:, -1]
     units = conditions.measured
@@ -71,7 +73,8 @@ def responses(conditions: Conditions, iterate: Iterate, assembled: Assembled, sh
 def _with_columns(
     system: BlockSystem, blocks: Blocks, end: tuple[np.ndarray, np.ndarray, np.ndarray], first: np.ndarray
 ) -> BlockSystem:
-    """The system of blocks with a start that is prescribed, a weight on the free end, and columns for what both move by."""
+    """The system of blocks with a start that is prescribed, a weight on the free end, and columns for what both move
+    by."""
     (right, after, weight), p = end, len(first)
     hessian, columns = np.array(blocks.hessian), 1 + p + right.shape[1]
     hessian[:, -1] += right.mT @ (weight[:, :, None] * right)
@@ -85,7 +88,8 @@ def _with_columns(
 
 
 class Solved(NamedTuple):
-    """What the ends move by, ``f``, steps of the multipliers; number of negative eigenvalues, and size of the smallest."""
+    """What the ends move by, ``f``, steps of the multipliers; number of negative eigenvalues, and size of the
+    smallest."""
 
     moves: np.ndarray  # (B, p + q)
     forces: np.ndarray  # (B, n)
@@ -94,11 +98,13 @@ class Solved(NamedTuple):
     smallest: np.ndarray
 
 
-def solve_border(parts: list[Response], places: tuple[np.ndarray, np.ndarray], coupled: Coupled, sizes: np.ndarray) -> Solved:
+def solve_border(
+    parts: list[Response], places: tuple[np.ndarray, np.ndarray], coupled: Coupled, sizes: np.ndarray
+) -> Solved:
     """Solve for what all ends move by.
 
-    ``places`` of the free coordinates of all starts and of all ends among those of all nodes there; ``sizes`` of the unknowns,
-    (B, p + q + n + r).
+    ``places`` of the free coordinates of all starts and of all ends among those of all nodes there; ``sizes`` of the
+    unknowns, (B, p + q + n + r).
     """
     p, q, n = len(places[0]), len(places[1]), sum(part.end.shape[1] for part in parts)
     batch, total, free = len(sizes), sizes.shape[1], np.concatenate(places)
@@ -110,7 +116,9 @@ def solve_border(parts: list[Response], places: tuple[np.ndarray, np.ndarray], c
     side[:, mu] = -coupled.values
     for part in parts:
         count, last = 1 + len(part.free[0]), part.free[1]
-        (own, e), (moved, w), (force, f) = (np.split(a, [k]) for a, k in ((e, count - 1), (w, len(last)), (f, part.end.shape[1])))
+        (own, e), (moved, w), (force, f) = (
+            np.split(a, [k]) for a, k in ((e, count - 1), (w, len(last)), (f, part.end.shape[1]))
+        )
         matrix[:, own[:, None], own] -= part.start[..., 1:count]
         matrix[:, own[:, None], force] -= part.start[..., count:]
         matrix[:, force[:, None], own] += part.end[..., 1:count]
@@ -126,7 +134,8 @@ def solve_border(parts: list[Response], places: tuple[np.ndarray, np.ndarray], c
 
 
 def _solved(matrix: np.ndarray, side: np.ndarray, sizes: np.ndarray) -> tuple[np.ndarray, int, float]:
-    """Solution of a symmetric system, number of its negative eigenvalues, and the smallest one, rows scaled to one size."""
+    """Solution of a symmetric system, number of its negative eigenvalues, and the smallest one, rows scaled to one
+    size."""
     if not (np.all(np.isfinite(matrix)) and np.all(np.isfinite(side))):
         return np.full(side.shape, np.nan), 0, 0.0
     scale = np.array(sizes)

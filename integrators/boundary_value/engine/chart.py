@@ -40,7 +40,8 @@ class Chart:
         self._values, self._derivatives = evaluator.values, evaluator.derivatives
 
     def centres(self, near: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        """The points ``x`` amid pairs of points, ``R_x(-v)`` and ``R_x(v)`` for one ``v``, by Newton's method from points near.
+        """The points ``x`` amid pairs of points, ``R_x(-v)`` and ``R_x(v)`` for one ``v``, by Newton's method from
+        points near.
 
         It ends where its moves no longer shrink, which is at rounding.
         """
@@ -60,10 +61,13 @@ class Chart:
         return x
 
     def polynomials(self, places: np.ndarray, begins: np.ndarray, states: np.ndarray, ends: np.ndarray) -> Polynomials:
-        """Polynomials of time through both ends, shape ``(..., E)``, and the ``s > 1`` points at ``places``, ``(..., s, E)``."""
+        """Polynomials of time through both ends, shape ``(..., E)``, and the ``s > 1`` points at ``places``, ``(..., s,
+        E)``."""
         centres = self.centres(states[..., len(places) // 2, :], begins, ends)
         points = np.concatenate([begins[..., None, :], states, ends[..., None, :]], axis=-2)
-        return Polynomials(np.concatenate([[0.0], places, [1.0]]), centres, self.coordinates(centres[..., None, :], points))
+        return Polynomials(
+            np.concatenate([[0.0], places, [1.0]]), centres, self.coordinates(centres[..., None, :], points)
+        )
 
     def coordinates(self, centres: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Coordinates of points, shape ``(..., n)``."""

@@ -21,7 +21,8 @@ from .transcription import AtStages, Blocks, Data, Known, Moves
 
 
 class GaussUnknowns(NamedTuple):
-    """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls, costates."""
+    """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls,
+    costates."""
 
     centres: np.ndarray
     velocities: np.ndarray
@@ -76,7 +77,8 @@ class Collocation:
     ) -> GaussUnknowns:
         """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
 
-        The velocities are those of the polynomials through the points and the nodes that are ``known``, else of the dynamics.
+        The velocities are those of the polynomials through the points and the nodes that are ``known``, else of the
+        dynamics.
         """
         if known is not None:
             nodes, places = known.nodes, np.array(self.method.nodes)
@@ -145,7 +147,9 @@ class Collocation:
         n, s = self.manifold.dimension, self.stages
         inner = full[..., n : n + s * n]
         direct = np.concatenate([full[..., :n], full[..., n + s * n :]], axis=2)
-        return direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner), inner.reshape(*full.shape[:2], s, n)
+        return direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner), inner.reshape(
+            *full.shape[:2], s, n
+        )
 
     def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
         """The unknowns moved by fractions of the steps of the condensed system."""
@@ -159,7 +163,8 @@ class Collocation:
         return GaussUnknowns(centres, velocities, controls, costates)
 
     def whole(self, blocks: Blocks, step: Moves, data: Data, slacks: Slacks | None) -> tuple[np.ndarray, np.ndarray]:
-        """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed system."""
+        """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed
+        system."""
         inner, points = blocks.inner, blocks.inner.points
         if slacks is not None:
             push = slacks.barrier[:, None, None, None, None]
@@ -192,7 +197,8 @@ class Collocation:
     def limits(self, blocks: Blocks, data: Data, maps: np.ndarray | None = None) -> np.ndarray:
         """Derivatives of the inequalities of all points in the unknowns of the condensed steps, shape (B, N, s c, z).
 
-        With ``maps`` of steps that were condensed with other right-hand sides, columns follow by which their defects change them.
+        With ``maps`` of steps that were condensed with other right-hand sides, columns follow by which their defects
+        change them.
         """
         held, points, ends = blocks.inequalities, blocks.inner.points, blocks.inner.ends
         n, s, z = self.manifold.dimension, self.stages, self.dimension

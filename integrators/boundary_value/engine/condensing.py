@@ -1,8 +1,9 @@
 """Condensing of Gauss's method: chart velocities and the multipliers of its points are eliminated step by step.
 
-A step has the unknowns ``x``, ``nu_1..nu_s``, ``u_1..u_s`` and the equations ``d_i = 0`` of its points, with multipliers
-``lambda_i``. Newton's equations of the latter give ``dnu = N w + nu_0`` with ``w = (dx, du)``; put into the others, they leave a
-``BlockSystem`` in ``w``, whose matrix has ``s n`` positive and as many negative eigenvalues less for each step.
+A step has the unknowns ``x``, ``nu_1..nu_s``, ``u_1..u_s`` and the equations ``d_i = 0`` of its points, with
+multipliers ``lambda_i``. Newton's equations of the latter give ``dnu = N w + nu_0`` with ``w = (dx, du)``; put into the
+others, they leave a ``BlockSystem`` in ``w``, whose matrix has ``s n`` positive and as many negative eigenvalues less
+for each step.
 """
 
 from collections.abc import Iterable
@@ -27,7 +28,8 @@ class Tableau(NamedTuple):
 
 @final
 class Points(NamedTuple):
-    """At each point, in ``(dx, dxi, dnu, du)``, ``q = 3 n + m``: derivatives of the Lagrangian, and of the equations ``d``.
+    """At each point, in ``(dx, dxi, dnu, du)``, ``q = 3 n + m``: derivatives of the Lagrangian, and of the equations
+    ``d``.
 
     ``xi_i = h sum_j matrix_ij nu_j``. The slope and the defect have k columns, the first of them Newton's.
     """
@@ -40,7 +42,8 @@ class Points(NamedTuple):
 
 @final
 class Ends(NamedTuple):
-    """At both ends of each step, in ``(dx, deta)``, ``eta = h sum_j b_j nu_j``: derivatives of the Lagrangian and of the ends."""
+    """At both ends of each step, in ``(dx, deta)``, ``eta = h sum_j b_j nu_j``: derivatives of the Lagrangian and of
+    the ends."""
 
     hessian: Float[np.ndarray, "B N 2n 2n"]
     left: Float[np.ndarray, "B N n 2n"]
@@ -50,7 +53,8 @@ class Ends(NamedTuple):
 
 @final
 class Parts(NamedTuple):
-    """Blocks of the condensed system, ``z = n + s m``, and what ``nu_0`` moves the ends before and after each step by."""
+    """Blocks of the condensed system, ``z = n + s m``, and what ``nu_0`` moves the ends before and after each step
+    by."""
 
     hessian: Float[np.ndarray, "B N z z"]
     left: Float[np.ndarray, "B N n z"]
@@ -91,9 +95,9 @@ class Expanded(NamedTuple):
 def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: Tableau) -> tuple[Parts, Condensed]:
     """Eliminate ``nu`` and ``lambda`` from Newton's equations of every step.
 
-    With ``d = T w + t``, ``T`` and ``t`` having the rows ``N`` and ``nu_0`` for ``nu``, a null-space step: the condensed
-    Hessian is ``T' H T``, the slope ``T' (g + H t)``, the ends' derivatives are ``left T`` and ``right T``. Where the equations
-    of a step do not determine ``nu``, its blocks are not finite.
+    With ``d = T w + t``, ``T`` and ``t`` having the rows ``N`` and ``nu_0`` for ``nu``, a null-space step: the
+    condensed Hessian is ``T' H T``, the slope ``T' (g + H t)``, the ends' derivatives are ``left T`` and ``right T``.
+    Where the equations of a step do not determine ``nu``, its blocks are not finite.
     """
     from . import condensing_kernels
 
@@ -116,7 +120,9 @@ def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: T
     return Parts(*blocks), Condensed(points, ends, table, kept)
 
 
-def expand(condensed: Condensed, steps: Float[np.ndarray, "B N z k"], multipliers: Float[np.ndarray, "B N+1 n k"]) -> Expanded:
+def expand(
+    condensed: Condensed, steps: Float[np.ndarray, "B N z k"], multipliers: Float[np.ndarray, "B N+1 n k"]
+) -> Expanded:
     """The whole step from that of the condensed system, with the steps of the multipliers of the points."""
     from . import condensing_kernels
 
@@ -139,7 +145,9 @@ def expand(condensed: Condensed, steps: Float[np.ndarray, "B N z k"], multiplier
     return Expanded(steps[:, :, :n], velocities, steps[:, :, n:].reshape(batch, count, s, q - 3 * n, columns), lambdas)
 
 
-def full_slope(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: Tableau) -> Float[np.ndarray, "B N D k"]:
+def full_slope(
+    points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: Tableau
+) -> Float[np.ndarray, "B N D k"]:
     """The derivative of the Lagrangian by all unknowns ``(x, nu, u)`` of a step, ``D = n + s n + s m``."""
     batch, count, s, q, columns = points.slope.shape
     n = ends.slope.shape[2] // 2

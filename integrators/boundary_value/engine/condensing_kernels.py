@@ -1,6 +1,7 @@
 """Compiled loops of condensing: the chart velocities of a step as affine functions of its state and controls.
 
-A step is written ``nu = N w + nu_0`` with ``w = (dx, du)``; the columns of ``nu_0`` stand after those of ``N`` in one array.
+A step is written ``nu = N w + nu_0`` with ``w = (dx, du)``; the columns of ``nu_0`` stand after those of ``N`` in one
+array.
 """
 
 import numpy as np
@@ -39,7 +40,8 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
 
 @inner
 def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
-    """``(dx, sum_j h weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``; the last two of point i, if there is one."""
+    """``(dx, sum_j h weights_j nu_j, nu_i, u_i)`` as affine functions of ``w``; the last two of point i, if there is
+    one."""
     n, m, i = sizes
     for a in range(x.shape[0]):
         for j in range(x.shape[1]):
@@ -82,12 +84,14 @@ def _store(y: np.ndarray, matrix: np.ndarray, columns: np.ndarray) -> None:
 
 
 @compiled
-def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, out: tuple) -> None:
+def condense(
+    first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, out: tuple
+) -> None:
     """Condense the steps ``first`` to ``last``.
 
-    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes, centred matrix
-    and weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left, right, slope, and the
-    shares of ``nu_0`` in the gaps before and after.
+    ``points``: Hessian, constraints, slope, defect; ``ends``: Hessian, left, right, slope; ``table``: step sizes,
+    centred matrix and weights; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]``; ``out``: Hessian, left,
+    right, slope, and the shares of ``nu_0`` in the gaps before and after.
     """
     (v, x, y, weights, total), (h, matrix, b), (s, n, q) = work, table, points[1].shape[1:]
     m, start = q - 3 * n, v.shape[1] - total.shape[1]
@@ -116,7 +120,9 @@ def condense(first: int, last: int, points: Arrays, ends: Arrays, table: Table, 
 
 
 @inner
-def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]) -> None:
+def _place(
+    e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]
+) -> None:
     """``(dx, sum_j weights_j nu_j, nu_i, u_i)``; the last two of point i, if there is one."""
     n, m, i = sizes
     for a in range(n):
@@ -132,7 +138,13 @@ def _place(e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.n
 
 @inner
 def _push(
-    x: np.ndarray, e: np.ndarray, block: np.ndarray, slope: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]
+    x: np.ndarray,
+    e: np.ndarray,
+    block: np.ndarray,
+    slope: np.ndarray,
+    h: float,
+    weights: np.ndarray,
+    sizes: tuple[int, int, int],
 ) -> None:
     """Add the rows of the chart velocities in ``block e + slope``."""
     n, _, i = sizes
@@ -151,12 +163,20 @@ def _push(
 
 @compiled
 def expand(
-    first: int, last: int, points: Arrays, ends: Arrays, table: Table, work: tuple, kept: tuple, solved: tuple, out: tuple
+    first: int,
+    last: int,
+    points: Arrays,
+    ends: Arrays,
+    table: Table,
+    work: tuple,
+    kept: tuple,
+    solved: tuple,
+    out: tuple,
 ) -> None:
     """Chart velocities and multipliers of the points of the steps ``first`` to ``last``, one column.
 
-    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and of the
-    slopes of points and ends, the latter overwritten; ``out``: ``dnu`` and ``dlambda``.
+    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and
+    of the slopes of points and ends, the latter overwritten; ``out``: ``dnu`` and ``dlambda``.
     """
     (h, matrix, b), (w, before, after, shifts, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
     (e, x), m = work, q - 3 * n

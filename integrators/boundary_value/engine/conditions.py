@@ -69,7 +69,8 @@ class Conditions:
         return first, np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])
 
     def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
-        """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the problem."""
+        """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
+        problem."""
         nodes, gaps, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
         initial, terminal = self.paid(nodes) if paid is None else paid
         covectors = turned_by(iterate.costates, terminal, initial, 1)
@@ -82,7 +83,9 @@ class Conditions:
         ends = terminal, initial, np.abs(gaps).max(axis=1), extent(nodes, frames, coordinates, gap, blocks)
         return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
 
-    def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None) -> Blocks:
+    def blocks(
+        self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None
+    ) -> Blocks:
         """The blocks of the steps, with the costs of the last node and of the first."""
         blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
         pay(blocks, -1, last, blocks.right[:, -1])
@@ -158,7 +161,8 @@ class Conditions:
     def lowered(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
     ) -> tuple[Iterate, np.ndarray, np.ndarray]:
-        """The iterate with a lower barrier where its problem is solved; where that is; and where excesses are too cheap.
+        """The iterate with a lower barrier where its problem is solved; where that is; and where excesses are too
+        cheap.
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
@@ -188,7 +192,9 @@ class Conditions:
             return iterate
         return iterate._replace(slacks=self.barrier.softened(assembled.blocks.inequalities, iterate.slacks, where))
 
-    def is_infeasible(self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float) -> np.ndarray:
+    def is_infeasible(
+        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
+    ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends: where what they lack is least and is not zero."""
         if self.barrier is None or iterate.slacks is None:
             return np.zeros(len(residuals.gap), bool)
@@ -201,7 +207,8 @@ class Conditions:
         return iterate.slacks.barrier / self.barrier.rate
 
     def is_isolated_minimum(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
-        """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding."""
+        """Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond
+        rounding."""
         return is_isolated_minimum(self, iterate, assembled)
 
     def is_hard(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
@@ -232,7 +239,8 @@ class Conditions:
         return cost / self.measured.cost, held / self.measured.cost
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
+        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
+        go."""
         blocks = assembled.blocks
         ahead = (blocks.gradient * step.unknowns).sum(axis=(1, 2))
         turned = (step.multipliers * assembled.gap).sum(axis=(1, 2))
@@ -252,7 +260,9 @@ class Conditions:
             return step.reach * ahead / self.measured.cost, (step.reach * turned + dual) / self.measured.cost
         return step.reach * ahead / self.measured.cost, step.reach * turned / self.measured.cost
 
-    def eliminate(self, iterate: Iterate, assembled: Assembled, shift: np.ndarray) -> tuple[Step, np.ndarray, np.ndarray]:
+    def eliminate(
+        self, iterate: Iterate, assembled: Assembled, shift: np.ndarray
+    ) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
         found = eliminate(self.system(iterate, assembled), self.measured, shift, self._scales(assembled))
         steps, multipliers, count = found.steps[..., 0], found.multipliers[..., 0], found.multipliers[0].size
@@ -270,11 +280,14 @@ class Conditions:
             if iterate.slacks is not None:
                 turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
-        share = followed(self.transcription, self.at_nodes, self.data, iterate, assembled, step, self._of_nodes(assembled, step))
+        share = followed(
+            self.transcription, self.at_nodes, self.data, iterate, assembled, step, self._of_nodes(assembled, step)
+        )
         return step.within(share)
 
     def _scales(self, assembled: Assembled) -> np.ndarray:
-        """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all coordinates."""
+        """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all
+        coordinates."""
         d = self.measured.unknowns
         if assembled.blocks.held is not None:
             return np.ones(d.shape)
@@ -283,7 +296,8 @@ class Conditions:
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
     def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
-        """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which move."""
+        """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which
+        move."""
         moved = np.einsum("bnz,bz->bn", assembled.blocks.right[:, -1], step.unknowns[:, -1])
         if assembled.blocks.inner is not None:
             moved += assembled.blocks.inner.after[:, -1]
@@ -302,8 +316,8 @@ class Conditions:
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.
 
-        The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory. Where K
-        is singular to rounding, it is as large as that.
+        The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory.
+        Where K is singular to rounding, it is as large as that.
         """
         extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
@@ -316,8 +330,9 @@ class Conditions:
     ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
         """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before.
 
-        Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes nearer
-        by turning away. Then the gap along the arc is that along the chord times an array, and moves it by another one.
+        Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes
+        nearer by turning away. Then the gap along the arc is that along the chord times an array, and moves it by
+        another one.
         """
         first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])[:, None]
         last = np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])[:, None]
@@ -325,7 +340,9 @@ class Conditions:
         gaps = after - nodes
         nodes[:, -1:] = last
         columns = self.at_nodes.layout.largest_in_columns
-        far = np.any(columns(np.abs(gaps)) > FAR * columns(np.abs(nodes).max(axis=1, keepdims=True, initial=0.0)), axis=2)
+        far = np.any(
+            columns(np.abs(gaps)) > FAR * columns(np.abs(nodes).max(axis=1, keepdims=True, initial=0.0)), axis=2
+        )
         if not far.any():
             return nodes, gaps, None
         arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
@@ -334,7 +351,8 @@ class Conditions:
 
     @cached_property
     def _fixed(self) -> np.ndarray:
-        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of the ends that are free."""
+        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of the ends that are
+        free."""
         fixed = np.ones((len(self.data.steps), self.data.steps.shape[1] + 1, len(self.ends.start_coordinates)))
         fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
         return fixed
@@ -365,7 +383,8 @@ class Conditions:
     def _gap(self, assembled: Assembled) -> np.ndarray:
         """Largest distance between ends that should meet, entry by entry of the ambient space.
 
-        An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its unit.
+        An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its
+        unit.
         """
         along, entries = self.measures(assembled)
         gap = (assembled.distance / np.where(entries > 0, entries, 1.0)).max(axis=1)
@@ -376,10 +395,11 @@ class Conditions:
         return np.maximum(gap, missed.max(axis=1))
 
     def _stationarity(self, assembled: Assembled) -> np.ndarray:
-        """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
+        """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by
+        coordinate.
 
-        Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate sets the
-        scale.
+        Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate
+        sets the scale.
         """
         blocks, extent, d = assembled.blocks, assembled.extent, self.measured.unknowns
         parts = d * extent.parts

@@ -20,8 +20,8 @@ from .transcription import Terminal
 class Link(NamedTuple):
     """The state at an end is the image of that at another; phase k begins at the end ``2 k`` and ends at ``2 k + 1``.
 
-    ``image`` of the state at the ``source`` and of the parameters there, and ``state`` of that at the ``target``: points of the
-    manifold.
+    ``image`` of the state at the ``source`` and of the parameters there, and ``state`` of that at the ``target``:
+    points of the manifold.
     """
 
     manifold: Manifold
@@ -32,7 +32,8 @@ class Link(NamedTuple):
 
 
 class Coupled(NamedTuple):
-    """The equations at the ends that are reached, with the costs of these; Z coordinates of all ends in their frames."""
+    """The equations at the ends that are reached, with the costs of these; Z coordinates of all ends in their
+    frames."""
 
     values: np.ndarray  # (B, r)
     jacobian: np.ndarray  # (B, r, Z)
@@ -46,8 +47,9 @@ class Coupled(NamedTuple):
 class Coupling:
     """What the ends of P phases cost and the equations between them, traced once.
 
-    ``equations`` of all ends and of the parameters of all phases return numbers that are to vanish. Multipliers are those of
-    the equations, then for each link a covector at its target, so that ``L = costs + mu . b + sum <P, g(source) - target>``.
+    ``equations`` of all ends and of the parameters of all phases return numbers that are to vanish. Multipliers are
+    those of the equations, then for each link a covector at its target, so that ``L = costs + mu . b + sum <P,
+    g(source) - target>``.
     """
 
     def __init__(
@@ -75,12 +77,15 @@ class Coupling:
     def __call__(
         self, ends: Sequence[np.ndarray], parameters: Sequence[np.ndarray], multipliers: np.ndarray
     ) -> tuple[Coupled, list[Terminal]]:
-        """The equations at flat ends, each (B, E), with multipliers (B, M); and what each of the ends costs with them."""
+        """The equations at flat ends, each (B, E), with multipliers (B, M); and what each of the ends costs with
+        them."""
         found = self._function.at(1, *ends, *parameters, multipliers)
         curvature, slope, jacobian, values, derivative, apart, costs, coordinates = found
         coupled = Coupled(values, jacobian, coordinates, curvature, apart, costs)
         cuts = np.cumsum(self.dimensions)[:-1], np.cumsum([layout.size for layout in self.layouts])[:-1]
-        parts = zip(costs.T, np.split(derivative, cuts[1], 1), np.split(slope, cuts[0], 1), self.dimensions, strict=True)
+        parts = zip(
+            costs.T, np.split(derivative, cuts[1], 1), np.split(slope, cuts[0], 1), self.dimensions, strict=True
+        )
         return coupled, [Terminal(a, b, c, np.zeros((len(a), n, n))) for a, b, c, n in parts]
 
     def lifted(self, coordinates: np.ndarray, frames: Sequence[np.ndarray]) -> np.ndarray:
@@ -94,7 +99,9 @@ class Coupling:
         return np.concatenate(found, axis=1)
 
     def _count(self) -> int:
-        points = [jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), problem.manifold.ambient) for problem in self.problems]
+        points = [
+            jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), problem.manifold.ambient) for problem in self.problems
+        ]
         given = [layout.point(jnp.zeros(layout.size)) for layout in self.given]
         return jax.eval_shape(self.equations, [p for p in points for _ in range(2)], given).shape[0]
 
@@ -118,7 +125,9 @@ class Coupling:
         value, (rows, _) = lagrangian(moved)
         derivative = vec.gradient(lambda ends: lagrangian(ends)[0], points)
         flat_derivative = jnp.concatenate([layout.flat(p) for layout, p in zip(self.layouts, derivative, strict=True)])
-        apart = jnp.concatenate([jnp.zeros(0), *(Layout.of(k.manifold).flat(self._apart(k, points, given)) for k in self.links)])
+        apart = jnp.concatenate(
+            [jnp.zeros(0), *(Layout.of(k.manifold).flat(self._apart(k, points, given)) for k in self.links)]
+        )
         return value, rows, flat_derivative, apart, self._costs(points, given), held
 
     def _coordinates(self, multipliers: Array, frames: list[Any]) -> Array:
@@ -131,7 +140,10 @@ class Coupling:
         return jnp.concatenate(own)
 
     def _rows(self, ends: list[Any], given: list[Any], frames: list[Any]) -> Array:
-        own = [vec.components(frame, self._apart(link, ends, given)) for link, frame in zip(self.links, frames, strict=True)]
+        own = [
+            vec.components(frame, self._apart(link, ends, given))
+            for link, frame in zip(self.links, frames, strict=True)
+        ]
         return jnp.concatenate([self.equations(ends, given), *own])
 
     @staticmethod

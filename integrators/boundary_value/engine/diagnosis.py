@@ -1,4 +1,5 @@
-"""Quantities computed from a discrete extremal: Hamiltonians, momenta, what is conserved, and what leaves the manifold."""
+"""Quantities computed from a discrete extremal: Hamiltonians, momenta, what is conserved, and what leaves the
+manifold."""
 
 from functools import partial
 from typing import Any, NamedTuple, cast, final
@@ -26,7 +27,8 @@ class Diagnostics(NamedTuple):
     """Derived quantities of a batch: along stages (B, S), along nodes (B, N + 1), and one number for each member."""
 
     hamiltonians: np.ndarray
-    hamiltonian_size: np.ndarray  # largest of the two parts <p, X> and F over the stages, no less than what is rounding in them
+    # Largest of the two parts <p, X> and F over the stages, no less than what is rounding in them.
+    hamiltonian_size: np.ndarray
     momenta: dict[str, np.ndarray]
     body: dict[str, np.ndarray]
     spatial: dict[str, np.ndarray]
@@ -36,7 +38,8 @@ class Diagnostics(NamedTuple):
 
 
 class AtNodes(NamedTuple):
-    """What a batch has along its nodes, (B, N + 1, ...): costates projected to the tangent spaces there, and what they give."""
+    """What a batch has along its nodes, (B, N + 1, ...): costates projected to the tangent spaces there, and what they
+    give."""
 
     costates: np.ndarray
     momenta: dict[str, np.ndarray]
@@ -69,11 +72,16 @@ class Diagnosis:
         projected, violations, *frames = self._node.at(2, nodes, costates)
         count = len(self._names)
         momenta, rest = dict(zip(self._names, frames[:count], strict=True)), frames[count:]
-        body, spatial = dict(zip(self._groups, rest[::2], strict=True)), dict(zip(self._groups, rest[1::2], strict=True))
+        body, spatial = (
+            dict(zip(self._groups, rest[::2], strict=True)),
+            dict(zip(self._groups, rest[1::2], strict=True)),
+        )
         worst = dict(zip(self._equations, np.max(violations, axis=1).T[1:], strict=True))
         return AtNodes(projected, momenta, body, spatial, worst)
 
-    def __call__(self, nodes: AtNodes, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> Diagnostics:
+    def __call__(
+        self, nodes: AtNodes, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray
+    ) -> Diagnostics:
         """Diagnostics from what the nodes have, and states, controls and costates at the stages, (B, S, ...)."""
         given = parameters[:, None]
         hamiltonians, sizes, normal = self._stage.at(2, *stages, given)
@@ -83,7 +91,8 @@ class Diagnosis:
         return Diagnostics(hamiltonians, size, *own, brackets, np.max(normal, axis=1))
 
     def is_curved(self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> bool:
-        """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular problem."""
+        """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular
+        problem."""
         sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
         states, controls, costates = (part[:, sample] for part in stages)
         return bool(np.all(self.curved((states, controls, costates), parameters)))
@@ -91,7 +100,13 @@ class Diagnosis:
     def curved(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
         if self._parts is None:
-            sizes = self.problem.controls.dimension, self.state.size, self.control.size, self.state.size, self.parameter.size
+            sizes = (
+                self.problem.controls.dimension,
+                self.state.size,
+                self.control.size,
+                self.state.size,
+                self.parameter.size,
+            )
             self._parts = tuple(self._evaluator.derivatives(partial(self._part_of, k), *sizes) for k in (0, 1))
         found = [part.at(2, *at, parameters[:, None]) for part in self._parts]
         curvatures, slopes = (np.stack([values[k] for values in found], axis=2) for k in (0, 1))
@@ -109,8 +124,8 @@ class Diagnosis:
     ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of; and the brackets.
 
-        The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger: where
-        ``F = (q + u)^2 / 2`` is zero, the second ones are not.
+        The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger:
+        where ``F = (q + u)^2 / 2`` is zero, the second ones are not.
         """
         sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
         found = self._terms.at(2, *(part[:, sample] for part in stages), given)
@@ -120,7 +135,9 @@ class Diagnosis:
         rounding = ROUNDING * EPS * np.max(power + parts, axis=1)
         return rounding, {name: np.max(value, axis=1) for name, value in zip(self._names, brackets, strict=True)}
 
-    def _bound(self, q: Array, u: Array, p: Array, parameters: Array) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:
+    def _bound(
+        self, q: Array, u: Array, p: Array, parameters: Array
+    ) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         return bound, self.state.point(q), self.control.point(u), self.state.point(p)
 
@@ -132,7 +149,8 @@ class Diagnosis:
         return power - rate, jnp.maximum(jnp.abs(power), jnp.abs(rate)), normal / (1 + speed)
 
     def _at_node(self, q: Array, p: Array) -> tuple[Array, ...]:
-        """The projected covector, violations of the manifold's equations, and momenta of every factor on which a group acts;
+        """The projected covector, violations of the manifold's equations, and momenta of every factor on which a group
+        acts;
 
         then body and spatial covectors of the matrix groups among them.
         """
@@ -159,7 +177,8 @@ class Diagnosis:
         return problem.cost_rate(*near), jnp.zeros(0), *own, *self._brackets_at(*given)
 
     def _brackets_at(self, *given: Array) -> tuple[Array, ...]:
-        """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their parts.
+        """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their
+        parts.
 
         They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
         """

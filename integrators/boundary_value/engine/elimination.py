@@ -1,4 +1,5 @@
-"""Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by side."""
+"""Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by
+side."""
 
 from functools import cache
 from typing import NamedTuple, final
@@ -18,14 +19,15 @@ MANY = 1e3  # equations of nodes: with more, and so with larger weights, roundin
 
 @final
 class BlockSystem(NamedTuple):
-    """Linear systems in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1 nodes:
+    """Linear systems in the steps ``d_k`` of the stages and those ``c_k`` of the nodes' multipliers, N stages, N + 1
+    nodes:
 
         hessian_k d_k + left_k' c_k - right_k' c_{k+1} = -slope_k
         left_k d_k - right_{k-1} d_{k-1}               = -gap_k
 
     with no ``left`` at the last node and no ``right`` before the first. Where ``fixed_start`` or ``fixed_end`` is 0 the
-    equation of that node's coordinate is ``c = 0`` instead. B systems, k right-hand sides; the upper triangles of the Hessians
-    are read.
+    equation of that node's coordinate is ``c = 0`` instead. B systems, k right-hand sides; the upper triangles of the
+    Hessians are read.
     """
 
     hessian: Float[np.ndarray, "B N z z"]
@@ -41,8 +43,8 @@ class BlockSystem(NamedTuple):
 class BlockSolution(NamedTuple):
     """Solutions of block systems, and the inertia of their matrices.
 
-    ``finite``: which columns are found, the others are NaN; ``negative``: number of negative eigenvalues; ``smallest``: size of
-    the smallest pivot, rows scaled to one size; ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and
+    ``finite``: which columns are found, the others are NaN; ``negative``: number of negative eigenvalues; ``smallest``:
+    size of the smallest pivot, rows scaled to one size; ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and
     ``sum_k d_k' S d_k`` of the first column, in units.
     """
 
@@ -63,12 +65,13 @@ def eliminate(
 ) -> BlockSolution:
     """Solve by eliminating ``(c_k, d_k)`` stage after stage; each leaves a Schur complement on the next node.
 
-    It is eliminated in ``units``; there the Hessians are raised by ``shift diag(scales)``, ones by default. A system that is
-    singular, or not finite, has the solution NaN.
+    It is eliminated in ``units``; there the Hessians are raised by ``shift diag(scales)``, ones by default. A system
+    that is singular, or not finite, has the solution NaN.
 
-    A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn away on a
-    sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the equations of the
-    nodes these cancel one another, the solution and the inertia stay, but each of those free ends is held by the weight.
+    A pivot is singular where the problem up to its node, with a free end there, has a focal point, as a quarter turn
+    away on a sphere. So ``weight (|right_k d_k|^2 - |left_k d_k|^2) / 2`` is added to the cost of each stage: by the
+    equations of the nodes these cancel one another, the solution and the inertia stay, but each of those free ends is
+    held by the weight.
     """
     from . import kernels
 
@@ -76,7 +79,10 @@ def eliminate(
     columns = system.slope.shape[3]
     if units is None:
         units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
-    raised = np.zeros(batch) if shift is None else plain(shift), np.ones((batch, z)) if scales is None else plain(scales)
+    raised = (
+        np.zeros(batch) if shift is None else plain(shift),
+        np.ones((batch, z)) if scales is None else plain(scales),
+    )
     given = tuple(map(plain, system)), (plain(units.unknowns), 1 / units.nodes, plain(units.cost)), raised
     steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
     out = BlockSolution(steps, multipliers, np.empty((batch, columns), bool), *np.empty((4, batch)))
@@ -113,10 +119,12 @@ def _rows(n: int, z: int, columns: int) -> tuple[int, int, np.ndarray, int]:
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
-    """Whether the Hessian is positive definite on the null space of the ``count`` constraints, beyond rounding, shape ``(B,)``.
+    """Whether the Hessian is positive definite on the null space of the ``count`` constraints, beyond rounding, shape
+    ``(B,)``.
 
-    This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds exactly
-    if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is zero.
+    This is the second-order sufficient condition of a strict local minimum. By Sylvester's law of inertia it holds
+    exactly if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is
+    zero.
     """
     clear = EPS**REGULAR * max(1.0, count / MANY)
     return (solution.negative == count) & (solution.smallest > clear)

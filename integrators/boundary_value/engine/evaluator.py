@@ -55,8 +55,8 @@ class Evaluator(ABC):
     def derivatives(self, function: Function, *sizes: int) -> Evaluated:
         """``(hessian, gradient, *jacobians, *vectors, *others)`` at ``d = 0`` of ``function(d, ...)``.
 
-        It returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them. ``sizes`` are those of all
-        arguments; ``d`` is left out of the arguments of what is returned.
+        It returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them. ``sizes`` are those
+        of all arguments; ``d`` is left out of the arguments of what is returned.
         """
         return self._made(function, sizes[1:], first=sizes[0])
 
@@ -114,7 +114,8 @@ class _Plan:
 
 
 def _rows(arrays: Iterable[tuple[int, int]]) -> np.ndarray:
-    """Where the numbers of points stand in arrays one after the other, of these widths and lengths; shared where that is one."""
+    """Where the numbers of points stand in arrays one after the other, of these widths and lengths; shared where that
+    is one."""
     rows, first = list[tuple[int, int]](), 0
     for size, length in arrays:
         rows += [(first + k, size if length > 1 else 0) for k in range(size)]
@@ -136,7 +137,9 @@ class _OnTape(Evaluated):
         if plan is None or known != key:
             plan = _Plan.of(axes, key[1:], self.tape.shapes)
             self._planned = key, plan
-        rows = [(a if to is None else np.broadcast_to(a, to)).ravel() for a, to in zip(arguments, plan.filled, strict=True)]
+        rows = [
+            (a if to is None else np.broadcast_to(a, to)).ravel() for a, to in zip(arguments, plan.filled, strict=True)
+        ]
         values = np.empty(plan.size)
         self.tape.run(plan.count, (np.concatenate(rows), plan.sources, values, plan.targets))
         return tuple(values[first:last].reshape(shape) for first, last, shape in plan.values)
@@ -220,7 +223,8 @@ class Automatic(Evaluator):
 
 
 def chosen(evaluator: str | Evaluator) -> Evaluator:
-    """The evaluator with a name, ``"automatic"``, ``"tape"`` or ``"xla"``; raises ``InvalidInputError`` for another one."""
+    """The evaluator with a name, ``"automatic"``, ``"tape"`` or ``"xla"``; raises ``InvalidInputError`` for another
+    one."""
     if isinstance(evaluator, Evaluator):
         return evaluator
     kinds = {"automatic": Automatic, "tape": TapeEvaluator, "xla": lambda: XlaEvaluator("it was asked for")}

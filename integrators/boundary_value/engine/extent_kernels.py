@@ -13,8 +13,9 @@ def larger(a: float, b: float) -> float:
 def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) -> None:
     """Survey the members ``first`` to ``last``.
 
-    ``trajectory``: nodes, frames, coordinates of the multipliers, gaps; ``blocks``: Hessian, left, right, slope, gradient of the
-    cost; ``out``: the fields of the extent, which come as the least that they can be, and room for two sums.
+    ``trajectory``: nodes, frames, coordinates of the multipliers, gaps; ``blocks``: Hessian, left, right, slope,
+    gradient of the cost; ``out``: the fields of the extent, which come as the least that they can be, and room for two
+    sums.
     """
     (nodes, frames, coordinates, gap), (hessian, left, right, slope, gradient) = trajectory, blocks
     highest, lowest, support, missing, lacking, held, parts, slopes, curvature, sums = out
@@ -22,7 +23,10 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
     for m in range(first, last):
         for k in range(count):
             for e in range(size):
-                highest[m, e], lowest[m, e] = larger(highest[m, e], nodes[m, k, e]), larger(lowest[m, e], -nodes[m, k, e])
+                highest[m, e], lowest[m, e] = (
+                    larger(highest[m, e], nodes[m, k, e]),
+                    larger(lowest[m, e], -nodes[m, k, e]),
+                )
             for a in range(n):
                 missing[m, a] += abs(gap[m, k, a])
                 held[m] += coordinates[m, k, a] * gap[m, k, a]

@@ -1,8 +1,8 @@
 """Symmetric indefinite factorisation of small matrices with borders, compiled.
 
-A front is the upper triangle of a symmetric matrix, row after row, whose first rows are pivots; those after them are borders, on
-which the Schur complement is left; then come columns of right-hand sides. Rows are padded to whole vectors of ``LANES`` entries,
-and below the diagonal stands what is never read.
+A front is the upper triangle of a symmetric matrix, row after row, whose first rows are pivots; those after them are
+borders, on which the Schur complement is left; then come columns of right-hand sides. Rows are padded to whole vectors
+of ``LANES`` entries, and below the diagonal stands what is never read.
 """
 
 import math
@@ -16,7 +16,8 @@ from numba.core import cgutils
 
 from .arrays import LANES
 
-BALANCE = (1 + math.sqrt(17)) / 8  # bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977]
+# Bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977].
+BALANCE = (1 + math.sqrt(17)) / 8
 
 # Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
 njit: Any = numba.njit
@@ -24,9 +25,16 @@ intrinsic: Any = extending.intrinsic
 
 # None of these functions allocates: without counts of references they are a third shorter.
 compiled = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
-inner = njit(error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+inner = njit(
+    error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+)
 reordered = njit(
-    error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
+    error_model="numpy",
+    nogil=True,
+    fastmath={"contract", "reassoc"},
+    _nrt=False,
+    no_cpython_wrapper=True,
+    no_cfunc_wrapper=True,
 )
 
 
@@ -71,7 +79,8 @@ def _absolute(builder: Any, vector: Any) -> Any:
 
 @intrinsic
 def add_vector(typing: Any, y: Any, i: Any, j: Any, f: Any, x: Any, k: Any, l: Any) -> Any:  # noqa: E741
-    """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may overlap."""
+    """``y[i, j : j + LANES] += f * x[k, l : l + LANES]`` in one vector: LLVM makes none of a loop whose rows may
+    overlap."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
         kinds = signature.args
@@ -96,7 +105,8 @@ def copy_vector(typing: Any, y: Any, i: Any, j: Any, x: Any, k: Any, l: Any) -> 
 
 
 def _subtraction(count: int) -> Any:
-    """``subtract(y, first, last, j, f, x, k)``: ``y[i, j : j + LANES] -= sum_t f[t, i] * x[k + t, j : j + LANES]``, count terms.
+    """``subtract(y, first, last, j, f, x, k)``: ``y[i, j : j + LANES] -= sum_t f[t, i] * x[k + t, j : j + LANES]``,
+    count terms.
 
     ``i``: the rows from ``first`` to ``last``.
     """
@@ -115,7 +125,9 @@ def _subtraction(count: int) -> Any:
             place = _place(context, builder, kinds[0], y, i, j)
             left = builder.load(place, align=8)
             for row, vector in terms:
-                product = builder.fmul(_filled(builder, builder.load(builder.gep(row, [i]))), vector, flags=("contract",))
+                product = builder.fmul(
+                    _filled(builder, builder.load(builder.gep(row, [i]))), vector, flags=("contract",)
+                )
                 left = builder.fsub(left, product, flags=("contract",))
             builder.store(left, place, align=8)
         return context.get_dummy_value()
@@ -231,8 +243,8 @@ def _where(v: np.ndarray, r: int, first: int, last: int, size: float) -> int:
 def _chosen(v: np.ndarray, k: int, last: int) -> tuple[int, int]:
     """Rows of the next pivot, equal where it is of size one: the entry is the largest in both its rows.
 
-    Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch and
-    Kaufman does not [Ashcraft, Grimes, Lewis 1998].
+    Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch
+    and Kaufman does not [Ashcraft, Grimes, Lewis 1998].
     """
     i, r, size = k, k, -1.0
     while True:
@@ -283,7 +295,8 @@ def _eliminated(v: np.ndarray, f: np.ndarray, k: int, width: int, rows: int) -> 
 
 @inner
 def factorise(v: np.ndarray, f: np.ndarray, swaps: np.ndarray, last: int, rows: int) -> tuple[int, float]:
-    """Factorise the first ``last`` of the rows in place, and the number of negative pivots and the size of the smallest.
+    """Factorise the first ``last`` of the rows in place, and the number of negative pivots and the size of the
+    smallest.
 
     ``swaps``: the row exchanged with each, as -1 - row in a pivot of size two; ``f``: room for two rows.
     """
@@ -312,8 +325,8 @@ def factorise(v: np.ndarray, f: np.ndarray, swaps: np.ndarray, last: int, rows: 
 def scale(v: np.ndarray, f: np.ndarray, u: np.ndarray, z: int, last: int) -> None:
     """Scale the first ``last`` rows and columns to one size, by the factors that are left in ``u``, else ones.
 
-    First come z unknowns, measured by their largest entries, then equations, by the unknowns in their sizes: so weights in the
-    Hessian of the unknowns do not make them small. ``f``: room for two rows.
+    First come z unknowns, measured by their largest entries, then equations, by the unknowns in their sizes: so weights
+    in the Hessian of the unknowns do not make them small. ``f``: room for two rows.
     """
     for i in range(u.size):
         u[i], f[0, i], f[1, i] = 1.0, 0.0, 0.0
@@ -338,8 +351,8 @@ def scale(v: np.ndarray, f: np.ndarray, u: np.ndarray, z: int, last: int) -> Non
 def substitute(rows: np.ndarray, bases: np.ndarray, swaps: np.ndarray, x: np.ndarray, last: int, side: int) -> None:
     """Solve for the first ``last`` entries of ``x``, whose others, those of the borders, are known.
 
-    ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; ``side``: the column of the
-    right-hand side.
+    ``rows`` are factorised rows one after the other, entry ``j`` of row ``k`` at ``bases[k] + j``; ``side``: the column
+    of the right-hand side.
     """
     k = last - 1
     while k >= 0:

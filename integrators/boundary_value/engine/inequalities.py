@@ -1,9 +1,11 @@
-"""Inequalities at the points of the steps: slacks and multipliers of an interior point method, eliminated point by point.
+"""Inequalities at the points of the steps: slacks and multipliers of an interior point method, eliminated point by
+point.
 
-Where ``g(q, u) <= 0`` a slack ``s > 0`` with ``g + s = 0`` is kept off zero by the barrier ``-mu log s``, weighted as the
-running cost is, so that the multipliers ``nu`` are those of the continuous problem, per unit of time [Waechter, Biegler 2006].
-An elastic inequality is ``g + s = t`` with an excess ``t > 0`` at the price ``rho t``: from a guess that violates it the way in
-is not cut short, and where there is none the excess is least [Gould, Orban, Toint 2003]. With ``zeta = rho - nu``,
+Where ``g(q, u) <= 0`` a slack ``s > 0`` with ``g + s = 0`` is kept off zero by the barrier ``-mu log s``, weighted as
+the running cost is, so that the multipliers ``nu`` are those of the continuous problem, per unit of time [Waechter,
+Biegler 2006]. An elastic inequality is ``g + s = t`` with an excess ``t > 0`` at the price ``rho t``: from a guess that
+violates it the way in is not cut short, and where there is none the excess is least [Gould, Orban, Toint 2003]. With
+``zeta = rho - nu``,
 
     nu s = mu,   zeta t = mu,   Newton's step  dnu = D (g + mu / nu - mu / zeta + J d),   1 / D = s / nu + t / zeta,
 
@@ -19,7 +21,8 @@ from .arrays import plain
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
-VALUE = 1e-2  # of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less
+# Of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less.
+VALUE = 1e-2
 
 
 @final
@@ -59,8 +62,8 @@ class Slacks(NamedTuple):
 
 @final
 class Held(NamedTuple):
-    """The inequalities at an iterate: values (B, N, s, c), derivatives in the unknowns of a point (B, N, s, c, q), weights
-    (B, N, s, c), zero where an inequality is not asked for."""
+    """The inequalities at an iterate: values (B, N, s, c), derivatives in the unknowns of a point (B, N, s, c, q),
+    weights (B, N, s, c), zero where an inequality is not asked for."""
 
     values: np.ndarray
     jacobian: np.ndarray
@@ -106,7 +109,8 @@ class Surveyed(NamedTuple):
 
 
 def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
-    """Slacks, multipliers and excesses with ``g + s = t``, ``nu s = zeta t = mu``; where the price is infinite ``s = -g``."""
+    """Slacks, multipliers and excesses with ``g + s = t``, ``nu s = zeta t = mu``; where the price is infinite ``s =
+    -g``."""
     g, mu = held.values, barrier[:, None, None, None]
     asked, elastic = held.asked, np.isfinite(price)
     rho = np.where(elastic, price, 1.0)
@@ -124,7 +128,8 @@ def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
 
 
 def raised(hessian: np.ndarray, slope: np.ndarray, held: Held, slacks: Slacks) -> np.ndarray:
-    """The slope of the points (B, N, s, q) in two columns, the second times the barrier; raises their Hessians in place."""
+    """The slope of the points (B, N, s, q) in two columns, the second times the barrier; raises their Hessians in
+    place."""
     from . import inequality_kernels
 
     slopes, given = np.empty((*slope.shape, 2)), (_points(held), _points(slacks))

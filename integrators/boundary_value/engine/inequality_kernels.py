@@ -29,10 +29,10 @@ def _aside(nu: float, rho: float) -> float:
 def survey(first: int, last: int, held: tuple, slacks: Five, units: tuple, share: float, out: np.ndarray) -> None:
     """Survey the members ``first`` to ``last``.
 
-    ``units``: of the inequalities, and room for what they are measured by; ``share``: of the largest value, which measures them
-    where it is more. ``out``, shape ``(B, 7)``, comes as zeros: the largest violation and excess; the largest of ``nu s`` and
-    ``zeta t``, and the least; ``sum w |g + s - t|``, in units;
-    ``sum w (rho t - mu (log s + log t))``; ``sum w nu (g + s - t)``.
+    ``units``: of the inequalities, and room for what they are measured by; ``share``: of the largest value, which
+    measures them where it is more. ``out``, shape ``(B, 7)``, comes as zeros: the largest violation and excess; the
+    largest of ``nu s`` and ``zeta t``, and the least; ``sum w |g + s - t|``, in units; ``sum w (rho t - mu (log s + log
+    t))``; ``sum w nu (g + s - t)``.
     """
     (values, _, weights), (s, nu, t, rho, mu), (limits, room) = held, slacks, units
     _, steps, stages, size = values.shape
@@ -100,11 +100,13 @@ def _shorter(reach: float, value: float, step: float, share: float) -> float:
 
 
 @compiled
-def turn(first: int, last: int, held: tuple, slacks: Five, ways: np.ndarray, share: float, moves: tuple, out: np.ndarray) -> None:
+def turn(
+    first: int, last: int, held: tuple, slacks: Five, ways: np.ndarray, share: float, moves: tuple, out: np.ndarray
+) -> None:
     """Steps of slacks, multipliers and excesses from those of the unknowns of the points.
 
-    ``out``, shape ``(B, 4)``: how much of those of the slacks and of the multipliers stays inside; the derivative of the
-    barrier and of what excesses cost along the whole; ``sum w dnu (g + s - t)``.
+    ``out``, shape ``(B, 4)``: how much of those of the slacks and of the multipliers stays inside; the derivative of
+    the barrier and of what excesses cost along the whole; ``sum w dnu (g + s - t)``.
     """
     (values, jacobian, weights), (s, nu, t, rho, mu), (_, steps, stages, size) = held, slacks, held[0].shape
     for m in range(first, last):

@@ -1,4 +1,5 @@
-"""The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic ends."""
+"""The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic
+ends."""
 
 from typing import Any, ClassVar, NamedTuple, final
 
@@ -51,7 +52,8 @@ class JointAssembled(NamedTuple):
 
 
 class JointStep(NamedTuple):
-    """The steps of the phases, what their ends move by, (B, Z), and the steps of the multipliers in coordinates, (B, r)."""
+    """The steps of the phases, what their ends move by, (B, Z), and the steps of the multipliers in coordinates, (B,
+    r)."""
 
     parts: tuple[Step, ...]
     moves: np.ndarray
@@ -118,7 +120,9 @@ class JointConditions:
         coupled, paid = self._coupled(guess)
         first = [phase.in_units(part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
         counts = [phase.data.steps.shape[1] for phase in self.phases]
-        cost = np.max([self._cost(phase, own[1]) for phase, own in zip(self.phases, first, strict=True)], axis=0) / sum(counts)
+        cost = np.max([self._cost(phase, own[1]) for phase, own in zip(self.phases, first, strict=True)], axis=0) / sum(
+            counts
+        )
         for phase in self.phases:
             phase.units = phase.measured._replace(cost=np.where(cost > 0, cost, 1.0))
         nodes = np.concatenate([phase.measured.nodes for phase in self.phases], axis=1)
@@ -152,7 +156,9 @@ class JointConditions:
         parts = (phase.assemble(part, pay) for phase, part, pay in zip(self.phases, iterate.parts, paid, strict=True))
         return JointAssembled(tuple(parts), coupled)
 
-    def move(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray) -> JointIterate:
+    def move(
+        self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray
+    ) -> JointIterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
         parts = []
         for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
@@ -184,8 +190,11 @@ class JointConditions:
     def lowered(
         self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
     ) -> tuple[JointIterate, np.ndarray, np.ndarray]:
-        """The iterate with lower barriers where their problem is solved; where that is; and where excesses are too cheap."""
-        each = [phase.less(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)]
+        """The iterate with lower barriers where their problem is solved; where that is; and where excesses are too
+        cheap."""
+        each = [
+            phase.less(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)
+        ]
         changed, cheap = np.any([own[1] for own in each], axis=0), np.any([own[2] for own in each], axis=0)
         parts, multipliers = [own[0] for own in each], iterate.multipliers
         if np.any(cheap):
@@ -204,7 +213,10 @@ class JointConditions:
     ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
         return np.any(
-            [phase.is_infeasible(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)],
+            [
+                phase.is_infeasible(part, system, residuals, tolerance)
+                for phase, part, system in self._each(iterate, assembled)
+            ],
             axis=0,
         )
 
@@ -218,7 +230,9 @@ class JointConditions:
 
     def infeasibility(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """Sum of what all nodes, points, inequalities and equations between the ends lack."""
-        missing = np.sum([phase.infeasibility(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
+        missing = np.sum(
+            [phase.infeasibility(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0
+        )
         return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
 
     @property
@@ -228,12 +242,17 @@ class JointConditions:
 
     def merit(self, iterate: JointIterate, assembled: JointAssembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barriers, and the multipliers on what is lacking, in the unit of the cost."""
-        cost, held = np.sum([phase.merit(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
+        cost, held = np.sum(
+            [phase.merit(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0
+        )
         coupled = assembled.coupled
         return cost, held + np.sum(coupled.multipliers * coupled.values, axis=1) / self.measured.cost
 
-    def promise(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
-        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may go."""
+    def promise(
+        self, iterate: JointIterate, assembled: JointAssembled, step: JointStep
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
+        go."""
         coupled, ahead, turned = assembled.coupled, np.zeros(len(step.reach)), np.zeros(len(step.reach))
         for (phase, part, system), turn in zip(self._each(iterate, assembled), step.parts, strict=True):
             one, other = phase.promise(part, system, turn)
@@ -276,7 +295,10 @@ class JointConditions:
     def _sizes(self, places: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """Sizes of the unknowns of the border."""
         nodes = np.concatenate([phase.measured.nodes for phase in self.phases for _ in range(2)], axis=1)
-        cost, forces = self.measured.cost[:, None], np.concatenate([phase.measured.nodes for phase in self.phases], axis=1)
+        cost, forces = (
+            self.measured.cost[:, None],
+            np.concatenate([phase.measured.nodes for phase in self.phases], axis=1),
+        )
         return np.concatenate([nodes[:, np.concatenate(places)], cost / forces, cost / self._rows], axis=1)
 
     @staticmethod
@@ -292,7 +314,9 @@ class JointConditions:
         return Step(steps, multipliers, finite, finite, finite)
 
     @staticmethod
-    def _curved(phase: Conditions, assembled: Assembled, step: Step, shift: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _curved(
+        phase: Conditions, assembled: Assembled, step: Step, shift: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The curvature along the step of a phase, with the shift, and its size."""
         d, units = step.unknowns, phase.measured
         size = np.sum((d / units.unknowns[:, None]) ** 2, axis=(1, 2))
@@ -300,7 +324,9 @@ class JointConditions:
         whole = upper + np.triu(assembled.blocks.hessian, 1).mT
         return np.einsum("bkz,bkzy,bky->b", d, whole, d) + shift * size * units.cost, size
 
-    def _joined(self, steps: list[Step], moves: np.ndarray, solved: Solved, parts: list[Response], equations: int) -> JointStep:
+    def _joined(
+        self, steps: list[Step], moves: np.ndarray, solved: Solved, parts: list[Response], equations: int
+    ) -> JointStep:
         """The steps of all phases, with one share that all may go; ``equations`` of the border."""
         reach, followed = (
             np.min([np.broadcast_to(own, len(moves)) for own in each], axis=0)
@@ -316,14 +342,17 @@ class JointConditions:
         """The largest entry of a step in its unit, shape (B,)."""
         return np.max([phase.length(own) for phase, own in zip(self.phases, step.parts, strict=True)], axis=0)
 
-    def wanted(self, iterate: JointIterate, assembled: JointAssembled, step: JointStep) -> tuple[np.ndarray, np.ndarray]:
+    def wanted(
+        self, iterate: JointIterate, assembled: JointAssembled, step: JointStep
+    ) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units."""
         both = zip(self._each(iterate, assembled), step.parts, strict=True)
         wanted, grown = np.max([phase.wanted(part, system, turn) for (phase, part, system), turn in both], axis=0)
         return wanted, grown
 
     def is_isolated_minimum(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
-        """Whether the Hessian of the Lagrangian is positive definite on the null space of all constraints, beyond rounding."""
+        """Whether the Hessian of the Lagrangian is positive definite on the null space of all constraints, beyond
+        rounding."""
         parts = [responses(*own, None) for own in self._each(iterate, assembled)]
         places = self._places(parts)
         solved = solve_border(parts, places, assembled.coupled, self._sizes(places))
@@ -334,7 +363,8 @@ class JointConditions:
 
 
 def _convex(solved: Solved, parts: list[Response], count: int, equations: int) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the inertia is that of a minimum, by constraints so many in the phases and in the border; whether it is clear."""
+    """Whether the inertia is that of a minimum, by constraints so many in the phases and in the border; whether it is
+    clear."""
     negative = solved.negative + np.sum([part.negative for part in parts], axis=0)
     smallest = np.min([solved.smallest, *(part.smallest for part in parts)], axis=0)
     return negative == count + equations, smallest > EPS**REGULAR * max(1.0, count / MANY)

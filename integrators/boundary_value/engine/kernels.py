@@ -1,7 +1,7 @@
 """Compiled loops of the block elimination: the steps of one trajectory after the other.
 
-The front of a step has the rows ``d_k`` and ``c_k``, which are eliminated, and ``c_{k+1}``, on which they leave their Schur
-complement: those of the next step. At the last step all are eliminated.
+The front of a step has the rows ``d_k`` and ``c_k``, which are eliminated, and ``c_{k+1}``, on which they leave their
+Schur complement: those of the next step. At the last step all are eliminated.
 """
 
 import numpy as np
@@ -43,7 +43,8 @@ def _gap(system: System, units: Units, k: int, a: int, j: int) -> float:
 
 @inner
 def _load_node(v: np.ndarray, system: System, units: Units, k: int) -> None:
-    """Rows of ``c_k``: its right-hand sides and what the step before left on the node; those of the next node are zero."""
+    """Rows of ``c_k``: its right-hand sides and what the step before left on the node; those of the next node are
+    zero."""
     n, z = system[1].shape[1:]
     p = z + n
     for a in range(n):
@@ -112,13 +113,15 @@ def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int)
 
 
 @compiled
-def forward(system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors) -> tuple[int, float]:
+def forward(
+    system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors
+) -> tuple[int, float]:
     """Factorise a system step after step; the number of negative pivots and the size of the smallest.
 
-    ``system``: Hessians, left, right, slopes, gaps, and 1 where a coordinate of either end is fixed; ``units``: of the unknowns,
-    inverse ones of the nodes, and of the cost; ``raised``: the shift, and the diagonal that it raises; ``work``: left and right
-    of a step, the front, columns of unknowns, room for two rows; ``factors``: the rows of all steps, their bases, their units,
-    and the swaps.
+    ``system``: Hessians, left, right, slopes, gaps, and 1 where a coordinate of either end is fixed; ``units``: of the
+    unknowns, inverse ones of the nodes, and of the cost; ``raised``: the shift, and the diagonal that it raises;
+    ``work``: left and right of a step, the front, columns of unknowns, room for two rows; ``factors``: the rows of all
+    steps, their bases, their units, and the swaps.
     """
     (ends, v, _, f), (rows, bases, sizes, swaps) = work, factors
     (count, n, z), negative, smallest = system[1].shape, 0, np.inf
@@ -168,7 +171,8 @@ def _refuse(j: int, steps: np.ndarray, multipliers: np.ndarray) -> bool:
 def backward(
     system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors, out: Out
 ) -> tuple[float, float]:
-    """Steps and multipliers from the last to the first; ``sum_k d_k' H_k d_k`` and the size of the first column, in units.
+    """Steps and multipliers from the last to the first; ``sum_k d_k' H_k d_k`` and the size of the first column, in
+    units.
 
     The weights' share is taken out of the multipliers. ``out``: steps, multipliers, and which columns are finite.
     """

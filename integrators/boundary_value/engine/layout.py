@@ -15,21 +15,30 @@ from ....manifolds.numerics.ambient import Ambient, Frame
 
 @final
 class Layout:
-    """Where the entries of a point are in a flat vector: array after array, a complex one as its real and imaginary part."""
+    """Where the entries of a point are in a flat vector: array after array, a complex one as its real and imaginary
+    part."""
 
     def __init__(self, ambient: Any) -> None:
         self._kinds, self._structure = jax.tree.flatten(ambient)
         self._complex = [np.issubdtype(kind.dtype, np.complexfloating) for kind in self._kinds]
-        self._ends = np.cumsum([0, *(math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True))])
+        self._ends = np.cumsum(
+            [0, *(math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True))]
+        )
         self.size = int(self._ends[-1])
         self.shapes = [tuple(kind.shape) for kind in self._kinds]
         self.places = [slice(begin, end) for begin, end in pairwise(self._ends.tolist())]  # of each array
         own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
         counts = [1 + np.max(column, initial=-1) for column in own]
         self.array_of_columns = np.repeat(np.arange(len(own)), counts)
-        numbers = np.concatenate([np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))])
-        self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)  # of matrices, or whole arrays
-        self._sorted, self._first = np.argsort(numbers, kind="stable"), np.searchsorted(np.sort(numbers), np.arange(sum(counts)))
+        numbers = np.concatenate(
+            [np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))]
+        )
+        # Of matrices, or whole arrays.
+        self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
+        self._sorted, self._first = (
+            np.argsort(numbers, kind="stable"),
+            np.searchsorted(np.sort(numbers), np.arange(sum(counts))),
+        )
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":
@@ -43,7 +52,9 @@ class Layout:
     def flat(self, point: Ambient) -> Array:
         """The entries of a point, in a function that is traced."""
         leaves = zip(jax.tree.leaves(point), self._complex, strict=True)
-        return jnp.concatenate([jnp.ravel(half) for leaf, c in leaves for half in ((leaf.real, leaf.imag) if c else (leaf,))])
+        return jnp.concatenate(
+            [jnp.ravel(half) for leaf, c in leaves for half in ((leaf.real, leaf.imag) if c else (leaf,))]
+        )
 
     def flat_frame(self, frame: Frame) -> Array:
         """The entries of the vectors of a frame, shape ``(n, size)``, in a function that is traced."""
@@ -68,7 +79,8 @@ class Layout:
         return rows
 
     def holds(self, points: Any, axes: int) -> bool:
-        """Whether these are NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common.
+        """Whether these are NumPy's arrays of finite real numbers for each of a point's, with some leading axes in
+        common.
 
         What is none of it may still be points: this sees most that are at once.
         """
@@ -92,7 +104,9 @@ class Layout:
             part, shape = flat[..., begin:end], (*leading, *kind.shape)
             half = (end - begin) // 2
             leaves.append(
-                join(part[..., :half].reshape(shape), part[..., half:].reshape(shape)) if is_complex else part.reshape(shape)
+                join(part[..., :half].reshape(shape), part[..., half:].reshape(shape))
+                if is_complex
+                else part.reshape(shape)
             )
         return jax.tree.unflatten(self._structure, leaves)
 
@@ -107,5 +121,8 @@ def _columns(shape: tuple[int, ...], is_complex: bool) -> np.ndarray:
 
 
 def parameter_layout(parameters: Any, axes: int = 0) -> Layout:
-    """The layout of the parameters of a problem, any pytree of numbers and arrays, which may have leading axes in addition."""
-    return Layout(jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[axes:], np.asarray(leaf).dtype), parameters))
+    """The layout of the parameters of a problem, any pytree of numbers and arrays, which may have leading axes in
+    addition."""
+    return Layout(
+        jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(np.shape(leaf)[axes:], np.asarray(leaf).dtype), parameters)
+    )

@@ -17,7 +17,8 @@ def _pivot_row(v: np.ndarray, k: int, weights: np.ndarray) -> int:
 
 @inner
 def decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.ndarray) -> None:
-    """Gauss's elimination; rows of one size choose the pivots. ``lower``: the factors of the rows in the order of their time."""
+    """Gauss's elimination; rows of one size choose the pivots. ``lower``: the factors of the rows in the order of their
+    time."""
     p = v.shape[0]
     for i in range(p):
         largest = 0.0

@@ -1,12 +1,12 @@
 """Newton's method on the KKT system, made global: nothing is taken that does not improve, and every step descends.
 
-A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]: where the
-step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo asks; else if it
-comes well into the funnel, which it narrows. The cost is that of the Lagrangian with the multipliers of the trial: the bare
-cost refuses good steps along curved constraints [Ulbrich 2004]. Accepted too is what brings the KKT residual below nine tenths
-of the best so far. Indefinite reduced Hessians: the diagonal is raised until the step has positive curvature, a test that
-needs no inertia [Chiang, Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was
-taken.
+A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]:
+where the step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo
+asks; else if it comes well into the funnel, which it narrows. The cost is that of the Lagrangian with the multipliers
+of the trial: the bare cost refuses good steps along curved constraints [Ulbrich 2004]. Accepted too is what brings the
+KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until the step
+has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to be cut,
+so that the next is as long as what was taken.
 """
 
 from collections.abc import Callable
@@ -35,7 +35,8 @@ CURVATURE = 1e-9
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
 OF_MEMBERS = (
-    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing", "contradictory",
+    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing",
+    "contradictory",
 )  # fmt: skip
 
 
@@ -84,9 +85,10 @@ def newton(
 ) -> Found:
     """Solve the KKT systems of a batch of trajectories from guesses.
 
-    Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its square root:
-    where the system is singular to rounding, residuals say nothing about the distance to a solution, and one is claimed only
-    if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the cheaper success counts.
+    Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
+    square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
+    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
+    cheaper success counts.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -116,7 +118,12 @@ class _Search:
         callback: Callable[[Iteration], Any] | None,
         as_it_is: bool = False,
     ) -> None:
-        self.conditions, self.tolerance, self.max_iterations, self.callback = conditions, tolerance, max_iterations, callback
+        self.conditions, self.tolerance, self.max_iterations, self.callback = (
+            conditions,
+            tolerance,
+            max_iterations,
+            callback,
+        )
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
         self.left: list[tuple[State, int]] = []
@@ -162,7 +169,16 @@ class _Search:
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
                 return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
-        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, np.full(count, np.inf), np.full(count, np.inf), no, no, no
+        numbers = (
+            np.maximum(merit.infeasibility, 1.0),
+            one,
+            shift,
+            np.full(count, np.inf),
+            np.full(count, np.inf),
+            no,
+            no,
+            no,
+        )
         promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
         state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
@@ -185,7 +201,8 @@ class _Search:
         arrived = state.residuals.final <= self.tolerance
         if not again.any():
             return state
-        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a saddle.
+        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
+        # saddle.
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
         shift = np.where(arrived, 0.0, state.shift)
         step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
@@ -203,7 +220,8 @@ class _Search:
         return self.settled(state, arrived, conditions)
 
     def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
-        """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are short.
+        """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are
+        short.
 
         What was reached counts no more there.
         """
@@ -235,7 +253,8 @@ class _Search:
     def judged(
         self, conditions: Conditions, state: State, trial: Iterate, assembled: Assembled, found: Residuals
     ) -> tuple[State, np.ndarray, np.ndarray]:
-        """The state with the trial where it improves, whether it does, and whether the step has to be computed again."""
+        """The state with the trial where it improves, whether it does, and whether the step has to be computed
+        again."""
         probe = (self.trials == 1) & ~state.descends & (trial.slacks is None)
         residual = found.largest
         merit = Merit.of(conditions, trial, assembled)
@@ -243,7 +262,9 @@ class _Search:
         record = residual <= np.maximum(RECORD * state.best, self.tolerance)
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
-        funnel = np.where(good & ~improves, np.maximum(state.funnel, merit.infeasibility), np.where(good, narrowed, state.funnel))
+        funnel = np.where(
+            good & ~improves, np.maximum(state.funnel, merit.infeasibility), np.where(good, narrowed, state.funnel)
+        )
         short = ~good & (state.fraction / 2 < SHORTEST)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
         iterate, kept, reached, merit = merged(good, new, old)
@@ -267,7 +288,8 @@ class _Search:
         keep: np.ndarray,
         conditions: Conditions | None = None,
     ) -> tuple[Step, np.ndarray, np.ndarray]:
-        """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is positive.
+        """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is
+        positive.
 
         Where ``keep`` the shift that came is used as it is.
         """
@@ -289,10 +311,11 @@ class _Search:
             descends[places] = (curvature >= CURVATURE * size) & convex
 
     def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
-        """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted there.
+        """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted
+        there.
 
-        Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one
-        of a family of extremals; or it has grown along the null vector until rounding hides that there is none.
+        Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory
+        is one of a family of extremals; or it has grown along the null vector until rounding hides that there is none.
         """
         if not arrived.any():
             return state
@@ -310,7 +333,8 @@ class _Search:
         return ~_solvable(state) & ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
 
     def elsewhere(self, state: State) -> np.ndarray:
-        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
+        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not
+        move.
 
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """

@@ -17,7 +17,8 @@ from .layout import Layout
 
 @final
 class RollOut:
-    """The classical Runge-Kutta method in the chart of a retraction around the beginning of each step, the control constant."""
+    """The classical Runge-Kutta method in the chart of a retraction around the beginning of each step, the control
+    constant."""
 
     def __init__(self, problem: OptimalControlProblem, retraction: Retraction) -> None:
         self.problem, self.retraction, self.manifold = problem, retraction, problem.manifold

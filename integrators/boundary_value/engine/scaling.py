@@ -1,9 +1,10 @@
 """Units in which a trajectory's KKT system is free of the units that its problem is written in.
 
 A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
-deviation ``e`` costs ``e' G^-1 e / 2`` with the Gramian ``G_{k+1} = A G_k A' + B W B'`` of the linearised steps, ``W`` the
-inverse curvature of the cost in the controls; both ends are fixed, so the smaller of the Gramians from the start and from the
-end counts. One factor is left, the size of the trajectory: what its ends, its guess and the slope of the cost ask for.
+deviation ``e`` costs ``e' G^-1 e / 2`` with the Gramian ``G_{k+1} = A G_k A' + B W B'`` of the linearised steps, ``W``
+the inverse curvature of the cost in the controls; both ends are fixed, so the smaller of the Gramians from the start
+and from the end counts. One factor is left, the size of the trajectory: what its ends, its guess and the slope of the
+cost ask for.
 """
 
 from typing import TYPE_CHECKING, NamedTuple, final
@@ -38,7 +39,8 @@ def natural_units(
 ) -> Units:
     """Units from the linearised trajectories, their displacements in the states and the sizes of their controls.
 
-    ``gradient``: of the cost alone; ``m`` counts all controls of a step; ``values``: sizes of coordinates that nothing moves.
+    ``gradient``: of the cost alone; ``m`` counts all controls of a step; ``values``: sizes of coordinates that nothing
+    moves.
     """
     count, n = system.left.shape[1:3]
     curvature = np.abs(np.diagonal(system.hessian, axis1=2, axis2=3)).sum(axis=1)
@@ -60,7 +62,8 @@ def _or_one(size: np.ndarray) -> np.ndarray:
 
 
 def _reach(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> Float[np.ndarray, "B n"]:
-    """How far controls of this variance move each coordinate of a node between two fixed ends, zero where it is rounding."""
+    """How far controls of this variance move each coordinate of a node between two fixed ends, zero where it is
+    rounding."""
     reached = _variances(system, variance)
     # One step has no node between its ends.
     between = np.minimum(reached[:, 0, :, :-1], reached[:, 1, :, 1:]) if reached.shape[3] > 1 else reached[:, 0]

@@ -53,13 +53,19 @@ def _gramian(a: np.ndarray, b: np.ndarray, variance: np.ndarray, g: np.ndarray, 
 
 @compiled
 def gramians(
-    left: np.ndarray, right: np.ndarray, variance: np.ndarray, work: Work, swaps: np.ndarray, g: np.ndarray, out: np.ndarray
+    left: np.ndarray,
+    right: np.ndarray,
+    variance: np.ndarray,
+    work: Work,
+    swaps: np.ndarray,
+    g: np.ndarray,
+    out: np.ndarray,
 ) -> None:
     """Diagonals of the Gramians ``G_k = A G_{k-1} A' + B W B'`` along the steps, from the start and then from the end.
 
-    ``left``, ``right``: the ends of the steps, shape ``(N, n, z)``; ``variance``: the diagonal of ``W``; ``g``: room for two
-    Gramians. ``out``, shape ``(2, 2, N, n)``: at the far ends, from either side, of the linearised steps and of the sizes of
-    their terms, which do not cancel.
+    ``left``, ``right``: the ends of the steps, shape ``(N, n, z)``; ``variance``: the diagonal of ``W``; ``g``: room
+    for two Gramians. ``out``, shape ``(2, 2, N, n)``: at the far ends, from either side, of the linearised steps and of
+    the sizes of their terms, which do not cancel.
     """
     (v, lower, weights, move, push, rows), (count, n, _) = work, left.shape
     start = v.shape[1] // 2

@@ -1,7 +1,8 @@
 """Derivatives of an extremal by its ends, horizon and parameters: its KKT system with one right-hand side for each.
 
-Where ``F(y, theta) = 0`` are the conditions, with the regular Jacobian ``K`` of a solution, ``dy/dtheta = -K^-1 dF/dtheta`` by
-the implicit function theorem [Fiacco 1976]; and the cost has the derivative ``dL/dtheta`` of the Lagrangian.
+Where ``F(y, theta) = 0`` are the conditions, with the regular Jacobian ``K`` of a solution, ``dy/dtheta = -K^-1
+dF/dtheta`` by the implicit function theorem [Fiacco 1976]; and the cost has the derivative ``dL/dtheta`` of the
+Lagrangian.
 """
 
 from functools import partial
@@ -94,7 +95,9 @@ class Sensitivities:
         lagrangian = np.sum(own.lagrangian, axis=1) + slope + first[1]
         ends = assembled.coordinates[:, 0], assembled.coordinates[:, -1]
         cost = np.concatenate([-ends[0], ends[1], lagrangian], axis=1)
-        return Derivatives(cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), found.smallest)
+        return Derivatives(
+            cost, *self._ambient(assembled, moved, turned), self._of_controls(iterate, steps), found.smallest
+        )
 
     def _moved(self, blocks: Any, own: Columns, steps: np.ndarray) -> np.ndarray:
         """Displacements of the nodes in their frames, shape (B, N + 1, n, K)."""
@@ -104,7 +107,8 @@ class Sensitivities:
         return np.concatenate([begin, end], axis=1)
 
     def _of_ends(self, assembled: Assembled, parameters: np.ndarray) -> list[tuple[Any, Any]]:
-        """Derivatives by horizon and parameters of the slopes, (B, n, K), and values, (B, K), of terminal and initial cost."""
+        """Derivatives by horizon and parameters of the slopes, (B, n, K), and values, (B, K), of terminal and initial
+        cost."""
         n, found = self.nodes.problem.manifold.dimension, list[tuple[Any, Any]]()
         ends: Any = (-1, assembled.terminal), (0, assembled.initial)
         for function, (place, paid) in zip(self._paid, ends, strict=False):
@@ -137,7 +141,9 @@ class Sensitivities:
     def _turned_of(self, u: Array, du: Array) -> tuple[Array]:
         point, turn = self.nodes.control.point(u), default_retraction(self.nodes.problem.controls)
         frame = turn.frame(point)
-        return (jax.jvp(lambda d: self.nodes.control.flat(turn.chart(point, frame, d)), (jnp.zeros_like(du),), (du,))[1],)
+        return (
+            jax.jvp(lambda d: self.nodes.control.flat(turn.chart(point, frame, d)), (jnp.zeros_like(du),), (du,))[1],
+        )
 
     def _carried_of(self, *given: Array) -> tuple[Array]:
         manifold, layout = self.nodes.problem.manifold, self.nodes.layout
@@ -147,10 +153,12 @@ class Sensitivities:
 
 def _require_unchanged(*pairs: tuple[np.ndarray, np.ndarray]) -> None:
     """Raise if functions that are traced for their derivatives compute other values than when the solver was made."""
-    if not all(np.max(np.abs(now - then), initial=0.0) <= CHANGED * np.max(np.abs(then), initial=0.0) for now, then in pairs):
+    if not all(
+        np.max(np.abs(now - then), initial=0.0) <= CHANGED * np.max(np.abs(then), initial=0.0) for now, then in pairs
+    ):
         raise InvalidInputError(
-            "the problem's functions compute other values than when the solver was made; make a new Solver after a change, or "
-            "give what changes as parameters"
+            "the problem's functions compute other values than when the solver was made; make a new Solver after a "
+            "change, or give what changes as parameters"
         )
 
 
@@ -161,7 +169,9 @@ class _OneStageColumns:
     def __init__(self, steps: OneStage, evaluator: Evaluator) -> None:
         self.steps = steps
         e, u, k = steps.state.size, steps.control.size, steps.parameter.size
-        self._row = evaluator.derivatives(self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities)
+        self._row = evaluator.derivatives(
+            self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities
+        )
 
     def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
         data, (x, u), z = conditions.data, iterate.unknowns, self.steps.dimension
@@ -176,7 +186,9 @@ class _OneStageColumns:
         own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
         free = slice(0 if assembled.initial is None else 1, -1)  # the steps at the ends have the costs of these too
         _require_unchanged((own[:, free], blocks.hessian[:, free]))
-        return Columns(np.concatenate([mixed, limits[..., z:]], axis=2), left[..., z:], right[..., z:], gradient[:, :, z:])
+        return Columns(
+            np.concatenate([mixed, limits[..., z:]], axis=2), left[..., z:], right[..., z:], gradient[:, :, z:]
+        )
 
     def _row_of(self, d: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
         z, (*at, h, parameters, pull) = self.steps.dimension, given
@@ -185,7 +197,8 @@ class _OneStageColumns:
 
 @final
 class _CollocationColumns:
-    """Of the steps of a Gauss method: its points' mixed derivatives by the parameters; the length of a step enters linearly."""
+    """Of the steps of a Gauss method: its points' mixed derivatives by the parameters; the length of a step enters
+    linearly."""
 
     def __init__(self, steps: Collocation, evaluator: Evaluator) -> None:
         self.steps = steps
@@ -204,7 +217,9 @@ class _CollocationColumns:
         pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
         found = self._point.at(3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
         hessian, gradient, constraints, _, limits, defect, cost, _ = found
-        _require_unchanged((hessian[..., :q, :q], inner.points.hessian), (constraints[..., :q], inner.points.constraints))
+        _require_unchanged(
+            (hessian[..., :q, :q], inner.points.hessian), (constraints[..., :q], inner.points.constraints)
+        )
         _require_unchanged((np.sum(cost[..., 0], axis=2), assembled.blocks.costs))
         far = np.einsum("j,bkja->bka", table.weights, unknowns.velocities)  # derivative of eta by h
         points, ends = inner.points, inner.ends
@@ -232,7 +247,9 @@ class _CollocationColumns:
             rows = np.concatenate([rows, self._limits(assembled, condensed, limits, turned, data)], axis=2)
         return Columns(rows, begin, finish, whole)
 
-    def _limits(self, assembled: Assembled, condensed: Condensed, own: np.ndarray, turned: np.ndarray, data: Data) -> np.ndarray:
+    def _limits(
+        self, assembled: Assembled, condensed: Condensed, own: np.ndarray, turned: np.ndarray, data: Data
+    ) -> np.ndarray:
         """Derivatives of the inequalities of all points, shape (B, N, s c, K), from those of each, ``own``."""
         n, q, z = self.steps.manifold.dimension, self.dimension, self.steps.dimension
         by_h = np.einsum("bkicy,bkiy->bkic", own[..., n : 2 * n], turned)

@@ -1,7 +1,7 @@
 """The share of a step that the linearised trajectory is followed: where points keep their size it ends at a diameter.
 
-Where the constraints are dependent, as at rest of a system without drift, Newton's step is unbounded. On spheres and rotations
-that shows in no residual: all points are as near to one another after any number of turns.
+Where the constraints are dependent, as at rest of a system without drift, Newton's step is unbounded. On spheres and
+rotations that shows in no residual: all points are as near to one another after any number of turns.
 """
 
 from typing import Any
@@ -17,12 +17,18 @@ ROUNDING = np.sqrt(np.finfo(float).eps)
 
 
 def followed(
-    transcription: Any, nodes: Nodes, data: Data, iterate: Iterate, assembled: Assembled, step: Step, multipliers: np.ndarray
+    transcription: Any,
+    nodes: Nodes,
+    data: Data,
+    iterate: Iterate,
+    assembled: Assembled,
+    step: Step,
+    multipliers: np.ndarray,
 ) -> np.ndarray:
     """The share of a step, shape (B,), in which nothing that keeps its size moves by more than a diameter.
 
-    That is judged array by array of the states, and of controls on a manifold, by their columns that keep their sizes or by all
-    of them if the array keeps its own; nothing in a flat space keeps its size where the step leads.
+    That is judged array by array of the states, and of controls on a manifold, by their columns that keep their sizes
+    or by all of them if the array keeps its own; nothing in a flat space keeps its size where the step leads.
     """
     n, unknowns, extent = nodes.dimension, iterate.unknowns, assembled.extent
     along = step.unknowns[..., :n]

@@ -23,9 +23,10 @@ UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by near
 class Start:
     """States between two points.
 
-    They lie on the curve of the given retraction; where it does not arrive, or in very unequal steps, on that of the default
-    retraction of the manifold. Where the two points are opposite to each other, as attitudes half a turn apart, a walk sets out
-    in a direction that is random but always the same: there are several ways round, and this is one of them.
+    They lie on the curve of the given retraction; where it does not arrive, or in very unequal steps, on that of the
+    default retraction of the manifold. Where the two points are opposite to each other, as attitudes half a turn apart,
+    a walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
+    them.
     """
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
@@ -47,7 +48,8 @@ class Start:
             if not missing.size:
                 return found
         raise DomainError(
-            "no default guess: the walk from start to end does not arrive; pass a guess that goes through points between"
+            "no default guess: the walk from start to end does not arrive; pass a guess that goes through points "
+            "between"
         )
 
     def _given(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -70,7 +72,8 @@ class Start:
         return states, np.isfinite(lengths) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
 
     def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
-        """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s v)``."""
+        """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s
+        v)``."""
 
         def leave(start: Array, end: Array) -> tuple[Array, Array]:
             v = retraction.preimage(self.layout.point(start), self.layout.point(end))
@@ -95,12 +98,16 @@ class Start:
         return fine
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A walk along the chord's tangential part, each time the share of its length that is due; and whether it arrives.
+        """A walk along the chord's tangential part, each time the share of its length that is due; and whether it
+        arrives.
 
         It begins a little beside the start, because the chord to an opposite point has no tangential part.
         """
         if self._walk is None:
-            size, aside = self.layout.size, jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient))
+            size, aside = (
+                self.layout.size,
+                jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient)),
+            )
             begin = Automatic().values(lambda *ends: self._set_out(aside, *ends), size, size)
             self._walk = begin, Automatic().values(self._go, size, size, 1)
         (x,) = self._walk[0].at(1, starts, ends)

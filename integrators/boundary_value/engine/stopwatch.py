@@ -20,7 +20,9 @@ class Stopwatch:
         self._event.register(_COMPILING, self._heard)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._event.unregister(_COMPILING, self._heard)
 
     def seconds(self) -> tuple[float, float]:

@@ -21,7 +21,8 @@ class Iterate(NamedTuple):
 
 
 class Assembled(NamedTuple):
-    """The KKT system at an iterate, in the units of the problem, and what tells how far the iterate is from satisfying it."""
+    """The KKT system at an iterate, in the units of the problem, and what tells how far the iterate is from satisfying
+    it."""
 
     blocks: Blocks
     gap: np.ndarray  # what the nodes lack in the frames there, shape (B, N + 1, n)
@@ -59,11 +60,14 @@ class Step(NamedTuple):
         """The step of which at most this share is made."""
         if self.turn is None:
             return self._replace(share=share, followed=share)
-        return self._replace(share=share, followed=share, turn=self.turn._replace(reach=np.minimum(share, self.turn.reach)))
+        return self._replace(
+            share=share, followed=share, turn=self.turn._replace(reach=np.minimum(share, self.turn.reach))
+        )
 
 
 class Residuals(NamedTuple):
-    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made of."""
+    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made
+    of."""
 
     gap: np.ndarray
     stationarity: np.ndarray

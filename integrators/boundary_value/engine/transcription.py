@@ -42,7 +42,8 @@ class Known(NamedTuple):
 
 
 class Unknowns(NamedTuple):
-    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N, s, U)."""
+    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N,
+    s, U)."""
 
     centres: np.ndarray
     controls: np.ndarray
@@ -59,7 +60,8 @@ class Blocks(NamedTuple):
     costs: np.ndarray  # (B, N)
     inner: Any = None  # what was condensed, if anything was
     held: Held | None = None  # the inequalities, if there are any; then the Hessian has their share
-    pushed: np.ndarray | None = None  # (B, N, z, 2): the slope with the share of the inequalities, the second times the barrier
+    # (B, N, z, 2): the slope with the share of the inequalities, the second times the barrier.
+    pushed: np.ndarray | None = None
 
     @property
     def inequalities(self) -> Held:
@@ -70,7 +72,8 @@ class Blocks(NamedTuple):
 
 
 class Moves(NamedTuple):
-    """Steps of the unknowns (B, N, z) and of the nodes' multipliers (B, N + 1, n), and what fraction (B,) of them is made."""
+    """Steps of the unknowns (B, N, z) and of the nodes' multipliers (B, N + 1, n), and what fraction (B,) of them is
+    made."""
 
     steps: np.ndarray
     multipliers: np.ndarray
@@ -79,7 +82,8 @@ class Moves(NamedTuple):
 
 
 class Terminal(NamedTuple):
-    """The cost of the last node, or of the first: value (B,), ambient derivative (B, E), slope (B, n), curvature (B, n, n)."""
+    """The cost of the last node, or of the first: value (B,), ambient derivative (B, E), slope (B, n), curvature (B, n,
+    n)."""
 
     value: np.ndarray
     derivative: np.ndarray
@@ -94,7 +98,9 @@ AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and cos
 class OneStage:
     """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``."""
 
-    def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap, parameters: Any, evaluator: Evaluator) -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, method: DiscretizationMap, parameters: Any, evaluator: Evaluator
+    ) -> None:
         self.problem, self.method, self.stages = problem, method, 1
         self.manifold, self.controls = problem.manifold, problem.controls
         self.dimension = self.manifold.dimension + self.controls.dimension
@@ -220,14 +226,17 @@ class Nodes:
         costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
         sizes = self.layout.size, self.parameter.size
         self._paid = {
-            name: evaluator.values(partial(self._cost_of, name), *sizes) for name, cost in costs.items() if cost is not None
+            name: evaluator.values(partial(self._cost_of, name), *sizes)
+            for name, cost in costs.items()
+            if cost is not None
         }
         self._middle = evaluator.values(self._middle_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
     def in_frames(self, nodes: np.ndarray, fixed: np.ndarray, gaps: np.ndarray, covectors: np.ndarray) -> Arrays:
-        """Bases of the tangent spaces (B, N + 1, n, E); coordinates of gaps and covectors in them; the covectors with these.
+        """Bases of the tangent spaces (B, N + 1, n, E); coordinates of gaps and covectors in them; the covectors with
+        these.
 
         ``fixed``: 1 for the coordinates that count, else 0, shape (B, N + 1, n).
         """
@@ -247,7 +256,8 @@ class Nodes:
         return Terminal(*self._paid["first_cost"].at(1, first, parameters))
 
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
-        """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s, U)."""
+        """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s,
+        U)."""
         largest = np.max(np.abs(controls), axis=1)
         if self._directions is not None:
             directions = np.max(np.abs(self._directions.at(3, controls)[0]), axis=1)
@@ -261,7 +271,8 @@ class Nodes:
         return np.max(np.abs(self._directions.at(3, controls)[0]), axis=(1, 2))
 
     def amid(self, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by entry.
+        """Points amid pairs of points, shape (K, E); arcs over chords, and what these promise over the chords, entry by
+        entry.
 
         Each column of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
         tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.

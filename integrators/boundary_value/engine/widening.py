@@ -1,7 +1,7 @@
 """Units of coordinates that a guess near to rest hides, found from the first step that is refused.
 
-A rate that only products of others change is reached by nothing at rest, and by next to nothing near to it. In the unit that
-this gives it all steps end far outside the funnel, and none gets shorter by a shift: the constraints ask for it.
+A rate that only products of others change is reached by nothing at rest, and by next to nothing near to it. In the unit
+that this gives it all steps end far outside the funnel, and none gets shorter by a shift: the constraints ask for it.
 """
 
 from typing import Any
@@ -26,8 +26,8 @@ def lacking(assembled: Assembled) -> np.ndarray:
 def widened(conditions: Conditions, before: State, after: Assembled) -> Units:
     """Units in which what a trial lacks to second order is no more than where all moves by its unit.
 
-    After a part ``f`` of a step that moves the trajectory by ``k`` units ``1 - f`` of what was lacking is left, and ``k^2`` times
-    the second-order change.
+    After a part ``f`` of a step that moves the trajectory by ``k`` units ``1 - f`` of what was lacking is left, and
+    ``k^2`` times the second-order change.
     """
     units, part = conditions.measured, before.fraction * before.step.reach
     moved = part * conditions.length(before.step)

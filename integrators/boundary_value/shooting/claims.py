@@ -21,7 +21,8 @@ STATIONARY_POWER = 0.57  # of the machine epsilon: dH/du, and the equations of P
 
 
 class Stationarity(NamedTuple):
-    """``dH/du`` of every step, in coordinates of U: at its first node, its stage and its last node, shape ``(3, N, m)``.
+    """``dH/du`` of every step, in coordinates of U: at its first node, its stage and its last node, shape ``(3, N,
+    m)``.
 
     ``parts``: the sizes of the terms that it is a sum of.
     """
@@ -31,7 +32,8 @@ class Stationarity(NamedTuple):
 
 
 def stationarity(problem: OptimalControlProblem, points: tuple[Any, Any, Any], controls: Ambient) -> Stationarity:
-    """``dH/du`` with the control of each step at three points ``(q, p)`` of it, with the steps along the leading axis."""
+    """``dH/du`` with the control of each step at three points ``(q, p)`` of it, with the steps along the leading
+    axis."""
     zero = jnp.zeros(problem.controls.dimension)
 
     def at(z: tuple[Ambient, Ambient], u: Ambient) -> tuple[Array, Array]:
@@ -44,7 +46,8 @@ def stationarity(problem: OptimalControlProblem, points: tuple[Any, Any, Any], c
         rate, by_state, by_control = slope(q, zero), jax.jacrev(slope)(q, zero), jax.jacfwd(slope, 1)(q, zero)
         power = sum(jnp.tensordot(a, v, a.ndim) for a, v in _pairs(jax.tree.map(jnp.conj, p), velocities)).real
         along = [jnp.max(jnp.abs(v), axis=tuple(range(v.ndim - 1)), initial=0.0) for v in jax.tree.leaves(velocities)]
-        # What the slope of the cost is a sum of shows in its derivatives: those of (q + u)^2 do not vanish where q + u = 0.
+        # What the slope of the cost is a sum of shows in its derivatives: those of (q + u)^2 do not vanish where q + u
+        # = 0.
         terms = [jnp.sum(jnp.abs(s), axis=tuple(range(1, s.ndim))) * vec.size(q) for s in jax.tree.leaves(by_state)]
         terms.append(jnp.abs(by_control) @ jnp.broadcast_to(vec.size(u), zero.shape))
         least = rounding_of(zero)  # of a costate: below it an extremal at p = 0 is rounding
@@ -58,9 +61,14 @@ def _pairs(a: Any, b: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def broken_claim(
-    problem: OptimalControlProblem, integrator: SingularIntegrator, stages: np.ndarray, found: Stationarity, residual: float
+    problem: OptimalControlProblem,
+    integrator: SingularIntegrator,
+    stages: np.ndarray,
+    found: Stationarity,
+    residual: float,
 ) -> str:
-    """The first claim on the steps of an extremal that is false, in words with what is evaluated; empty if there is none.
+    """The first claim on the steps of an extremal that is false, in words with what is evaluated; empty if there is
+    none.
 
     ``residual``: the largest violation of the equations of ``P_f`` at the nodes.
     """
@@ -74,8 +82,8 @@ def broken_claim(
 def not_stationary(problem: OptimalControlProblem, stages: np.ndarray, found: Stationarity, exact: bool) -> str:
     """Where ``dH/du`` is not zero with the control of a step, in words; empty if it is.
 
-    It vanishes where the control belongs, at the stage or a node; if not ``exact``, of methods whose stage is not that of the
-    record, somewhere in the step, and is then no larger than what it varies by over a step.
+    It vanishes where the control belongs, at the stage or a node; if not ``exact``, of methods whose stage is not that
+    of the record, somewhere in the step, and is then no larger than what it varies by over a step.
     """
     values, parts = np.asarray(found.values), np.max(found.parts, axis=(0, 1))
     limit = tolerance(values, STATIONARY_POWER)
@@ -93,8 +101,11 @@ def not_stationary(problem: OptimalControlProblem, stages: np.ndarray, found: St
 
 
 def broken_end(conditions: EndConditions, ends: AtEnds, states: Ambient, costates: Ambient) -> str:
-    """The first boundary condition that is missed relative to the trajectory itself, in words; empty if there is none."""
-    covector = max((float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(costates)), default=0.0) / float(conditions.unit)
+    """The first boundary condition that is missed relative to the trajectory itself, in words; empty if there is
+    none."""
+    covector = max((float(np.max(np.abs(leaf))) for leaf in jax.tree.leaves(costates)), default=0.0) / float(
+        conditions.unit
+    )
     if conditions.problem.terminal_cost is not None:  # p + dPhi = 0 has terms of this size, though both may vanish
         covector = max(covector, 1.0)
     rounding = rounding_of(np.asarray(ends.start))
@@ -109,8 +120,8 @@ def broken_end(conditions: EndConditions, ends: AtEnds, states: Ambient, costate
                 kind = "state" if part.fixed else "costate"
                 unit = 1.0 if part.fixed else float(conditions.unit)
                 return (
-                    f"the condition on the {kind} at the {part.name} is missed by {unit * worst:.3g}, and the {kind}s reach "
-                    f"{unit * size:.3g}"
+                    f"the condition on the {kind} at the {part.name} is missed by {unit * worst:.3g}, and the {kind}s "
+                    f"reach {unit * size:.3g}"
                 )
             leaf, row = leaf + part.leaves, row + part.dimension
     return ""

@@ -29,7 +29,8 @@ RANDOM = 5  # points at which a terminal cost is looked at
 
 @final
 class EndConditions(eqx.Module):
-    """``q`` as prescribed at both ends; where it is free ``p = 0`` at the start and ``p = -dPhi`` at the end: ``2n`` in all.
+    """``q`` as prescribed at both ends; where it is free ``p = 0`` at the start and ``p = -dPhi`` at the end: ``2n`` in
+    all.
 
     Costates are measured in ``unit``, so that no condition depends on the unit of the cost.
     """
@@ -40,7 +41,8 @@ class EndConditions(eqx.Module):
     unit: Array | float = 1.0
 
     def in_units_of(self, c: Classification) -> "EndConditions":
-        """The same with the largest as unit of the sizes of ``dPhi`` at the ends and random points, and of ``p`` on ``P_f``.
+        """The same with the largest as unit of the sizes of ``dPhi`` at the ends and random points, and of ``p`` on
+        ``P_f``.
 
         The size of ``p`` says nothing where ``p = 0`` meets the equations: it is any number, or rounding.
         """
@@ -79,7 +81,8 @@ class EndConditions(eqx.Module):
 class AtEnds(NamedTuple):
     """The boundary conditions, shape (n,) each, with their derivatives, (n, vectors of a frame).
 
-    ``violations``: for each part of both ends, in words, by how much it is missed in the ambient space, relative to 1 + size.
+    ``violations``: for each part of both ends, in words, by how much it is missed in the ambient space, relative to 1 +
+    size.
     """
 
     start: Array
@@ -104,10 +107,13 @@ def _rows(manifold: Manifold, condition: NodeCondition, q: Ambient, costate: Amb
 def _scales(
     problem: OptimalControlProblem, equations: FinalEquations, q: Ambient, p: Ambient, *ends: Ambient
 ) -> tuple[Array, Array]:
-    """Largest entries of ``dPhi`` at both ends and, in the middle, at random points; the equations of ``P_f`` at ``(q, 0)``."""
+    """Largest entries of ``dPhi`` at both ends and, in the middle, at random points; the equations of ``P_f`` at ``(q,
+    0)``."""
     drawn = [problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), RANDOM)]
     sizes = [vec.size(problem.manifold.projection(x, vec.gradient(problem.final_cost, x))) for x in (*ends, *drawn)]
-    return jnp.stack([*sizes[: len(ends)], jnp.median(jnp.stack(sizes[len(ends) :]))]), equations((q, vec.scale(0.0, p)))
+    return jnp.stack([*sizes[: len(ends)], jnp.median(jnp.stack(sizes[len(ends) :]))]), equations(
+        (q, vec.scale(0.0, p))
+    )
 
 
 def _violations(condition: NodeCondition, z: Pair, rows: Array, unit: ArrayLike) -> Iterator[tuple[str, Array]]:
@@ -160,10 +166,12 @@ def _nearest(
     mask: Float[Array, " n"],
     terminal: Float[Array, ""],
 ) -> Node:
-    """From each covector: free states, and costates along the others, for which the equations of ``P_f`` are least violated.
+    """From each covector: free states, and costates along the others, for which the equations of ``P_f`` are least
+    violated.
 
-    Costates along the free coordinates are ``-terminal dPhi``. Equations are measured by their terms, whatever the unit of the
-    cost: derivatives by the state times 1 + its entries, and by the costate times its entries, or ``unit`` if that is larger.
+    Costates along the free coordinates are ``-terminal dPhi``. Equations are measured by their terms, whatever the unit
+    of the cost: derivatives by the state times 1 + its entries, and by the costate times its entries, or ``unit`` if
+    that is larger.
     """
     manifold = problem.manifold
     frame = manifold.basis(jax.tree.map(jnp.asarray, given))
@@ -178,7 +186,10 @@ def _nearest(
         basis = manifold.basis(z[0])
         none = jax.tree.map(jnp.zeros_like, basis)
         by_state, by_costate = (jnp.abs(_along(equations, z, moves)[1]) for moves in ((basis, none), (none, basis)))
-        lengths, sizes = 1 + jnp.abs(vec.components(basis, z[0])), jnp.maximum(jnp.abs(vec.components(basis, z[1])), unit)
+        lengths, sizes = (
+            1 + jnp.abs(vec.components(basis, z[0])),
+            jnp.maximum(jnp.abs(vec.components(basis, z[1])), unit),
+        )
         total = by_state @ lengths + by_costate @ sizes
         return jnp.where(total > 0, total, 1.0)
 
@@ -206,7 +217,8 @@ def _chosen(c: Classification, condition: NodeCondition, nodes: Node) -> Pair:
     piece = "the first piece of P_f" if c.stratified else "P_f"
     raise InvalidInputError(
         f"the boundary data admit no extremal: no point of {piece} found that meets the conditions at the {end} "
-        f"({', '.join(given) + ' prescribed' if given else 'all of it free'}); equations of P_f that they contradict: {broken} "
-        f"(relative) whatever the {'free states and ' if len(given) < len(condition.parts) else ''}costates, at q = {z[0]}; "
-        "free the components that these equations restrict, or prescribe values on P_f (classification.manifold.nearby)"
+        f"({', '.join(given) + ' prescribed' if given else 'all of it free'}); equations of P_f that they contradict: "
+        f"{broken} (relative) whatever the {'free states and ' if len(given) < len(condition.parts) else ''}costates, "
+        f"at q = {z[0]}; free the components that these equations restrict, or prescribe values on P_f "
+        "(classification.manifold.nearby)"
     )

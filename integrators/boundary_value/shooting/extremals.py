@@ -50,20 +50,23 @@ class Request(NamedTuple):
 
 
 def solve_on_final_manifold(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
-    """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``, piece after piece.
+    """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``, piece after
+    piece.
 
-    Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm, constant on every
-    step. Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the data of one end contradict them,
-    or for abnormal extremals, whose costates are known up to a factor only.
+    Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm,
+    constant on every step. Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the data
+    of one end contradict them, or for abnormal extremals, whose costates are known up to a factor only.
     """
     if c.empty:
         raise InvalidInputError(
-            f"the problem is singular, and no point of P_f, on which its interior singular extremals lie, was found\n{c}"
+            "the problem is singular, and no point of P_f, on which its interior singular extremals lie, was "
+            f"found\n{c}"
         )
     c.require_reliable()
     if request.problem.abnormal:
         raise InvalidInputError(
-            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start (q0, p0)"
+            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start "
+            "(q0, p0)"
         )
     request = request._replace(conditions=request.conditions.in_units_of(c))
     if integrator is not None or not c.stratified:
@@ -102,20 +105,22 @@ def _require_choice(request: Request, c: Classification) -> None:
     """Raise where ends are prescribed, and every curve between them is an extremal.
 
     ``P_f`` on which all controls are free is left by no control. All curves from a point of it are extremals then, and
-    the cost is stationary at each of those that end in one point: it is the same for all that can be deformed into each other.
+    the cost is stationary at each of those that end in one point: it is the same for all that can be deformed into each
+    other.
     """
     parts = *request.conditions.start.parts, *request.conditions.end.parts
     which = "the control is" if c.gauge_controls == 1 else f"all {c.gauge_controls} controls are"
     if c.gauge_controls == request.problem.controls.dimension and all(part.fixed for part in parts):
         raise InvalidInputError(
-            f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of them cost "
-            "the same, as where the running cost is a total derivative along the dynamics, and none is the solution; expected a "
-            "cost that tells them apart, such as one with u @ u / 2 added"
+            f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of "
+            "them cost the same, as where the running cost is a total derivative along the dynamics, and none is the "
+            "solution; expected a cost that tells them apart, such as one with u @ u / 2 added"
         )
 
 
 def _shooting(request: Request, c: Classification, integrator: SingularIntegrator | None) -> tuple[Shooting, str]:
-    """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the time.
+    """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the
+    time.
 
     With the reason for the integrator.
     """
@@ -126,7 +131,8 @@ def _shooting(request: Request, c: Classification, integrator: SingularIntegrato
     method = singular_integrator(c, request.discretization, gauge=gauge) if integrator is None else integrator
     if not method.keeps_nodes or (integrator is not None and c.gauge_controls):
         length = request.steps
-    # The reason has numbers in it, and is static: without it one compiled kernel serves problems that differ in their data.
+    # The reason has numbers in it, and is static: without it one compiled kernel serves problems that differ in their
+    # data.
     return Shooting(request.problem, replace(method, reason=""), c.manifold, h, request.steps, length), method.reason
 
 
@@ -148,8 +154,8 @@ def _first_points(shooting: Shooting, c: Classification, request: Request, first
     points = _near_final(request.problem.manifold, c.equations, states, costates)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
         raise InvalidInputError(
-            "no points of P_f found near the guess of the trajectory; pass a guess with states and costates near P_f, for "
-            "instance along integrate(problem, singular_integrator(classification, discretization), ...)"
+            "no points of P_f found near the guess of the trajectory; pass a guess with states and costates near P_f, "
+            "for instance along integrate(problem, singular_integrator(classification, discretization), ...)"
         )
     return points
 
@@ -172,7 +178,8 @@ def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, 
 
 
 class _Outcome(NamedTuple):
-    """An iterate: nodes, stages, cost, the largest violation of the equations of ``P_f`` at the nodes, and ``dH/du``."""
+    """An iterate: nodes, stages, cost, the largest violation of the equations of ``P_f`` at the nodes, and
+    ``dH/du``."""
 
     nodes: Pair
     stages: Pair
@@ -232,14 +239,23 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
     broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, request.problem, method.retraction)
-    jumps = [] if broken else energy.passed(Segments.between(*jax.tree.map(lambda a: a[None], (outcome.nodes, outcome.controls))))
+    jumps = (
+        []
+        if broken
+        else energy.passed(Segments.between(*jax.tree.map(lambda a: a[None], (outcome.nodes, outcome.controls))))
+    )
     if jumps:
         return False, f"The conditions hold at the points, but {jumps[0].words()}."
     return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
 
 
 def _record(
-    request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome, seconds: tuple[float, float]
+    request: Request,
+    c: Classification,
+    method: SingularIntegrator,
+    found: Found,
+    outcome: _Outcome,
+    seconds: tuple[float, float],
 ) -> Solution:
     (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
     arc = SingularArc(

@@ -1,4 +1,5 @@
-"""Gauss-Newton on the conditions of multiple shooting: many of them repeat each other on ``P_f``, and some may contradict."""
+"""Gauss-Newton on the conditions of multiple shooting: many of them repeat each other on ``P_f``, and some may
+contradict."""
 
 from collections.abc import Callable
 from functools import lru_cache
@@ -25,7 +26,8 @@ SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
 
 
 class Found(NamedTuple):
-    """The last iterate with its conditions, and how the iteration ended. ``independent``: rank of the boundary conditions."""
+    """The last iterate with its conditions, and how the iteration ended. ``independent``: rank of the boundary
+    conditions."""
 
     iterate: Iterate
     at: Linearised
@@ -66,8 +68,8 @@ def meet_conditions(
 ) -> Found:
     """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
 
-    Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary and does
-    not vanish: the conditions contradict each other there.
+    Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
+    and does not vanish: the conditions contradict each other there.
     """
     still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
     weights = _weights(shooting, guess)
@@ -80,7 +82,9 @@ def meet_conditions(
         d, rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
         slope = _slope(matrix, state.rows)
         sizes.append(state.size)
-        exhausted = damping > LARGEST_DAMPING or (count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE])
+        exhausted = damping > LARGEST_DAMPING or (
+            count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE]
+        )
         result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, exhausted)
         if result != Result.too_many_iterations or count == max_iterations:
             break
@@ -146,6 +150,7 @@ def _weights(shooting: Shooting, iterate: Iterate) -> np.ndarray:
 
 
 def _excess(shooting: Shooting, iterate: Iterate) -> np.ndarray:
-    """What the norm of a step is measured from: the gauge controls themselves, but no more than the steps of the states."""
+    """What the norm of a step is measured from: the gauge controls themselves, but no more than the steps of the
+    states."""
     gauge = np.asarray(iterate.gauge).reshape(shooting.segments, iterate.gauge[0].size)
     return np.concatenate([np.zeros((shooting.segments, shooting.final.dimension)), gauge], axis=1).reshape(-1)

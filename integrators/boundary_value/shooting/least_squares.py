@@ -15,7 +15,8 @@ DAMPING = Damping(first=1e-3, factor=10.0, largest=1e4, solved=1e-13)  # in unit
 def least_squares(
     residual: Callable[[Float[Array, " n"]], Float[Array, " m"]], start: Float[Array, " n"]
 ) -> tuple[Float[Array, " n"], Float[Array, " m"]]:
-    """A stationary point of ``|residual|^2`` near ``start``, and the residual there: zero to rounding where that is possible.
+    """A stationary point of ``|residual|^2`` near ``start``, and the residual there: zero to rounding where that is
+    possible.
 
     Levenberg's method [Nocedal, Wright 2006, 10.3] with steps of least norm; ``m`` and ``n`` are any, the rank too.
     """
@@ -29,8 +30,11 @@ def least_squares(
     return levenberg(residual, start, step, DAMPING)
 
 
-def shortest_step(matrix: np.ndarray, residual: np.ndarray, excess: np.ndarray, damping: float) -> tuple[np.ndarray, int]:
-    """The ``d`` with ``matrix d = -residual``, in the least-squares sense, for which ``|excess + d|`` is least, and the rank.
+def shortest_step(
+    matrix: np.ndarray, residual: np.ndarray, excess: np.ndarray, damping: float
+) -> tuple[np.ndarray, int]:
+    """The ``d`` with ``matrix d = -residual``, in the least-squares sense, for which ``|excess + d|`` is least, and the
+    rank.
 
     With ``damping``, in units of the largest singular value, it is Levenberg's step instead.
     """

@@ -21,7 +21,8 @@ Pair = tuple[Ambient, Ambient]
 class StepwiseGauge(eqx.Module):
     """Gauge controls that are constant on every step: ``values`` of shape ``(steps, gauge controls)``.
 
-    ``fraction``: where in a step the integrator asks for them. ``meaning``: what the reason for an integrator says of them.
+    ``fraction``: where in a step the integrator asks for them. ``meaning``: what the reason for an integrator says of
+    them.
     """
 
     meaning: ClassVar[str] = "gauge controls constant on every step, of least norm that meet the ends"
@@ -36,7 +37,8 @@ class StepwiseGauge(eqx.Module):
 
 
 class Iterate(NamedTuple):
-    """Unknowns: points of ``P_f`` at which the segments start, leading axis M, and gauge controls of their L steps, (M, L, g)."""
+    """Unknowns: points of ``P_f`` at which the segments start, leading axis M, and gauge controls of their L steps, (M,
+    L, g)."""
 
     points: Pair
     gauge: Float[Array, "M L g"]
@@ -52,10 +54,10 @@ class Nodes(NamedTuple):
 class Linearised(NamedTuple):
     """The segments from an iterate, and their derivatives by its coordinates.
 
-    ``nodes`` have the segments and their steps along the first two axes; ``end`` is ``z_N``, and ``end_moves`` the frame of its
-    derivatives by the last segment. ``gaps``, shape (M - 1, d): the end of each segment minus the start of the next, in the basis
-    of ``T P_f`` there; ``pushes``, shape (M - 1, d, d + L g), their derivatives by the segment that ends. ``distance``: largest
-    gap in the ambient space, relative to 1 + size.
+    ``nodes`` have the segments and their steps along the first two axes; ``end`` is ``z_N``, and ``end_moves`` the
+    frame of its derivatives by the last segment. ``gaps``, shape (M - 1, d): the end of each segment minus the start of
+    the next, in the basis of ``T P_f`` there; ``pushes``, shape (M - 1, d, d + L g), their derivatives by the segment
+    that ends. ``distance``: largest gap in the ambient space, relative to 1 + size.
     """
 
     nodes: Nodes
@@ -99,10 +101,13 @@ class Shooting(eqx.Module):
         return Iterate(points, iterate.gauge + d[:, dimension:].reshape(iterate.gauge.shape)), frames
 
     def segment(self, z: Pair, gauge: Array, first: Array) -> tuple[Pair, tuple[Nodes, Array]]:
-        """The end of a segment from ``z``, its nodes, and whether all its steps were solved; steps after the last do nothing."""
+        """The end of a segment from ``z``, its nodes, and whether all its steps were solved; steps after the last do
+        nothing."""
         problem, integrator = self.problem, _with_gauge(self.integrator, gauge)
 
-        def step(carry: tuple[Ambient, Ambient, Any, Array], index: Array) -> tuple[tuple[Ambient, Ambient, Any, Array], Nodes]:
+        def step(
+            carry: tuple[Ambient, Ambient, Any, Array], index: Array
+        ) -> tuple[tuple[Ambient, Ambient, Any, Array], Nodes]:
             q, p, memory, solved = carry
             new = integrator.step(problem, self.step, q, p, memory)
             kept = new.q, new.p, jax.lax.stop_gradient(new.unknowns), solved & new.converged
@@ -119,7 +124,8 @@ class Shooting(eqx.Module):
         firsts = self.length * jnp.arange(self.segments)
         ends, pushes, (nodes, solved) = jax.vmap(self._pushed)(points, gauge, frames, firsts)
         (before, moved), (after, bases) = (
-            vec.entries(trees, s) for trees, s in (((ends, pushes), slice(None, -1)), ((points, frames), slice(1, None)))
+            vec.entries(trees, s)
+            for trees, s in (((ends, pushes), slice(None, -1)), ((points, frames), slice(1, None)))
         )
         gap = vec.subtract(before, after)
         end, end_moves = vec.entries((ends, pushes), -1)
@@ -134,7 +140,8 @@ class Shooting(eqx.Module):
         )
 
     def _pushed(self, z: Pair, gauge: Array, frame: Frame, first: Array) -> tuple[Pair, Frame, tuple[Nodes, Array]]:
-        """The end of a segment, its derivatives along the frame and by the gauge, its nodes, and whether it was solved."""
+        """The end of a segment, its derivatives along the frame and by the gauge, its nodes, and whether it was
+        solved."""
 
         def along(a: Pair, b: Array) -> tuple[Pair, Pair, tuple[Nodes, Array]]:
             return jax.jvp(lambda z, gauge: self.segment(z, gauge, first), (z, gauge), (a, b), has_aux=True)

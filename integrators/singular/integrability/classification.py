@@ -27,11 +27,13 @@ from .points import APPROACHED
 
 @dataclass(frozen=True)
 class MorseTest:
-    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``count`` points with ``dH/du = 0``.
+    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``count`` points with ``dH/du =
+    0``.
 
-    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``: ``D(dH/du)`` has
-    rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the point where the smallest is
-    smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the first one not counted.
+    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``:
+    ``D(dH/du)`` has rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the point
+    where the smallest is smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the first
+    one not counted.
     """
 
     count: int
@@ -48,11 +50,11 @@ class MorseTest:
 class Stratum:
     """A piece of ``P_f`` of constant ranks, seen at ``count`` of the points.
 
-    ``signature``: codimension, free controls, rank of the form. ``flat``: its tangent spaces are the same at all its points.
-    ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for each component of
-    the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it and a control there.
-    ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``. ``states``: all
-    its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
+    ``signature``: codimension, free controls, rank of the form. ``flat``: its tangent spaces are the same at all its
+    points. ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for
+    each component of the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it
+    and a control there. ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs
+    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
     """
 
     signature: Signature
@@ -94,8 +96,8 @@ class Stratum:
 class Classification(IntegrabilityResult[Stratum]):
     """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level.
 
-    ``jump``: words on a jump of the problem's functions between these points, on whose sides ``P_f`` may differ; empty if none
-    was found.
+    ``jump``: words on a jump of the problem's functions between these points, on whose sides ``P_f`` may differ; empty
+    if none was found.
     """
 
     morse: MorseTest | None
@@ -112,7 +114,8 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @property
     def irregular(self) -> bool:
-        """Whether Gauss-Newton was slow: the differentials of the equations vanish or become dependent on their zero set."""
+        """Whether Gauss-Newton was slow: the differentials of the equations vanish or become dependent on their zero
+        set."""
         return any(level.slow for level in self.levels)
 
     @property
@@ -122,14 +125,16 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @property
     def contradictory(self) -> bool:
-        """Whether no piece was found because the conditions contradict each other, not for want of a point that meets them."""
+        """Whether no piece was found because the conditions contradict each other, not for want of a point that meets
+        them."""
         if not self.empty or self.excluded:
             return self.empty
         return self.levels[-1].residual > APPROACHED and self.levels[-1].opposed
 
     @property
     def sparse(self) -> bool:
-        """Whether half of the points or more are missing: not found, or left out for irregular equations or unclear ranks."""
+        """Whether half of the points or more are missing: not found, or left out for irregular equations or unclear
+        ranks."""
         return self.reliable and not self.empty and any(2 * level.missing >= level.tried for level in self.levels)
 
     def is_of(self, problem: OptimalControlProblem) -> bool:
@@ -138,18 +143,20 @@ class Classification(IntegrabilityResult[Stratum]):
         return unchanged and is_same_problem(self.problem, problem)
 
     def require_reliable(self) -> None:
-        """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular or ranks not clear, so that nothing is known."""
+        """Raise ``InvalidInputError`` if the equations of ``P_f`` are irregular or ranks not clear, so that nothing is
+        known."""
         if self.reliable:
             return
         if any(level.unknown and level.slow == level.consistent for level in self.levels):
             raise InvalidInputError(
-                "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so they do not "
-                f"make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in the problem"
+                "the equations of P_f are irregular: their differentials vanish or depend on each other on P_f, so "
+                f"they do not make it a manifold\n{self}\nreplace them by equivalent ones, as x = 0 for x^2 = 0, in "
+                "the problem"
             )
         raise InvalidInputError(
-            "P_f is not known: at every point found, a number that decides a rank may be zero or not within the precision of the "
-            f"point, or a function underflows or is smaller than the rounding of the others\n{self}\ntry near=(q, p), a state "
-            "where the functions are of comparable size, or other units"
+            "P_f is not known: at every point found, a number that decides a rank may be zero or not within the "
+            "precision of the point, or a function underflows or is smaller than the rounding of the "
+            f"others\n{self}\ntry near=(q, p), a state where the functions are of comparable size, or other units"
         )
 
     @property
@@ -167,7 +174,8 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @cached_property
     def manifold(self) -> Manifold:
-        """``P_f`` as an embedded manifold; ``Projection(P_f)`` is a retraction of it, ``P_f.nearby(z)`` a point of it near ``z``.
+        """``P_f`` as an embedded manifold; ``Projection(P_f)`` is a retraction of it, ``P_f.nearby(z)`` a point of it
+        near ``z``.
 
         Valid around the point of the stratum, as far as the elimination of the controls reaches. Raises
         ``InvalidInputError`` if the equations are irregular there.
@@ -184,8 +192,8 @@ class Classification(IntegrabilityResult[Stratum]):
     def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``, a JAX function.
 
-        ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point of the
-        stratum. Entries are NaN where the equations cannot be solved for the others.
+        ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point
+        of the stratum. Entries are NaN where the equations cannot be solved for the others.
         """
         return self.stratum.feedback.control((q, p), gauge)
 

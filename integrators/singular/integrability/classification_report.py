@@ -61,7 +61,8 @@ def _irregular(level: Level) -> str:
     if level.unknown and level.unclear == level.consistent:
         return ", ranks not decided at any of them"
     return "".join(
-        f", {count} of them {where}: {'ranks not reliable' if level.unknown else 'not counted'}" for count, where in notes
+        f", {count} of them {where}: {'ranks not reliable' if level.unknown else 'not counted'}"
+        for count, where in notes
     )
 
 
@@ -97,7 +98,9 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     if not c.reliable:
         yield (
             "NOT RELIABLE",
-            words.UNRELIABLE if any(level.unknown and level.slow == level.consistent for level in c.levels) else words.UNDECIDED,
+            words.UNRELIABLE
+            if any(level.unknown and level.slow == level.consistent for level in c.levels)
+            else words.UNDECIDED,
         )
     yield "P_f", words.final_words(total - codimension, total, s.equations.names) + seen
     if c.irregular and c.reliable and not s.flat:
@@ -107,9 +110,15 @@ def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     yield "k_f", words.stop_words(s.k_f, s.k_f_base)
     yield "omega_f", words.form_words(s.rank, kernel)
     for i in range(kernel):
-        yield "kernel", f"({_vector(s.kernel[0], i)}; {_vector(s.kernel[1], i)}) at q = {_point(s.q)}, p = {_point(s.p)}"
+        yield (
+            "kernel",
+            f"({_vector(s.kernel[0], i)}; {_vector(s.kernel[1], i)}) at q = {_point(s.q)}, p = {_point(s.p)}",
+        )
     yield "constraints", words.class_words(codimension, kernel)
-    yield "controls", _controls(c.problem.controls, s) + words.chart_words(c.problem.controls, _point(s.feedback.center))
+    yield (
+        "controls",
+        _controls(c.problem.controls, s) + words.chart_words(c.problem.controls, _point(s.feedback.center)),
+    )
 
 
 def _controls(controls: Manifold, s: Stratum) -> str:

@@ -77,22 +77,23 @@ def classify(
 ) -> "Classification | SymbolicClassification":
     """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
 
-    ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise, from
-    the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones (drawn with
-    ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where Pontryagin's principle
-    excludes them: in abnormal problems, and in those with a free end, no running cost and a terminal cost whose differential
-    vanishes nowhere, because an entry of it is one number everywhere, as that of ``q[2]``. ``near``, a state ``(q, p)``:
-    start from it and from points around it, to see a piece of ``P_f`` too thin for random starts to come to.
+    ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise,
+    from the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones
+    (drawn with ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where
+    Pontryagin's principle excludes them: in abnormal problems, and in those with a free end, no running cost and a
+    terminal cost whose differential vanishes nowhere, because an entry of it is one number everywhere, as that of
+    ``q[2]``. ``near``, a state ``(q, p)``: start from it and from points around it, to see a piece of ``P_f`` too thin
+    for random starts to come to.
 
-    A rank is a statement about the points tested; the record holds the gaps between the singular values, how many points
-    agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on R^n, and
-    gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``). It starts from
-    no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused. ``verbose`` shows how many points are through
-    with the algorithm, as in ``integrate``; Ctrl-C is the usual ``KeyboardInterrupt``, whose one argument is the tuple of the
-    levels until then.
+    A rank is a statement about the points tested; the record holds the gaps between the singular values, how many
+    points agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on
+    R^n, and gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
+    It starts from no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused. ``verbose`` shows how
+    many points are through with the algorithm, as in ``integrate``; Ctrl-C is the usual ``KeyboardInterrupt``, whose
+    one argument is the tuple of the levels until then.
 
-    Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or that are
-    finite at no start, anything but a number of starts, and functions outside the reach of exact algebra, and
+    Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or
+    that are finite at no start, anything but a number of starts, and functions outside the reach of exact algebra, and
     ``NotOnManifoldError`` if ``near`` is not a state.
     """
     require_concrete("classify", problem, near)
@@ -116,11 +117,14 @@ def _classify(
     kept = [item for item in found if not (exclude and item.trivial)]
     strata = _strata(kept)
     jump = _jump(problem, first, strata)
-    return Classification(problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump)
+    return Classification(
+        problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump
+    )
 
 
 def _jump(problem: OptimalControlProblem, first: Points, strata: tuple[Stratum, ...]) -> str:
-    """Words on a jump of the functions between points of ``P_f``, or starts where it has none; empty if there is none."""
+    """Words on a jump of the functions between points of ``P_f``, or starts where it has none; empty if there is
+    none."""
     states = [stratum.states[0] for stratum in strata] or [first.at.z[0]]
     q = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *states)
     count, u = len(jax.tree.leaves(q)[0]), vec.entries(first.at.control, 0)
@@ -134,7 +138,9 @@ def _jump(problem: OptimalControlProblem, first: Points, strata: tuple[Stratum, 
     return jumps[0].fact("between points that were looked at, near") if jumps else ""
 
 
-def _symbolic(problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None) -> "SymbolicClassification":
+def _symbolic(
+    problem: OptimalControlProblem, exclude_zero_costate: bool | None, near: Pair | None
+) -> "SymbolicClassification":
     if near is not None:
         raise InvalidInputError("symbolic=True finds the pieces of P_f wherever they are; leave near out")
     try:
@@ -212,7 +218,9 @@ def _through(
         if level == 0 and histories:
             morse = _morse(select(points, points.consistent))
         settled = [level > 0 and _new_equations(history) == 0 for history in histories]
-        ended = [_Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops]
+        ended = [
+            _Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops
+        ]
         found += ended
         left = np.setdiff1d(np.arange(len(points.slow)), reliable[settled])
         is_last = len(ended) == len(histories)
@@ -247,14 +255,15 @@ def _require_finite(points: Points, level: Level) -> None:
     if not np.isfinite(level.residual):
         q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (points.at.z[0], points.at.control))
         raise InvalidInputError(
-            f"the problem's functions or their derivatives are not finite at any of {level.tried} points of level {level.index}, "
-            f"as at q = {q}, u = {u}: running cost {points.at.cost_rate[0]:.3g}; check their domain, or give near=(q, p), a "
-            "state where they are finite"
+            f"the problem's functions or their derivatives are not finite at any of {level.tried} points of level "
+            f"{level.index}, as at q = {q}, u = {u}: running cost {points.at.cost_rate[0]:.3g}; check their domain, or "
+            "give near=(q, p), a state where they are finite"
         )
 
 
 def _without_crossings(points: Points, unit_costate: bool) -> Points:
-    """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some level."""
+    """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some
+    level."""
     reliable = np.flatnonzero(points.regular)
     own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
     if len(set(own.values())) < 2:
@@ -291,7 +300,9 @@ def _morse(points: Points) -> MorseTest:
     """
     by_state, by_jet = points.matrices(0)
     ranks = point_ranks(points, 0)
-    values = [np.linalg.svd(matrix, compute_uv=False) for matrix in (np.concatenate([by_state, by_jet], axis=2), by_jet)]
+    values = [
+        np.linalg.svd(matrix, compute_uv=False) for matrix in (np.concatenate([by_state, by_jet], axis=2), by_jet)
+    ]
     worst = [batch[np.argmin(batch[:, -1])] for batch in values]
     return MorseTest(
         count=len(by_jet),
@@ -321,9 +332,10 @@ def _strata(found: list[_Found]) -> tuple[Stratum, ...]:
 def _told_apart(group: list[_Found]) -> list[list[_Found]]:
     """The pieces that points of equal ranks lie on, as far as their tangent spaces tell them apart.
 
-    The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it is not,
-    points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer dimensions than it
-    could bend in. Few points show no piece: beside a single one they are where that is flat to rounding.
+    The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it
+    is not, points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer
+    dimensions than it could bend in. Few points show no piece: beside a single one they are where that is flat to
+    rounding.
     """
     joint, clear = _joint_ranks([item.ranks.tangents for item in group])
     if not clear:
@@ -344,7 +356,8 @@ def _told_apart(group: list[_Found]) -> list[list[_Found]]:
 
 
 def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
-    """Ranks of pairs of tangent spaces together, and whether all are clear; of one with itself more than of any pair."""
+    """Ranks of pairs of tangent spaces together, and whether all are clear; of one with itself more than of any
+    pair."""
     count, (height, _) = len(tangents), tangents[0].shape
     joint, (i, j) = np.full((count, count), height), np.triu_indices(count, 1)
     if not len(i):
@@ -358,7 +371,10 @@ def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
 def _stratum(members: list[_Found]) -> Stratum:
     # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
     ((usual, _),) = Counter(_stops(item.history) for item in members).most_common(1)
-    (points, history), (k_f, base) = max((m for m in members if _stops(m.history) == usual), key=lambda m: m.ranks.gap), usual
+    (points, history), (k_f, base) = (
+        max((m for m in members if _stops(m.history) == usual), key=lambda m: m.ranks.gap),
+        usual,
+    )
     ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
     z, u, frame = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (points.at.z, points.at.control, points.at.frame))
     return Stratum(
@@ -367,7 +383,9 @@ def _stratum(members: list[_Found]) -> Stratum:
         flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
         k_f=k_f,
         k_f_base=base,
-        determined_at=tuple(_first_level([bool(r.determined[a]) for r in history]) for a in range(points.at.jet.shape[-1])),
+        determined_at=tuple(
+            _first_level([bool(r.determined[a]) for r in history]) for a in range(points.at.jet.shape[-1])
+        ),
         q=z[0],
         p=z[1],
         u=u,

@@ -1,8 +1,8 @@
 """Ranks of matrices whose entries are known to a precision of their own, by elimination that no scaling changes.
 
-A matrix comes as a stack: what it is at a point, and at points a tiny step away. What an entry changes by between them holds
-its rounding and the error of the point; entries count only if they are large beside that. Every step of the elimination is
-taken in the whole stack, so that this is known of its results as well.
+A matrix comes as a stack: what it is at a point, and at points a tiny step away. What an entry changes by between them
+holds its rounding and the error of the point; entries count only if they are large beside that. Every step of the
+elimination is taken in the whole stack, so that this is known of its results as well.
 """
 
 from typing import NamedTuple
@@ -10,17 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 COUNTED = 1e3  # an entry is not zero if it is this many times what it changes by
-CERTAIN, ZERO = 1e4, 1e2  # ranks are decided where all that counts is at least the first, and all else at most the second
+# Ranks are decided where all that counts is at least the first, and all else at most the second.
+CERTAIN, ZERO = 1e4, 1e2
 MOST = 1 / np.finfo(float).eps
-JITTER = 1e-13  # relative changes of all entries, so that the rounding of the elimination itself is not the same in a stack
+# Relative changes of all entries, so that the rounding of the elimination itself is not the same in a stack.
+JITTER = 1e-13
 BALANCED = 4  # sweeps that scale rows and columns
 
 
 class Echelon(NamedTuple):
     """Reduced echelon forms of a batch of stacks, ``(batch, 1 + samples, rows, columns)``.
 
-    ``rows``: the row with the pivot of each column, -1 where it has none. ``smallest`` and ``largest``: significance of what
-    was counted and of what was not.
+    ``rows``: the row with the pivot of each column, -1 where it has none. ``smallest`` and ``largest``: significance of
+    what was counted and of what was not.
     """
 
     matrix: np.ndarray
@@ -34,7 +36,8 @@ class Echelon(NamedTuple):
         return (self.smallest >= CERTAIN) & (self.largest <= ZERO)
 
     def steps(self) -> np.ndarray:
-        """Largest component of the least step to where the equations hold whose values are the last column, ``(batch,)``.
+        """Largest component of the least step to where the equations hold whose values are the last column,
+        ``(batch,)``.
 
         Not of the step of the pivots alone: any number serves for a pivot, also one beside which others are large.
         """
@@ -47,7 +50,8 @@ class Echelon(NamedTuple):
         return np.where(finite, np.max(np.abs(found), axis=(1, 2), initial=0.0), np.inf)
 
     def null_basis(self, block: slice) -> np.ndarray:
-        """Null vectors of the rows with pivots in a block of columns, one for each column without; zeros for the others."""
+        """Null vectors of the rows with pivots in a block of columns, one for each column without; zeros for the
+        others."""
         rows = self.rows[:, block]
         basis = np.zeros((*self.matrix.shape[:2], rows.shape[1], rows.shape[1]))
         for b, pivots in enumerate(rows):
@@ -65,13 +69,15 @@ def significance(stack: np.ndarray) -> np.ndarray:
 
 
 def without_small(stack: np.ndarray, least: np.ndarray, steady: float) -> np.ndarray:
-    """The stack with zeros for entries of at most these sizes that change by no more than a multiple ``steady`` of their own."""
+    """The stack with zeros for entries of at most these sizes that change by no more than a multiple ``steady`` of
+    their own."""
     size, change = np.abs(stack[:, 0]), np.max(np.abs(stack[:, 1:] - stack[:, :1]), axis=1)
     return np.where(((size <= least) & (change <= steady * size))[:, None], 0.0, stack)
 
 
 def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -> Echelon:
-    """Gauss-Jordan elimination of blocks of columns in turn, with the largest balanced pivot in the lowest level of rows."""
+    """Gauss-Jordan elimination of blocks of columns in turn, with the largest balanced pivot in the lowest level of
+    rows."""
     finite = np.array(np.isfinite(stack).all(axis=(1, 2, 3)))
     matrix = np.where(finite[:, None, None, None], stack, 0.0)
     matrix[:, 1:] *= 1 + JITTER * np.random.default_rng(0).standard_normal(matrix[0, 1:].shape)

@@ -1,8 +1,8 @@
 """The final manifold ``P_f`` by its equations, and the controls that they determine.
 
-At a consistent point the derivative array ``F(z, U) = 0`` is split by pivoting: some of its rows are solved for as many of
-the unknowns ``U = (u, u', ...)``, which leaves equations in ``z`` alone. ``P_f`` is their zero set, and the unknowns that
-were solved for are functions of ``z`` (and of the free controls) by the implicit function theorem.
+At a consistent point the derivative array ``F(z, U) = 0`` is split by pivoting: some of its rows are solved for as many
+of the unknowns ``U = (u, u', ...)``, which leaves equations in ``z`` alone. ``P_f`` is their zero set, and the unknowns
+that were solved for are functions of ``z`` (and of the free controls) by the implicit function theorem.
 """
 
 from typing import NamedTuple, final
@@ -27,8 +27,8 @@ EXPLICIT = 1e-10  # largest derivative by a control of a row that does not invol
 class Pivots(NamedTuple):
     """Indices into the raveled array and its unknowns.
 
-    Rows ``solved`` for the unknowns ``eliminated``; rows ``kept`` as equations; ``free`` components of the control, which
-    parametrise the undetermined ones.
+    Rows ``solved`` for the unknowns ``eliminated``; rows ``kept`` as equations; ``free`` components of the control,
+    which parametrise the undetermined ones.
     """
 
     solved: Indices
@@ -41,9 +41,9 @@ class Pivots(NamedTuple):
 class FinalEquations(eqx.Module):
     """A derivative array with some of its rows solved for the control and its derivatives.
 
-    ``jet``: the consistent value of ``(u, u', ...)`` that the elimination starts from; ``rows`` and ``columns``: units of the
-    array and of the jet, raveled; ``explicit``: whether the rows kept as equations involve no control, so that nothing has to
-    be solved for them.
+    ``jet``: the consistent value of ``(u, u', ...)`` that the elimination starts from; ``rows`` and ``columns``: units
+    of the array and of the jet, raveled; ``explicit``: whether the rows kept as equations involve no control, so that
+    nothing has to be solved for them.
     """
 
     array: DerivativeArray
@@ -66,7 +66,9 @@ class FinalEquations(eqx.Module):
         if not self.pivots.solved:
             return jet
         unknown, solved = jnp.array(self.pivots.eliminated), jnp.array(self.pivots.solved)
-        root, found = find_root(lambda y: self.values(z, jet.at[unknown].set(y))[solved], jet[unknown], self.columns[unknown])
+        root, found = find_root(
+            lambda y: self.values(z, jet.at[unknown].set(y))[solved], jet[unknown], self.columns[unknown]
+        )
         return jet.at[unknown].set(jnp.where(found, root, jnp.nan))
 
     def __call__(self, z: Pair) -> Float[Array, " codimension"]:
@@ -100,7 +102,8 @@ def final_equations(points: Points, level: int, ranks: PointRanks) -> FinalEquat
 
 
 def _pivots(rows: np.ndarray, m: int, width: int) -> Pivots:
-    """Indices from the rows solved for ``u'``, ..., then ``u``, then ``z``: ``width`` unknowns of which ``m`` are ``u``."""
+    """Indices from the rows solved for ``u'``, ..., then ``u``, then ``z``: ``width`` unknowns of which ``m`` are
+    ``u``."""
     unknowns = np.roll(np.arange(width), -m)
     solved = rows[:width] >= 0
     return Pivots(

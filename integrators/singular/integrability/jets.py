@@ -1,8 +1,8 @@
 """The derivative array: time derivatives of the stationarity condition along an extremal.
 
-With ``F_0 = dH/du`` and ``F_{j+1} = D_t F_j``, ``D_t`` the derivative along ``zdot = X_H(z, u)`` and ``(u, u', u'', ...)``,
-the set ``P^k`` of the integrability algorithm is the projection on ``T*Q`` of ``{F_0 = ... = F_k = 0}``, where ranks are
-constant.
+With ``F_0 = dH/du`` and ``F_{j+1} = D_t F_j``, ``D_t`` the derivative along ``zdot = X_H(z, u)`` and ``(u, u', u'',
+...)``, the set ``P^k`` of the integrability algorithm is the projection on ``T*Q`` of ``{F_0 = ... = F_k = 0}``, where
+ranks are constant.
 """
 
 from collections.abc import Callable
@@ -39,15 +39,16 @@ def hamiltonian_field(problem: OptimalControlProblem, z: Pair, u: Ambient) -> Pa
 class DerivativeArray(eqx.Module):
     """``(F_0, ..., F_order)`` at a point of ``T*Q``, given the control and its derivatives in a chart of U.
 
-    Computed by Taylor arithmetic, at a cost polynomial in the order. Functions that have no rule for it (linear solves, loops)
-    fall back to nested derivatives, whose cost doubles with every order.
+    Computed by Taylor arithmetic, at a cost polynomial in the order. Functions that have no rule for it (linear solves,
+    loops) fall back to nested derivatives, whose cost doubles with every order.
     """
 
     problem: OptimalControlProblem
     order: int = eqx.field(static=True)
 
     def __call__(self, z: Pair, center: Ambient, u: Jet) -> Jet:
-        """The array, shape ``(order + 1, m)``; row ``i`` of ``u`` is the ``i``-th derivative of the control's coordinates."""
+        """The array, shape ``(order + 1, m)``; row ``i`` of ``u`` is the ``i``-th derivative of the control's
+        coordinates."""
         flat, unravel = ravel_pytree(z)
         slope = jax.jit(lambda w, c: control_slope(self.problem, unravel(w), center, c))
 
@@ -63,7 +64,8 @@ class DerivativeArray(eqx.Module):
 
 
 def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u: Jet) -> Jet:
-    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from those of the solution, one order at a time."""
+    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from those of the solution, one order at a
+    time."""
     if len(u) == 1:
         return slope(w, u[0])[None]
     rates, controls = [field(w, u[0])], list(u[1:])
@@ -74,7 +76,9 @@ def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u:
     return jnp.stack([first, *rest])
 
 
-def _nested(field: Callable[..., Flat], slope: Callable[..., Array], order: int) -> Callable[[Flat, Jet], tuple[Array, ...]]:
+def _nested(
+    field: Callable[..., Flat], slope: Callable[..., Array], order: int
+) -> Callable[[Flat, Jet], tuple[Array, ...]]:
     """The same by ``order`` nested directional derivatives, each of which returns all before it."""
     if order == 0:
         return lambda w, u: (slope(w, u[0]),)

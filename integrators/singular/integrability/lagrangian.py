@@ -1,7 +1,8 @@
-"""The Lagrangian submanifolds of an optimal control problem: ``L_H`` in ``T*T*Q``, ``S_H`` in ``TT*Q``, ``S_f`` in ``TP_f``.
+"""The Lagrangian submanifolds of an optimal control problem: ``L_H`` in ``T*T*Q``, ``S_H`` in ``TT*Q``, ``S_f`` in
+``TP_f``.
 
-[Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems via retraction maps", section 3.]
-Each is an ``Immersion``: sample ``L.source.random_point(key)``, and test with ``is_lagrangian(L, y)``.
+[Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems via retraction maps", section
+3.] Each is an ``Immersion``: sample ``L.source.random_point(key)``, and test with ``is_lagrangian(L, y)``.
 """
 
 from collections.abc import Callable
@@ -66,7 +67,8 @@ def S_H(problem: OptimalControlProblem) -> Immersion:
 def immersed_dynamics(
     problem: OptimalControlProblem, base: Manifold, parameters: Manifold, control: Callable[[Pair, Array], Ambient]
 ) -> Immersion:
-    """``{(z, X_H(z, control(z, gauge)))}`` in ``T base``, with ``d_T`` of the canonical form, for ``base`` in ``T*Q``."""
+    """``{(z, X_H(z, control(z, gauge)))}`` in ``T base``, with ``d_T`` of the canonical form, for ``base`` in
+    ``T*Q``."""
     form = CotangentBundle(problem.manifold).two_form
     space = PresymplecticManifold(TangentBundle(base), tangent_lift(form))
     return Immersion(Product(base, parameters), space, lambda y: (y[0], hamiltonian_field(problem, y[0], control(*y))))

@@ -1,4 +1,5 @@
-"""One level of the integrability algorithm: ranks of the derivative array at consistent points, clustered into strata."""
+"""One level of the integrability algorithm: ranks of the derivative array at consistent points, clustered into
+strata."""
 
 from collections import Counter
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from .points import RESOLUTION, Points
 class PointRanks:
     """Ranks at one consistent point, and whether they are clear.
 
-    ``gap``: of the significance of what was counted over that of what was not. ``kernel``: independent rows that span the
-    kernel of the form on ``T P^k``, in the frame of ``T_z T*Q``. ``determined``: which components of the control are the same
-    wherever the others are free. ``tangents``: an orthonormal basis of ``T P^k`` in typical sizes, one column each.
-    ``pivots``: the row of the array that was solved for each of ``u'``, ..., ``u``, ``z``, -1 where none was.
+    ``gap``: of the significance of what was counted over that of what was not. ``kernel``: independent rows that span
+    the kernel of the form on ``T P^k``, in the frame of ``T_z T*Q``. ``determined``: which components of the control
+    are the same wherever the others are free. ``tangents``: an orthonormal basis of ``T P^k`` in typical sizes, one
+    column each. ``pivots``: the row of the array that was solved for each of ``u'``, ..., ``u``, ``z``, -1 where none
+    was.
     """
 
     signature: Signature
@@ -33,8 +35,8 @@ class PointRanks:
 class Level:
     """A level of the algorithm: how many of the points tried reached ``P^k``, and the strata that they lie in.
 
-    ``slow`` and ``unclear``: at how many of them equations are irregular, and ranks not decided; ``left_out``: at how many
-    either; ``opposed``: equations contradict each other at all others.
+    ``slow`` and ``unclear``: at how many of them equations are irregular, and ranks not decided; ``left_out``: at how
+    many either; ``opposed``: equations contradict each other at all others.
     """
 
     index: int
@@ -73,7 +75,9 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
     by_state, by_jet = points.stacks(level)
     width = by_jet.shape[-1]
     control, state = slice(width - m, width), slice(width, width + n)
-    values = (points.stack("array")[:, :, : level + 1] / points.units.rows[:, None, : level + 1]).reshape(*by_jet.shape[:-1], 1)
+    values = (points.stack("array")[:, :, : level + 1] / points.units.rows[:, None, : level + 1]).reshape(
+        *by_jet.shape[:-1], 1
+    )
     matrix = np.concatenate([by_jet[..., m:], by_jet[..., :m], by_state, values], axis=-1)
     found = eliminate(matrix, (slice(0, width - m), control, state), np.arange(width) // m)
     tangents = found.null_basis(state)
@@ -103,7 +107,8 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
 
 
 def summarise(points: Points, ended: list[PointRanks], ranks: list[PointRanks]) -> Level:
-    """The record of a level: ``ranks`` at its points that are reliable, ``ended`` at those where ``P^k`` stopped before."""
+    """The record of a level: ``ranks`` at its points that are reliable, ``ended`` at those where ``P^k`` stopped
+    before."""
     consistent, before = points.consistent, len(ended)
     return Level(
         index=points.level,

@@ -96,10 +96,10 @@ def _kernel() -> Callable[..., Linearised]:
 class Points:
     """A batch of points of the jet space, with the array linearised there, and how the search for them ended.
 
-    ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the equations
-    that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while the steps stayed
-    long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided; ``opposed``: no direction makes all
-    equations smaller; ``stiff``: the costate is moved less than the state.
+    ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the
+    equations that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while
+    the steps stayed long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided; ``opposed``: no
+    direction makes all equations smaller; ``stiff``: the costate is moved less than the state.
     """
 
     array: DerivativeArray
@@ -126,7 +126,8 @@ class Points:
 
     @cached_property
     def consistent(self) -> np.ndarray:
-        """Which points satisfy every equation up to the level, by its value in units and beside what tiny steps change it by.
+        """Which points satisfy every equation up to the level, by its value in units and beside what tiny steps change
+        it by.
 
         These steps do not leave the domain of the functions.
         """
@@ -176,7 +177,9 @@ class Points:
         """
         by_state, by_jet = self._slopes(np.inf)
         at = self.at._replace(by_state=by_state[:, 0], by_jet=by_jet[:, 0])
-        beside = self.beside._replace(by_state=np.moveaxis(by_state[:, 1:], 1, 0), by_jet=np.moveaxis(by_jet[:, 1:], 1, 0))
+        beside = self.beside._replace(
+            by_state=np.moveaxis(by_state[:, 1:], 1, 0), by_jet=np.moveaxis(by_jet[:, 1:], 1, 0)
+        )
         return replace(self, at=at, beside=beside)
 
     def stack(self, name: str) -> np.ndarray:
@@ -204,7 +207,9 @@ def in_units(by_state: Numbers, by_jet: Numbers, units: Units, level: int) -> tu
     along = units.jet[:, None, None, :k].reshape(batch, 1, 1, k * m)
     with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
         states = (
-            np.asarray(by_state)[:, :, :k].reshape(batch, samples, k * m, by_state.shape[-1]) / scale * units.state[:, None, None]
+            np.asarray(by_state)[:, :, :k].reshape(batch, samples, k * m, by_state.shape[-1])
+            / scale
+            * units.state[:, None, None]
         )
         jets = np.asarray(by_jet)[:, :, :k, :, :k].reshape(batch, samples, k * m, k * m) / scale * along
     return states, jets
@@ -226,7 +231,9 @@ def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarra
     unknown = np.zeros(jets.shape[1:], bool)
     sizes = sizes_at_starts(at, lengths, unknown)
     no, stiff = np.zeros(count, bool), np.arange(count) % 2 == 1
-    points = Points(array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, no, no, no, no, stiff)
+    points = Points(
+        array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, no, no, no, no, stiff
+    )
     slopes, known = significance(points.slopes[1].reshape(count, 1 + SAMPLES, *unknown.shape, -1)), points.known()
     rounding = ~((slopes > COUNTED).any(axis=-1) | known.any(axis=-1))
     return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
@@ -255,7 +262,9 @@ def with_order(points: Points, order: int) -> Points:
     """The same points with an array of this order, and sizes as if they were starts."""
     more = order - points.array.order
     jets = np.concatenate([points.at.jet, np.zeros((len(points.slow), more, points.at.jet.shape[-1]))], axis=1)
-    return evaluated(DerivativeArray(points.array.problem, order), points.at.z, points.centers, jets, points.sizes.lengths)
+    return evaluated(
+        DerivativeArray(points.array.problem, order), points.at.z, points.centers, jets, points.sizes.lengths
+    )
 
 
 def select(points: Points, which: Any) -> Points:

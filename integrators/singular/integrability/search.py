@@ -14,8 +14,10 @@ SMALLEST_DAMPING = 1e-3
 PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 DESCENTS = 30  # steps of descent
-EASE = 10.0  # how much rather these move the control than the state, and steps of stiff points the state than the costate
-SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8  # tiny residuals that shrink slower, this often: an irregular constraint
+# How much rather these move the control than the state, and steps of stiff points the state than the costate.
+EASE = 10.0
+# Tiny residuals that shrink slower, this often: an irregular constraint.
+SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8
 LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
 STATIONARY = 0.3  # of the equations that a step of size one takes away, where they contradict each other
 BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
@@ -71,7 +73,8 @@ def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
-    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of these."""
+    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of
+    these."""
     count, reach = len(points.slow), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
     d = BESIDE * points.units.both * np.random.default_rng(0).standard_normal(points.units.both.shape)
     d[:, reach:] = 0.0  # derivatives of the control that do not enter
@@ -106,7 +109,8 @@ class _Search(NamedTuple):
         )
 
     def residual(self, at: Linearised, before: Linearised) -> np.ndarray:
-        """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not finite."""
+        """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not
+        finite."""
         values = relative(at, self.units(before).rows, self.level)
         with np.errstate(over="ignore"):
             return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
@@ -115,7 +119,9 @@ class _Search(NamedTuple):
         """How much of the equations, in the sizes that they have at the starts, a step of size one can take away."""
         rows = np.broadcast_to(self.points.sizes.rows, at.array.shape)
         units = replace(units_at(at, self.points.sizes), rows=rows)
-        by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
+        by_state, by_jet = (
+            part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level)
+        )
         with np.errstate(all="ignore"):  # not finite where functions are not
             values = (at.array / rows)[:, : self.level + 1].reshape(len(rows), -1)
             size, tilt = self.normalisation(at)
@@ -125,27 +131,33 @@ class _Search(NamedTuple):
             return np.where(np.isfinite(sizes[:, 0]), np.linalg.norm(slopes, axis=1), np.inf)
 
     def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:
-        """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not asked."""
+        """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not
+        asked."""
         sizes, n = self.points.sizes.state, at.costate.shape[1]
         slope = np.concatenate([np.zeros_like(at.costate), at.costate / sizes[n:]], axis=1)
         value = (np.sum(slope**2, axis=1, keepdims=True) - 1) / 2
         return value[:, : int(self.unit_costate)], (slope / sizes)[:, None][:, : int(self.unit_costate)]
 
     def directions(self, at: Linearised, descent: bool) -> np.ndarray:
-        """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; ``(batch, 2n + jet)``.
+        """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; ``(batch, 2n +
+        jet)``.
 
-        With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the state:
-        these go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
+        With ``descent`` nearly along the gradient in units in which control and derivatives are moved rather than the
+        state: these go to one of the pieces that cross, while steps of Gauss and Newton go straight to where they do.
         """
         units, k = self.units(at), self.level + 1
-        by_state, by_jet = (part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level))
+        by_state, by_jet = (
+            part[:, 0] for part in in_units(at.by_state[:, None], at.by_jet[:, None], units, self.level)
+        )
         size, slope = self.normalisation(at)
         slope = np.concatenate([slope * units.state[:, None], np.zeros((*slope.shape[:2], by_jet.shape[2]))], axis=2)
         matrix = np.concatenate([np.concatenate([by_state, by_jet], axis=2), slope], axis=1)
         with np.errstate(all="ignore"):  # points where functions overflow stay where they are
             values = np.concatenate([(at.array / units.rows)[:, :k].reshape(len(matrix), -1), size], axis=1)
             finite = (
-                np.isfinite(matrix).all(axis=(1, 2)) & np.isfinite(values).all(axis=1) & np.isfinite(np.sum(values**2, axis=1))
+                np.isfinite(matrix).all(axis=(1, 2))
+                & np.isfinite(values).all(axis=1)
+                & np.isfinite(np.sum(values**2, axis=1))
             )
         matrix, values = np.where(finite[:, None, None], matrix, 0.0), np.where(finite[:, None], values, 0.0)
         n, column = at.costate.shape[1], np.arange(matrix.shape[2])
@@ -160,8 +172,8 @@ def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.nd
     """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
 
     Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them
-    [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and Newton
-    are drawn to where pieces cross. With ``descent`` ``d`` is at least the square of the largest singular value.
+    [Yamashita, Fukushima, On the rate of convergence of the Levenberg-Marquardt method, 2001]: steps of Gauss and
+    Newton are drawn to where pieces cross. With ``descent`` ``d`` is at least the square of the largest singular value.
     """
     left, sizes, right = np.linalg.svd(matrix, full_matrices=False)
     shift = np.minimum(np.sum(values**2, axis=1), LARGEST_SHIFT)[:, None]

@@ -38,7 +38,8 @@ class Drawn(NamedTuple):
 
 
 def random_starts(problem: OptimalControlProblem, order: int, count: int, seed: int, near: Pair | None) -> Points:
-    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control; with ``near`` it and points around it.
+    """Random points of ``T*Q`` and controls, with vanishing derivatives of the control; with ``near`` it and points
+    around it.
 
     Points of R^n are taken closer to zero, or to ``near``, where functions overflow or are steep, as ``exp(-500 x)``.
     """
@@ -75,8 +76,8 @@ def _drawn(problem: OptimalControlProblem, keys: Array, near: Pair | None, lengt
 def _draw() -> Callable[..., Drawn]:
     """Starts of which the coordinates of Q have these sizes; costates for which ``<p, X>`` and the cost are comparable.
 
-    A Euclidean U has one chart, around zero, and controls that cost as much as there is of it without them, or, where they cost
-    nothing of second order, change the velocity by as much as there is of it: their unit is no size.
+    A Euclidean U has one chart, around zero, and controls that cost as much as there is of it without them, or, where
+    they cost nothing of second order, change the velocity by as much as there is of it: their unit is no size.
     """
 
     def batch(problem: OptimalControlProblem, keys: Array, near: Pair | None, lengths: Array) -> Drawn:
@@ -94,23 +95,34 @@ def _draw() -> Callable[..., Drawn]:
     return compiled(batch)
 
 
-def _state(problem: OptimalControlProblem, key: Array, apart: Array, near: Pair | None, lengths: Array) -> tuple[Pair, Array]:
+def _state(
+    problem: OptimalControlProblem, key: Array, apart: Array, near: Pair | None, lengths: Array
+) -> tuple[Pair, Array]:
     """A random state, and the step to it from ``near``; without ``near`` its coordinates are scaled by their sizes."""
     move = default_retraction(problem.manifold)
     if near is None:
         q, p = CotangentBundle(problem.manifold).random_point(jax.random.split(key)[0])
         frame = problem.manifold.basis(q)
         scaled = move(q, vec.combine(frame, (lengths - 1) * vec.components(frame, q)))
-        return (jax.tree.map(lambda a, b: jnp.where(jnp.all(lengths == 1), a, b), q, scaled), p), jnp.zeros(2 * lengths.size)
+        return (jax.tree.map(lambda a, b: jnp.where(jnp.all(lengths == 1), a, b), q, scaled), p), jnp.zeros(
+            2 * lengths.size
+        )
     step = NEARBY * apart * jax.random.normal(key, (2 * lengths.size,))
     q = move(near[0], vec.combine(problem.manifold.basis(near[0]), lengths * step[: lengths.size]))
     return (q, near[1]), step
 
 
 def _with_costate(
-    problem: OptimalControlProblem, q: Ambient, p: Ambient, step: Array, near: Pair | None, action: Array, lengths: Array
+    problem: OptimalControlProblem,
+    q: Ambient,
+    p: Ambient,
+    step: Array,
+    near: Pair | None,
+    action: Array,
+    lengths: Array,
 ) -> Pair:
-    """The state with a costate of this action: random, or that of ``near`` and, but at ``near`` itself, a random part of it."""
+    """The state with a costate of this action: random, or that of ``near`` and, but at ``near`` itself, a random part
+    of it."""
     frame = problem.manifold.basis(q)
     if near is None:
         return q, vec.combine(frame, vec.components(frame, p) * action / lengths)
@@ -128,10 +140,14 @@ def _control(problem: OptimalControlProblem, key: Array) -> tuple[Ambient, Array
     return u, jnp.zeros(problem.controls.dimension)
 
 
-def _survey(problem: OptimalControlProblem, q: Ambient, u: Ambient, lengths: Array) -> tuple[Array, Array, Array, Array]:
-    """Size of the cost, rate of change, lengths over which the functions change by their own size, whether all is finite.
+def _survey(
+    problem: OptimalControlProblem, q: Ambient, u: Ambient, lengths: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Size of the cost, rate of change, lengths over which the functions change by their own size, whether all is
+    finite.
 
-    Such a length is ``|f'|/|f''|`` or ``|f''|/|f'''|``, whichever is longer: ``1/k`` for ``exp(k x)``, infinite for ``x^2``.
+    Such a length is ``|f'|/|f''|`` or ``|f''|/|f'''|``, whichever is longer: ``1/k`` for ``exp(k x)``, infinite for
+    ``x^2``.
     """
     frame = problem.manifold.basis(q)
 
@@ -169,7 +185,8 @@ def _middle(sizes: Array) -> Array:
 
 
 def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
-    """Typical size of the velocity at the centers over that of its change by these controls; one where either is zero."""
+    """Typical size of the velocity at the centers over that of its change by these controls; one where either is
+    zero."""
 
     def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
         q, center, c = at
@@ -182,12 +199,15 @@ def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first
 
 
 def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes: Array) -> Array:
-    """Controls of which each costs, in second order, as much as there is of cost at the centers; ``sizes`` where none is."""
+    """Controls of which each costs, in second order, as much as there is of cost at the centers; ``sizes`` where none
+    is."""
 
     def costs(at: tuple[Ambient, Ambient]) -> tuple[Array, Array]:
         q, center = at
         cost = jax.hessian(lambda c: problem.cost_rate(q, problem.steer(center, c)))
-        return jnp.abs(problem.cost_rate(q, center)), jnp.abs(jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))) / 2
+        return jnp.abs(problem.cost_rate(q, center)), jnp.abs(
+            jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))
+        ) / 2
 
     cost, price = (jnp.mean(a, axis=0) for a in jax.lax.map(costs, (q, centers)))
     paid = (price > PRICE * tolerance(price, 1.0) * cost) & (cost > 0)

@@ -1,4 +1,5 @@
-"""Whether functions lose digits at a point that nothing brings back: exponentials that are zero, sigmoids that are one."""
+"""Whether functions lose digits at a point that nothing brings back: exponentials that are zero, sigmoids that are
+one."""
 
 from collections.abc import Callable
 from typing import Any

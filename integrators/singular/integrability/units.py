@@ -1,4 +1,5 @@
-"""Units of the derivative array and its unknowns: sizes at the starts, and at each point what each equation is made of."""
+"""Units of the derivative array and its unknowns: sizes at the starts, and at each point what each equation is made
+of."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,8 +17,8 @@ LEAST = 1e-13  # of an equation's terms: its unit is not smaller, since that is 
 class Sizes:
     """Typical sizes at the starts, shared by a batch.
 
-    ``lengths``: of the coordinates of Q, ``(n,)``; ``action``: of a costate times these; ``rate``: of change, over them;
-    ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``. ``vanishing``: which of these are rounding.
+    ``lengths``: of the coordinates of Q, ``(n,)``; ``action``: of a costate times these; ``rate``: of change, over
+    them; ``control``, ``(m,)``; ``rows``: of the array, ``(order + 1, m)``. ``vanishing``: which of these are rounding.
     """
 
     lengths: np.ndarray
@@ -52,7 +53,8 @@ class Units:
 
 
 def typical(sizes: np.ndarray) -> np.ndarray:
-    """Medians over the finite ones of a batch, which one point near a pole does not move; largest ones where those are zero."""
+    """Medians over the finite ones of a batch, which one point near a pole does not move; largest ones where those are
+    zero."""
     known = np.where(np.isfinite(sizes), sizes, np.nan)
     known = np.where(np.isnan(known).all(axis=0), 0.0, known)
     medians = np.nanmedian(known, axis=0)
@@ -65,15 +67,19 @@ def sizes_at_starts(at: "Linearised", lengths: np.ndarray, vanishing: np.ndarray
     rate = float(typical(np.max(np.abs(at.velocity[:, :n]) / lengths, axis=1))) or 1.0
     action = float(typical(np.abs(at.cost_rate))) / rate or float(typical(np.max(np.abs(at.costate) * lengths, axis=1)))
     control = np.sqrt(np.mean(at.jet[:, 0] ** 2, axis=0))
-    first = Sizes(lengths, action or 1.0, rate, np.where(control > 0, control, 1.0), np.ones(vanishing.shape), vanishing)
+    first = Sizes(
+        lengths, action or 1.0, rate, np.where(control > 0, control, 1.0), np.ones(vanishing.shape), vanishing
+    )
     return Sizes(lengths, first.action, rate, first.control, typical(units_at(at, first).rows), vanishing)
 
 
 def units_at(at: "Linearised", sizes: Sizes) -> Units:
-    """What each equation is made of at each point: the sum of its partial derivatives, each times the size of its variable.
+    """What each equation is made of at each point: the sum of its partial derivatives, each times the size of its
+    variable.
 
-    A value is then the distance, relative to such sizes, at which the equation holds. Variables far larger than at the starts
-    have the size that they have. Of a row that is rounding everywhere, ``D_t F = <dF, field>``, the terms of this sum are.
+    A value is then the distance, relative to such sizes, at which the equation holds. Variables far larger than at the
+    starts have the size that they have. Of a row that is rounding everywhere, ``D_t F = <dF, field>``, the terms of
+    this sum are.
     """
     lengths = np.maximum(sizes.lengths, FAR * np.abs(at.position))
     action = np.maximum(sizes.action, np.max(np.abs(at.costate) * lengths, axis=1))[:, None]

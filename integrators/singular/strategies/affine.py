@@ -29,7 +29,8 @@ class Brackets(NamedTuple):
 
 @final
 class ControlAffineSplitting(eqx.Module):
-    """A problem whose Pontryagin Hamiltonian is affine in the controls ``s = u[singular]`` and regular in the others, ``w``.
+    """A problem whose Pontryagin Hamiltonian is affine in the controls ``s = u[singular]`` and regular in the others,
+    ``w``.
 
     ``H_0(q, p)`` is ``H`` at ``s = 0`` and the extremal ``w(q, p)``; ``phi = dH/ds`` are the primary constraints, and
     ``psi = {phi, H_0}`` the secondary ones.
@@ -65,7 +66,8 @@ class ControlAffineSplitting(eqx.Module):
         return jax.grad(lambda s: self.problem.hamiltonian(q, p, self.controls(w, s)))(jnp.zeros(len(self.singular)))
 
     def regular_controls(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " r"]:
-        """The extremal ``w(q, p)`` near ``near``, by default near zero; entries are NaN where Newton's method finds none."""
+        """The extremal ``w(q, p)`` near ``near``, by default near zero; entries are NaN where Newton's method finds
+        none."""
         w, found = find_control(self.regular_problem(), q, p, jnp.zeros(self.regular_count) if near is None else near)
         return jnp.where(found, w, jnp.nan)
 
@@ -74,7 +76,8 @@ class ControlAffineSplitting(eqx.Module):
         return self.regular_problem().hamiltonian(q, p, self.regular_controls(q, p))
 
     def secondary(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " m"]:
-        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion; ``near`` as for ``regular_controls``."""
+        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion; ``near`` as for
+        ``regular_controls``."""
         regular, w = self.regular_problem(), self.regular_controls(q, p, near)
         motion = ambient_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
         return jax.jvp(self.primary, (q, p), motion)[1]
@@ -108,7 +111,8 @@ def regular_places(count: int, singular: tuple[int, ...]) -> np.ndarray:
 
 
 def relative_curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Float[Array, "m m"]:
-    """``d2H/du2`` at a random control as near to ``u`` as it is finite, in controls of the size that changes H by its size.
+    """``d2H/du2`` at a random control as near to ``u`` as it is finite, in controls of the size that changes H by its
+    size.
 
     So it depends on no units; the size of H is that of its terms, ``|p| |X| + |F|``.
     """

@@ -34,7 +34,8 @@ class ExtremalPoint(NamedTuple):
 class ReductionChain(eqx.Module):
     """Reductions of which each takes up the problem that the one before leaves, and the last leaves a regular one.
 
-    They identify ``P_f`` with the cotangent bundle of the last reduced manifold ``Q_r``, and ``omega_f`` with its canonical form.
+    They identify ``P_f`` with the cotangent bundle of the last reduced manifold ``Q_r``, and ``omega_f`` with its
+    canonical form.
     """
 
     reductions: tuple[GohReduction, ...]
@@ -65,7 +66,8 @@ class ReductionChain(eqx.Module):
         return (q, p), rest.at[rest.size - s.size :].set(s)
 
     def up(self, z: Point, near: Array) -> ExtremalPoint:
-        """The point of ``P_f`` over a point of ``T*Q_r``, with the control of the regular problem that is near ``near``."""
+        """The point of ``P_f`` over a point of ``T*Q_r``, with the control of the regular problem that is near
+        ``near``."""
         regular = self.reduced
         root, found = find_control(regular, *z, near)
 
@@ -92,11 +94,12 @@ class ReductionChain(eqx.Module):
 def reduce_until_regular(
     problem: OptimalControlProblem, singular: tuple[int, ...] | None = None, near: Near | None = None
 ) -> ReductionChain:
-    """Goh's reduction by the controls ``singular``, then by those in which the reduced Hamiltonian is affine, until none is.
+    """Goh's reduction by the controls ``singular``, then by those in which the reduced Hamiltonian is affine, until
+    none is.
 
-    By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around which
-    the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no such
-    controls, or a reduction does not apply.
+    By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around
+    which the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no
+    such controls, or a reduction does not apply.
     """
     problem.require_treated("reduce_until_regular", "an initial cost")
     affine, reductions = affine_controls(problem, near) if singular is None else singular, list[GohReduction]()
@@ -119,8 +122,8 @@ def affine_controls(problem: OptimalControlProblem, near: Near | None = None) ->
     hessians = np.stack([jax.device_get(_control_hessian(problem, key, near)) for key in keys])
     if not np.all(np.isfinite(hessians)):
         raise InvalidInputError(
-            f"the second derivative of the Hamiltonian in the controls of the problem on {problem.manifold} is not finite where "
-            "it was looked at; give near, a state and a control where it is"
+            f"the second derivative of the Hamiltonian in the controls of the problem on {problem.manifold} is not "
+            "finite where it was looked at; give near, a state and a control where it is"
         )
     rows = np.max(np.abs(hessians), axis=(0, 1))
     curved = rows > affine_tolerance()
@@ -128,9 +131,9 @@ def affine_controls(problem: OptimalControlProblem, near: Near | None = None) ->
     values = np.linalg.svd(block, compute_uv=False)
     if not np.all(values > default_tolerance()):
         raise InvalidInputError(
-            f"the second derivative of the Hamiltonian in the controls {np.flatnonzero(curved).tolist()} of the problem on "
-            f"{problem.manifold} has singular values {values[0]}, expected all positive: it is singular in combinations of them; "
-            "take these as controls of their own"
+            f"the second derivative of the Hamiltonian in the controls {np.flatnonzero(curved).tolist()} of the "
+            f"problem on {problem.manifold} has singular values {values[0]}, expected all positive: it is singular in "
+            "combinations of them; take these as controls of their own"
         )
     return tuple(int(i) for i in np.flatnonzero(~curved))
 

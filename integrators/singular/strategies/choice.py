@@ -36,17 +36,19 @@ def singular_integrator(
     strategy: str | None = None,
     gauge: Gauge | None = None,
 ) -> SingularIntegrator:
-    """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a discretization map.
+    """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a
+    discretization map.
 
     By default the first strategy of ``STRATEGIES`` that applies; its ``reason`` says why, and why not those before it,
     a line each.
-    ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the control,
-    ``t`` from the start of the integration; without it the control of least norm is taken.
+    ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the
+    control, ``t`` from the start of the integration; without it the control of least norm is taken.
 
     Where ``P_f`` has several pieces the integrator is for the first; ``classification.choose(i)`` takes another.
 
-    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the strategy asked for does not apply, or
-    if the gauge, tried at ``t = 0`` and the point of the piece, does not return finite controls of this number.
+    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the strategy asked for does not
+    apply, or if the gauge, tried at ``t = 0`` and the point of the piece, does not return finite controls of this
+    number.
     """
     if not isinstance(classification, Classification):
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")
@@ -98,8 +100,8 @@ def _check_gauge(classification: Classification, gauge: Gauge) -> None:
     controls = classification.problem.controls
     names = ", ".join(component_words(controls, a) for a in classification.gauge_components)
     expected = (
-        f"gauge must be a function gauge(t, q, p) that returns the gauge control{'s' * (count > 1)} {names}, shape ({count},)"
-        + chart_words(controls, str(piece.feedback.center))
+        f"gauge must be a function gauge(t, q, p) that returns the gauge control{'s' * (count > 1)} {names}, shape "
+        f"({count},)" + chart_words(controls, str(piece.feedback.center))
     )
     example = f"try gauge=lambda t, q, p: jnp.zeros({count})"
     if not callable(gauge):

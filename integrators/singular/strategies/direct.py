@@ -22,13 +22,16 @@ from ..integrability.jets import hamiltonian_field
 from .dynamics import DynamicsIntegrator, FinalDynamics, Memory, Pair
 from .strategy import Gauge, NotApplicableError
 
-TEST_STEP = 0.5  # length of the steps of the test of composability, relative to the time in which states change by their size
+# Length of the steps of the test of composability, relative to the time in which states change by their size.
+TEST_STEP = 0.5
 TEST_STEPS = 10  # steps from each state, each from P_f: one alone may hide how they leave it
 HALVINGS = 20  # of that length, where it is too long for Newton's method
-COMPOSED = 0.9  # power of the machine epsilon up to which departures from P_f are rounding: 8e-15, ten times what flat ones show
-SHRINKS = 64  # how much less at most steps of half the length depart, of order up to 6 in it, unless the longer were spurious
-# Powers of the machine epsilon up to which steps of any length may depart: of a P_f that is flat to rounding, 1e-11, and
-# the first one, for a start may be beside P_f by what a check of it allows, 9e-8.
+# Power of the machine epsilon up to which departures from P_f are rounding: 8e-15, ten times what flat ones show.
+COMPOSED = 0.9
+# How much less at most steps of half the length depart, of order up to 6 in it, unless the longer were spurious.
+SHRINKS = 64
+# Powers of the machine epsilon up to which steps of any length may depart: of a P_f that is flat to rounding, 1e-11,
+# and the first one, for a start may be beside P_f by what a check of it allows, 9e-8.
 STAYED, STARTED = 0.7, 0.45
 NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
 
@@ -37,10 +40,11 @@ NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the 
 class DirectIntegrator(DynamicsIntegrator):
     """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_f`` over its base point.
 
-    [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, Definition 1.]
-    The relation is Lagrangian in ``P_{f,d}``. It is a map of ``P_f`` into itself only where the ends of its steps stay on
-    ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that, and takes nothing but rounding for it.
-    A step of which the end is not on ``P_f`` to rounding, as where that is curved elsewhere, is not solved; rounding is removed.
+    [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps,
+    Definition 1.] The relation is Lagrangian in ``P_{f,d}``. It is a map of ``P_f`` into itself only where the ends of
+    its steps stay on ``P_f``, as on an affine ``P_f`` with a theta-method; ``suited`` measures that, and takes nothing
+    but rounding for it. A step of which the end is not on ``P_f`` to rounding, as where that is curved elsewhere, is
+    not solved; rounding is removed.
     """
 
     presymplectic: ClassVar[bool] = True
@@ -53,17 +57,19 @@ class DirectIntegrator(DynamicsIntegrator):
         count, composed, departed = len(trials.length), trials.solved, trials.departed > 1
         if np.any(departed):
             raise NotApplicableError(
-                f"steps with stages in S_f leave P_f, its equations {np.max(trials.departure[departed]):.1e} at the ends of some "
-                f"of length {np.max(trials.length[departed]):.1g}: they do not compose"
+                f"steps with stages in S_f leave P_f, its equations {np.max(trials.departure[departed]):.1e} at the "
+                f"ends of some of length {np.max(trials.length[departed]):.1g}: they do not compose"
             )
         if not np.any(composed):
             raise NotApplicableError(
-                f"no step with its stage in S_f was solved from any of {many(count, 'point')} of P_f, whatever its length "
-                f"(down to {np.min(trials.length):.0e})"
+                f"no step with its stage in S_f was solved from any of {many(count, 'point')} of P_f, whatever its "
+                f"length (down to {np.min(trials.length):.0e})"
             )
         gap, solved = np.max(trials.departure[composed]), int(np.sum(composed))
         rest = "" if solved == count else f"; from {count - solved} of {many(count, 'point')} tried no step was solved"
-        return replace(found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose")
+        return replace(
+            found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose"
+        )
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()
@@ -76,8 +82,8 @@ class DirectIntegrator(DynamicsIntegrator):
 
     def hint(self, system: OptimalControlProblem, first: Pair, last: Pair) -> str:
         return (
-            f"{super().hint(system, first, last)} Or a step of this length leaves P_f, as where that is curved: take a shorter "
-            "one, or another strategy."
+            f"{super().hint(system, first, last)} Or a step of this length leaves P_f, as where that is curved: take a "
+            "shorter one, or another strategy."
         )
 
     def control(self, unknowns: Memory) -> Ambient:
@@ -87,8 +93,8 @@ class DirectIntegrator(DynamicsIntegrator):
 class _Trial(NamedTuple):
     """Steps of one length from a point of ``P_f``: the largest departure of those solved, and whether all were.
 
-    ``departed``: at how many lengths, this one and those before, they left ``P_f`` (roots of steps that are too long may be
-    spurious, so one says nothing).
+    ``departed``: at how many lengths, this one and those before, they left ``P_f`` (roots of steps that are too long
+    may be spurious, so one says nothing).
     """
 
     length: Array
@@ -117,7 +123,9 @@ def _trials(integrator: DirectIntegrator, problem: OptimalControlProblem, states
         def unknown(trial: _Trial) -> Array:
             return ~trial.solved & (trial.departed < 2) & (trial.halvings <= HALVINGS)
 
-        return jax.lax.while_loop(unknown, shorter, _Trial(2 * longest, jnp.zeros_like(longest), jnp.array(False), zero, zero))
+        return jax.lax.while_loop(
+            unknown, shorter, _Trial(2 * longest, jnp.zeros_like(longest), jnp.array(False), zero, zero)
+        )
 
     return jax.lax.map(one, states)
 
@@ -144,7 +152,8 @@ def _steps(
 def _stepped(
     dynamics: FinalDynamics, lift: CotangentLift, h: ArrayLike, begin: Pair, previous: Memory
 ) -> tuple[Pair, Array, Memory, Array]:
-    """The end of a step, moved to ``P_f``, from which it departed by so much; what is left to the next; whether it is solved."""
+    """The end of a step, moved to ``P_f``, from which it departed by so much; what is left to the next; whether it is
+    solved."""
     new = dynamics.step(lift, h, *begin, previous)
     end = new.q, new.p
     departure = _departure(dynamics.manifold, begin, end)
@@ -152,7 +161,8 @@ def _stepped(
 
 
 def _departure(final: Manifold, begin: Pair, end: Pair) -> Array:
-    """Equations of ``P_f`` at the end of a step, relative to one or to what moves of the size of a state change them by.
+    """Equations of ``P_f`` at the end of a step, relative to one or to what moves of the size of a state change them
+    by.
 
     To the rounding of that size, of its largest entry, steps are solved.
     """
@@ -164,10 +174,11 @@ def _departure(final: Manifold, begin: Pair, end: Pair) -> Array:
 
 
 def _time(integrator: DirectIntegrator, problem: OptimalControlProblem, states: Any) -> Array:
-    """The time in which entries of states and costates change by their typical size: of all points and entries the median.
+    """The time in which entries of states and costates change by their typical size: of all points and entries the
+    median.
 
-    Entries are compared with their own rates, whatever their units; of a single point that is almost at rest the time would
-    have no end.
+    Entries are compared with their own rates, whatever their units; of a single point that is almost at rest the time
+    would have no end.
     """
     dynamics = integrator.dynamics
     rates = jax.lax.map(lambda z: hamiltonian_field(problem, z, dynamics.equations.control(z)), states)

@@ -1,4 +1,5 @@
-"""Steps whose stages lie in ``S_f``: the dynamics on the final constraint manifold, with the gauge that is free in it."""
+"""Steps whose stages lie in ``S_f``: the dynamics on the final constraint manifold, with the gauge that is free in
+it."""
 
 from typing import Any, NamedTuple, Self, final
 
@@ -32,7 +33,8 @@ class Memory(NamedTuple):
 class FinalDynamics(eqx.Module):
     """``zdot = X_H(z, u)`` with the controls ``u`` that the equations of ``S_f`` determine on ``P_f``.
 
-    What they leave free is ``gauge(t, q, p)``, an array of shape ``(gauge controls,)``; without it the control of least norm.
+    What they leave free is ``gauge(t, q, p)``, an array of shape ``(gauge controls,)``; without it the control of least
+    norm.
     """
 
     manifold: Manifold
@@ -44,7 +46,9 @@ class FinalDynamics(eqx.Module):
         """The dynamics of the first stratum. Raises ``NotApplicableError`` where the gauge has to be given."""
         controls, free = classification.problem.controls, classification.gauge_controls
         if gauge is None and free and not isinstance(controls, Euclidean):
-            raise NotApplicableError(f"controls on {controls} have no norm to choose {free} of them by: give gauge(t, q, p)")
+            raise NotApplicableError(
+                f"controls on {controls} have no norm to choose {free} of them by: give gauge(t, q, p)"
+            )
         return cls(classification.manifold, classification.stratum.feedback, gauge)
 
     @property
@@ -53,7 +57,8 @@ class FinalDynamics(eqx.Module):
         return self.equations.array.problem
 
     def on(self, system: OptimalControlProblem) -> Self:
-        """The same dynamics with the data of ``system``, which may be traced where those of the classified problem are not."""
+        """The same dynamics with the data of ``system``, which may be traced where those of the classified problem are
+        not."""
 
         def problems(dynamics: Any) -> list[OptimalControlProblem]:
             holders = [dynamics, dynamics.manifold] if isinstance(self.manifold, Submanifold) else [dynamics]
@@ -69,7 +74,8 @@ class FinalDynamics(eqx.Module):
         verdict = self.manifold.contains(z)
         if not verdict:
             raise NotOnManifoldError(
-                f"start is not on P_f: {verdict.reason}; classification.manifold.nearby((q, p)) is a point of P_f near it"
+                f"start is not on P_f: {verdict.reason}; classification.manifold.nearby((q, p)) is a point of P_f near "
+                "it"
             )
 
     def begin(self) -> Memory:
@@ -77,11 +83,14 @@ class FinalDynamics(eqx.Module):
         jet, pivots = self.equations.jet.reshape(-1), self.equations.pivots
         unknowns = jet[jnp.asarray(pivots.eliminated, int)]
         if self._minimal:
-            unknowns = jnp.concatenate([unknowns, jet[jnp.asarray(pivots.free)], jnp.zeros(len(pivots.solved), jet.dtype)])
+            unknowns = jnp.concatenate(
+                [unknowns, jet[jnp.asarray(pivots.free)], jnp.zeros(len(pivots.solved), jet.dtype)]
+            )
         return Memory(unknowns, self._steer(jet), jnp.zeros(()))
 
     def step(self, lift: CotangentLift, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
-        """``(q, p; q', p') = R_d^{T*}(h X_H(z, u))`` for a ``z`` and a control ``u`` that satisfy the equations solved for it.
+        """``(q, p; q', p') = R_d^{T*}(h X_H(z, u))`` for a ``z`` and a control ``u`` that satisfy the equations solved
+        for it.
 
         These are equations of ``S_f`` where ``z`` is in ``P_f``.
         """
@@ -122,7 +131,8 @@ class FinalDynamics(eqx.Module):
         return self.problem.steer(self.equations.center, jet[: self.problem.controls.dimension])
 
     def _jet(self, t: Array, z: Pair, unknowns: Array) -> Array:
-        """The raveled control and its derivatives: the eliminated entries, then the free ones, from the unknowns or the gauge."""
+        """The raveled control and its derivatives: the eliminated entries, then the free ones, from the unknowns or the
+        gauge."""
         pivots, count = self.equations.pivots, len(self.equations.pivots.eliminated)
         jet = self.equations.jet.reshape(-1).at[jnp.asarray(pivots.eliminated, int)].set(unknowns[:count])
         if not pivots.free:
@@ -131,7 +141,8 @@ class FinalDynamics(eqx.Module):
         return jet.at[jnp.asarray(pivots.free)].set(free)
 
     def _determined(self, z: Pair, jet: Array, unknowns: Array) -> Array:
-        """The equations solved for the control; with them those of the least norm, its multipliers the last unknowns."""
+        """The equations solved for the control; with them those of the least norm, its multipliers the last
+        unknowns."""
         pivots, solved = self.equations.pivots, jnp.asarray(self.equations.pivots.solved, int)
         if not self._minimal:
             return self.equations.values(z, jet)[solved]

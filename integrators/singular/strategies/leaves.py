@@ -22,8 +22,8 @@ _WEIGHTS = np.array([np.prod([a**2 / (a**2 - b**2) for b in _COUNTS if b != a]) 
 def ambient_field(function: Callable[[Ambient, Ambient], Array], z: Point) -> Point:
     """``(df/dp, -df/dq)`` in the ambient space, for ``f = <p, g(q)> - l(q)`` with ``g`` tangent to Q.
 
-    It represents the vector field ``X_f`` of ``T*Q``: covectors that differ by a normal one move alike, whatever extension of
-    ``g`` and ``l`` off Q is differentiated. Project the covector to have the tangent representative again.
+    It represents the vector field ``X_f`` of ``T*Q``: covectors that differ by a normal one move alike, whatever
+    extension of ``g`` and ``l`` off Q is differentiated. Project the covector to have the tangent representative again.
     """
     dq, dp = jax.tree.map(jnp.conj, jax.grad(lambda y: function(*y))(z))
     return dp, vec.scale(-1.0, dq)
@@ -35,16 +35,17 @@ def bracket(f: Point, g: Point) -> Array:
 
 
 def bracket_size(f: Point, g: Point) -> Array:
-    """The sizes of the parts of ``X_f`` and ``X_g`` in ``{f, g}``, which cancellation leaves: it scales as the bracket does."""
+    """The sizes of the parts of ``X_f`` and ``X_g`` in ``{f, g}``, which cancellation leaves: it scales as the bracket
+    does."""
     return vec.size(f[0]) * vec.size(g[1]) + vec.size(f[1]) * vec.size(g[0])
 
 
 def leaf_flow(constraints: Constraints, z: Point, time: Float[Array, " m"]) -> Point:
     """Flow of ``sum_a t_a phi_a`` for unit time: a move along the leaf through ``z`` of the level set of ``phi``.
 
-    The level and the pullback of the symplectic form to it do not change. Exact to rounding, with its derivatives, for the
-    moves of one step: a Runge-Kutta step of order 4 where that is enough, else the extrapolated midpoint rule of order 8
-    [Hairer, Norsett, Wanner 1993, II.9]. Covectors come up to normal ones.
+    The level and the pullback of the symplectic form to it do not change. Exact to rounding, with its derivatives, for
+    the moves of one step: a Runge-Kutta step of order 4 where that is enough, else the extrapolated midpoint rule of
+    order 8 [Hairer, Norsett, Wanner 1993, II.9]. Covectors come up to normal ones.
     """
 
     @jax.jit

@@ -22,9 +22,9 @@ from .strategy import Gauge
 class ProjectedIntegrator(DynamicsIntegrator):
     """A lifted step of the dynamics on ``P_f``, moved along the normals of ``P_f`` at its end back to it.
 
-    Keeps ``P_f``, and the order of the step up to 2; it is not symmetric, so compositions for order 4 make order 3 of it.
-    It does not preserve ``omega_f``: the defect of a step is of order ``h^3``, and energy drifts. For problems that no other
-    strategy integrates.
+    Keeps ``P_f``, and the order of the step up to 2; it is not symmetric, so compositions for order 4 make order 3 of
+    it. It does not preserve ``omega_f``: the defect of a step is of order ``h^3``, and energy drifts. For problems that
+    no other strategy integrates.
     """
 
     presymplectic: ClassVar[bool] = False

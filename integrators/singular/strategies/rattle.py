@@ -50,12 +50,12 @@ class _Memory(NamedTuple):
 class RattleIntegrator(SingularIntegrator):
     """A presymplectic integrator on ``P_f = {phi = 0, psi = 0}`` for controls that enter ``H`` affinely.
 
-    With ``H = H_0 + s . phi`` and ``psi = {phi, H_0}``, one step from ``z`` in ``P_f`` moves along the leaf of ``{phi = 0}``
-    through ``z``, takes a cotangent-lifted step of ``H_0`` that lands on ``phi = 0``, and moves along the leaf there to
-    ``psi = 0``. Moves along leaves do not change the form pulled back to ``{phi = 0}``: the step preserves ``P_f`` and
-    ``omega_f``, is symmetric if the lifted step is, and of its order. Needs ``{phi_a, phi_b} = 0`` and ``{phi_a, psi_b}``
-    invertible on ``P_f``.
-    [McLachlan, Modin, Verdier, Wilkins, Geometric generalisations of SHAKE and RATTLE, 2014]
+    With ``H = H_0 + s . phi`` and ``psi = {phi, H_0}``, one step from ``z`` in ``P_f`` moves along the leaf of ``{phi =
+    0}`` through ``z``, takes a cotangent-lifted step of ``H_0`` that lands on ``phi = 0``, and moves along the leaf
+    there to ``psi = 0``. Moves along leaves do not change the form pulled back to ``{phi = 0}``: the step preserves
+    ``P_f`` and ``omega_f``, is symmetric if the lifted step is, and of its order. Needs ``{phi_a, phi_b} = 0`` and
+    ``{phi_a, psi_b}`` invertible on ``P_f``. [McLachlan, Modin, Verdier, Wilkins, Geometric generalisations of SHAKE
+    and RATTLE, 2014]
     """
 
     lift: CotangentLift
@@ -69,12 +69,16 @@ class RattleIntegrator(SingularIntegrator):
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
         states = [vec.entries(stratum.states, i) for i in range(stratum.count)]
-        curvature = _finite([_curvature(problem, z, stratum.u) for z in states], "second derivatives of H in the controls")
+        curvature = _finite(
+            [_curvature(problem, z, stratum.u) for z in states], "second derivatives of H in the controls"
+        )
         singular = tuple(int(i) for i in np.flatnonzero(np.max(curvature, axis=0) <= affine_tolerance()))
         if not singular:
             raise NotApplicableError("H has a second derivative in every control")
         split = ControlAffineSplitting(problem, singular)
-        facts = _finite([_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}")
+        facts = _finite(
+            [_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}"
+        )
         obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
         # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
         obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
@@ -98,7 +102,9 @@ class RattleIntegrator(SingularIntegrator):
         regular = ControlAffineSplitting(system, self.singular).regular_problem()
         return _Memory((q, extremal_control(regular, q, p)), jnp.zeros(len(self.singular)))
 
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory) -> StepResult:
+    def step(
+        self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory
+    ) -> StepResult:
         split = ControlAffineSplitting(system, self.singular)
         m = len(self.singular)
         stage = ControlStage(problem=split.regular_problem(), discretization=self.lift.discretization, step=h)
@@ -106,7 +112,8 @@ class RattleIntegrator(SingularIntegrator):
         predicted = jax.lax.stop_gradient(previous.singular) * h / 2
         begin = flow((q, p), predicted)
         motion = ambient_field(lambda q, p: stage.problem.hamiltonian(q, p, previous.stage[1]), begin)
-        # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to O(h^2).
+        # phi at the end, over h, is as sensitive to the covector as to divide its error by h: it is predicted to
+        # O(h^2).
         equations = StepEquations.near(stage, begin[0], vec.add(begin[1], vec.scale(h, motion[1])), previous.stage)
 
         def residual(c: Array) -> Array:
@@ -114,7 +121,8 @@ class RattleIntegrator(SingularIntegrator):
             return jnp.concatenate([split.primary(*equations.end(c[m:])[:2]) / h, equations.residual(c[m:], *departed)])
 
         times = _leaf_times(split, (q, p))
-        # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on: its time is not asked for.
+        # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on: its time is not
+        # asked for.
         moved_by = jnp.maximum(jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q)), tolerance(times, 0.5))
         sizes = jnp.concatenate([times / moved_by, equations.sizes])
         root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes)
@@ -140,7 +148,8 @@ class RattleIntegrator(SingularIntegrator):
         rest = resting_control(system.controls)
         least = [np.linalg.svd(_facts(split, z, rest).across.values, compute_uv=False)[-1] for z in (first, last)]
         return (
-            f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, {least[1]:.3g} at last."
+            f"{super().hint(system, first, last)} Its smallest singular value is {least[0]:.3g} at first, "
+            f"{least[1]:.3g} at last."
         )
 
     def control(self, unknowns: _Memory) -> Array:
@@ -148,15 +157,19 @@ class RattleIntegrator(SingularIntegrator):
 
 
 def _leaf_times(split: ControlAffineSplitting, z: Point) -> Array:
-    """Times in which moves along leaves change positions, or covectors where they change nothing else, by their size."""
+    """Times in which moves along leaves change positions, or covectors where they change nothing else, by their
+    size."""
     fields = jax.vmap(lambda a: ambient_field(lambda q, p: a @ split.primary(q, p), z))(jnp.eye(len(split.singular)))
     speeds = [jax.vmap(vec.size)(part) for part in fields]
-    along, up = (positive(vec.size(part)) / jnp.where(speed > 0, speed, 1.0) for part, speed in zip(z, speeds, strict=True))
+    along, up = (
+        positive(vec.size(part)) / jnp.where(speed > 0, speed, 1.0) for part, speed in zip(z, speeds, strict=True)
+    )
     return jax.lax.stop_gradient(jnp.where(speeds[0] > 0, along, jnp.where(speeds[1] > 0, up, 1.0)))
 
 
 class _Facts(NamedTuple):
-    """Second derivatives of H in the singular controls, relative to H, constraints, ``{phi_a, phi_b}``, ``{phi_a, psi_b}``.
+    """Second derivatives of H in the singular controls, relative to H, constraints, ``{phi_a, phi_b}``, ``{phi_a,
+    psi_b}``.
 
     Beside each of these the size of the terms that it is a sum of, by which zero is told from rounding.
     """
@@ -180,8 +193,8 @@ class _Facts(NamedTuple):
         curvature, rounding = np.max(self.curvature), default_tolerance()
         if not curvature <= affine_tolerance():
             return (
-                f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them reaches "
-                f"{curvature:.3g} of its size, expected 0; name the controls without cost of their own"
+                f"Pontryagin's Hamiltonian is not affine in the controls {singular}: its second derivative in them "
+                f"reaches {curvature:.3g} of its size, expected 0; name the controls without cost of their own"
             )
         if not np.all(np.abs(self.among.values) <= rounding * self.among.sizes):
             return f"the brackets of the primary constraints are {np.asarray(self.among.values).tolist()}, expected 0"
@@ -193,8 +206,9 @@ class _Facts(NamedTuple):
         units = np.where(units > 0, units, 1.0)
         if not np.linalg.svd(self.across.values / np.outer(units, units), compute_uv=False)[-1] > default_tolerance():
             return (
-                f"the brackets {{phi, psi}} have the singular values {np.linalg.svd(self.across.values, compute_uv=False)}, "
-                "expected all positive: the singular arc is of higher order, or a control is gauge"
+                f"the brackets {{phi, psi}} have the singular values "
+                f"{np.linalg.svd(self.across.values, compute_uv=False)}, expected all positive: the singular arc is of "
+                "higher order, or a control is gauge"
             )
         return ""
 

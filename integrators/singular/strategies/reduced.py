@@ -34,12 +34,12 @@ class _Memory(NamedTuple):
 class ReducedIntegrator(SingularIntegrator):
     """A presymplectic integrator on ``P_f`` for problems that Goh's reduction makes regular.
 
-    One step goes down from ``P_f`` to ``T*Q_r``, takes a step of the regular problem there, and comes up with the extremal
-    control at its end: it preserves ``P_f`` and ``omega_f``, is symmetric if the discretization is, and of its order. The
-    controls are those at the end of each step, and so of the order of the nodes.
+    One step goes down from ``P_f`` to ``T*Q_r``, takes a step of the regular problem there, and comes up with the
+    extremal control at its end: it preserves ``P_f`` and ``omega_f``, is symmetric if the discretization is, and of its
+    order. The controls are those at the end of each step, and so of the order of the nodes.
 
-    ``chain``: from ``reduce_until_regular``. ``discretization``: a discretization map on ``Q_r``; by default the one that is
-    lifted on Q, factor by factor, with addition on the Euclidean part.
+    ``chain``: from ``reduce_until_regular``. ``discretization``: a discretization map on ``Q_r``; by default the one
+    that is lifted on Q, factor by factor, with addition on the Euclidean part.
     """
 
     lift: CotangentLift
@@ -60,7 +60,9 @@ class ReducedIntegrator(SingularIntegrator):
     def regular(self) -> PresymplecticIntegrator:
         """The integrator of the regular problem on ``Q_r``."""
         given, reduced = self.discretization, self.chain.reduced.manifold
-        return PresymplecticIntegrator(CotangentLift(_restricted(self.lift.discretization, reduced) if given is None else given))
+        return PresymplecticIntegrator(
+            CotangentLift(_restricted(self.lift.discretization, reduced) if given is None else given)
+        )
 
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
@@ -76,7 +78,8 @@ class ReducedIntegrator(SingularIntegrator):
         reduced, count = integrator.chain.reduced.manifold, len(integrator.chain.reductions)
         if 2 * reduced.dimension != classification.dimension:
             raise NotApplicableError(
-                f"the reduction is to the cotangent bundle of {reduced}, but P_f has dimension {classification.dimension}"
+                f"the reduction is to the cotangent bundle of {reduced}, but P_f has dimension "
+                f"{classification.dimension}"
             )
         times = "once" if count == 1 else f"{count} times"
         return replace(integrator, reason=f"P_f is the cotangent bundle of {reduced}, by Goh's reduction {times}")
@@ -87,13 +90,15 @@ class ReducedIntegrator(SingularIntegrator):
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not is_same_problem(system, self.chain.problem):
-            raise InvalidInputError("the reductions of this integrator are those of another problem; make them from this one")
+            raise InvalidInputError(
+                "the reductions of this integrator are those of another problem; make them from this one"
+            )
         z, at = _there_and_back(self.chain, q, p)
         gap = float(vec.size(vec.subtract((at.q, at.p), (q, system.manifold.projection(q, p)))))
         if not (at.found and gap <= default_tolerance() * (1 + float(vec.size((q, p))))):
             raise NotOnManifoldError(
-                f"start is not on the constraint manifold: the point of it with the same reduced state, {(at.q, at.p)}, is "
-                f"{gap:.3g} away, expected 0; start there"
+                "start is not on the constraint manifold: the point of it with the same reduced state, "
+                f"{(at.q, at.p)}, is {gap:.3g} away, expected 0; start there"
             )
         self.regular.check(self.chain.reduced, *z)
 
@@ -103,7 +108,9 @@ class ReducedIntegrator(SingularIntegrator):
         control, _ = find_control(chain.reduced, *z, near)
         return _Memory((z[0], control), chain.up(z, control).u)
 
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory) -> StepResult:
+    def step(
+        self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory
+    ) -> StepResult:
         chain = self.chain.of(system)
         z, _ = chain.down(q, p)
         new = self.regular.step(chain.reduced, h, *z, previous.stage)
@@ -121,7 +128,8 @@ def _there_and_back(chain: ReductionChain, q: Ambient, p: Ambient) -> tuple[Poin
 
 
 def _restricted(discretization: DiscretizationMap, reduced: Manifold) -> DiscretizationMap:
-    """The same discretization of the factors that a reduction leaves as they are, with addition on the Euclidean part."""
+    """The same discretization of the factors that a reduction leaves as they are, with addition on the Euclidean
+    part."""
     if not isinstance(discretization, Theta):
         raise _unrestricted(discretization, reduced)
     backward, other = discretization.backward, discretization.other

@@ -1,7 +1,7 @@
 """Goh's reduction: singular controls that act along constant directions are replaced by what they integrate to.
 
-[Goh, Necessary conditions for singular extremals involving multiple control variables, 1966; Kelley, A transformation approach
-to singular subarcs in optimal trajectory and control problems, 1964]
+[Goh, Necessary conditions for singular extremals involving multiple control variables, 1966; Kelley, A transformation
+approach to singular subarcs in optimal trajectory and control problems, 1964]
 """
 
 from typing import Any, NamedTuple, final
@@ -20,7 +20,15 @@ from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import default_retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
-from .affine import NEARER, affine_tolerance, check_splitting, first_finite, merge_controls, regular_places, relative_curvature
+from .affine import (
+    NEARER,
+    affine_tolerance,
+    check_splitting,
+    first_finite,
+    merge_controls,
+    regular_places,
+    relative_curvature,
+)
 from .factors import EuclideanPart
 from .leaves import Point
 
@@ -36,21 +44,22 @@ _NODES, _WEIGHTS = ((np.polynomial.legendre.leggauss(10)[i] + (1 - i)) / 2 for i
 class GohReduction(eqx.Module):
     """The reduction of ``q' = f(q, v) + sum_a u_a g_a``, cost ``F(q, v) + l(q) . u``, by singular controls ``u``.
 
-    The fields ``g_a`` must be constant, along Euclidean factors of Q: columns of the matrix ``G`` on the gathered Euclidean
-    part ``x = N y + G s``, ``N`` an orthonormal basis of the complement. Then ``s' = (f)_s + u``, so that ``s`` serves as
-    a control instead of ``u``, of a problem on ``Q_r``: Q without the directions ``G``. Where the primary constraints
-    ``phi_a = <p, g_a> - l_a`` commute there is a potential ``lambda(q)`` with ``d lambda / ds = l``, and
+    The fields ``g_a`` must be constant, along Euclidean factors of Q: columns of the matrix ``G`` on the gathered
+    Euclidean part ``x = N y + G s``, ``N`` an orthonormal basis of the complement. Then ``s' = (f)_s + u``, so that
+    ``s`` serves as a control instead of ``u``, of a problem on ``Q_r``: Q without the directions ``G``. Where the
+    primary constraints ``phi_a = <p, g_a> - l_a`` commute there is a potential ``lambda(q)`` with ``d lambda / ds =
+    l``, and
 
         ``int F + l . u dt = int F - D lambda [f] dt + lambda(end) - lambda(begin)``.
 
-    ``reduced`` is the problem with the dynamics of ``(other factors, y)``, that running cost and the controls ``(v, s)``. On
-    ``{phi = 0}`` its costate is that of ``p - d lambda``, its Hamiltonian is ``H``, its canonical form that of T*Q, and
-    ``dH/ds = 0`` says that ``{phi, H} = 0``. Terminal cost and boundary conditions are not reduced: ``s`` may jump at
-    the ends of an arc.
+    ``reduced`` is the problem with the dynamics of ``(other factors, y)``, that running cost and the controls ``(v,
+    s)``. On ``{phi = 0}`` its costate is that of ``p - d lambda``, its Hamiltonian is ``H``, its canonical form that of
+    T*Q, and ``dH/ds = 0`` says that ``{phi, H} = 0``. Terminal cost and boundary conditions are not reduced: ``s`` may
+    jump at the ends of an arc.
 
-    ``singular``: indices of ``u`` among the controls; ``near``: a state and a control around which the problem's functions are
-    looked at, by default random ones. Raises ``InvalidInputError`` if the fields are not constant along Euclidean factors or
-    dependent, if the constraints do not commute, or if the functions are not finite there.
+    ``singular``: indices of ``u`` among the controls; ``near``: a state and a control around which the problem's
+    functions are looked at, by default random ones. Raises ``InvalidInputError`` if the fields are not constant along
+    Euclidean factors or dependent, if the constraints do not commute, or if the functions are not finite there.
     """
 
     problem: OptimalControlProblem
@@ -64,7 +73,9 @@ class GohReduction(eqx.Module):
         check_splitting(problem, singular)
         self.problem, self.singular = problem, tuple(singular)
         keys = jax.random.split(jax.random.key(0), SAMPLES)
-        points, samples = zip(*(jax.device_get(_sample(problem, self.singular, key, near)) for key in keys), strict=True)
+        points, samples = zip(
+            *(jax.device_get(_sample(problem, self.singular, key, near)) for key in keys), strict=True
+        )
         directions = _constant_directions(problem, self.singular, samples)
         columns = np.linalg.qr(directions, mode="complete")[0]
         self.directions, self.inverse = jnp.asarray(directions), jnp.asarray(np.linalg.pinv(directions))
@@ -97,7 +108,8 @@ class GohReduction(eqx.Module):
         return self._pack(others, self.complement.T @ x), self.inverse @ x
 
     def below(self, q: Ambient, u: Float[Array, " r+m"]) -> Near:
-        """The point of ``Q_r`` and the control ``(v, s)`` of the reduced problem, of a state and a control of the problem."""
+        """The point of ``Q_r`` and the control ``(v, s)`` of the reduced problem, of a state and a control of the
+        problem."""
         q_r, s = self.coordinates(q)
         return q_r, jnp.concatenate([jnp.asarray(u)[regular_places(len(u), self.singular)], s])
 
@@ -109,7 +121,9 @@ class GohReduction(eqx.Module):
     def potential(self, q: Ambient) -> Array:
         """``lambda(q)``: the integral of ``l . ds`` from ``s = 0``, all else kept."""
         q_r, s = self.coordinates(q)
-        rates = jax.vmap(lambda t: control_rates(self.problem, self.singular, self.point(q_r, t * s)))(jnp.asarray(_NODES))
+        rates = jax.vmap(lambda t: control_rates(self.problem, self.singular, self.point(q_r, t * s)))(
+            jnp.asarray(_NODES)
+        )
         return jnp.asarray(_WEIGHTS) @ (rates @ s)
 
     def down(self, q: Ambient, p: Ambient) -> tuple[Ambient, Ambient]:
@@ -118,7 +132,8 @@ class GohReduction(eqx.Module):
         return self.coordinates(q)[0], self._pack(others, self.complement.T @ x)
 
     def up(self, q_r: Ambient, p_r: Ambient, s: Float[Array, " m"]) -> tuple[Ambient, Ambient]:
-        """The point of ``{phi = 0}`` with reduced point ``(q_r, p_r)`` and coordinates ``s`` of Q along the directions."""
+        """The point of ``{phi = 0}`` with reduced point ``(q_r, p_r)`` and coordinates ``s`` of Q along the
+        directions."""
         q, (others, y) = self.point(q_r, s), self._unpack(p_r)
         return q, vec.add(self.part.join(others, self.complement @ y), self._shift(q))
 
@@ -166,7 +181,8 @@ def control_rates(problem: OptimalControlProblem, singular: tuple[int, ...], q: 
 
 
 class _Sample(NamedTuple):
-    """At one point: the control fields in the other factors and in the Euclidean part, ``l``, and the curvature of H."""
+    """At one point: the control fields in the other factors and in the Euclidean part, ``l``, and the curvature of
+    H."""
 
     others: Array
     fields: Array
@@ -175,7 +191,9 @@ class _Sample(NamedTuple):
 
 
 @compiled
-def _sample(problem: OptimalControlProblem, singular: tuple[int, ...], key: Array, near: Near | None) -> tuple[Ambient, _Sample]:
+def _sample(
+    problem: OptimalControlProblem, singular: tuple[int, ...], key: Array, near: Near | None
+) -> tuple[Ambient, _Sample]:
     """A point, and what is found there."""
     places = np.asarray(singular)
 
@@ -203,12 +221,16 @@ def states_near(problem: OptimalControlProblem, key: Array, near: Near | None) -
     return (points, jax.vmap(lambda q: manifold.random_tangent(fourth, q))(points)), u + shares[:, None] * turn
 
 
-def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ...], samples: tuple[_Sample, ...]) -> np.ndarray:
+def _constant_directions(
+    problem: OptimalControlProblem, singular: tuple[int, ...], samples: tuple[_Sample, ...]
+) -> np.ndarray:
     """``G``. Raises ``InvalidInputError`` if there is none."""
     begin = f"no reduction of the problem on {problem.manifold} by the controls {singular}:"
     others, fields, rates, curvature = (np.stack(parts) for parts in zip(*samples, strict=True))
     if not all(np.all(np.isfinite(values)) for values in (others, fields, rates, curvature)):
-        raise InvalidInputError(f"{begin} its functions or their derivatives are not finite where they were looked at; give near")
+        raise InvalidInputError(
+            f"{begin} its functions or their derivatives are not finite where they were looked at; give near"
+        )
     size = np.max(np.abs(np.concatenate([others, fields], axis=1)), axis=(0, 1))  # of each field
     constant = tolerance(fields, CONSTANT_POWER) * size
     findings = {
@@ -222,13 +244,14 @@ def _constant_directions(problem: OptimalControlProblem, singular: tuple[int, ..
     for words, (values, allowed) in findings.items():
         if np.any(np.abs(values) > allowed):
             raise InvalidInputError(
-                f"{begin} {words} {np.max(np.abs(values)):.3g}, expected 0; change coordinates so that they are constant"
+                f"{begin} {words} {np.max(np.abs(values)):.3g}, expected 0; change coordinates so that they are "
+                "constant"
             )
     values = np.linalg.svd(fields[0] / np.where(size > 0, size, 1.0), compute_uv=False)
     if len(values) < len(singular) or not values[-1] > default_tolerance() * values[0]:
         raise InvalidInputError(
-            f"{begin} the singular values of their fields, of size one, are {values}, expected {len(singular)} positive ones; a "
-            "control without effect on the motion is gauge, or P_f empty"
+            f"{begin} the singular values of their fields, of size one, are {values}, expected {len(singular)} "
+            "positive ones; a control without effect on the motion is gauge, or P_f empty"
         )
     return fields[0]
 
@@ -239,24 +262,27 @@ def _check_potential(reduction: GohReduction, points: tuple[Ambient, ...]) -> No
         missed, asymmetric = jax.device_get(_potential_gap(reduction, q))
         if not np.isfinite(missed + asymmetric):
             raise InvalidInputError(
-                f"the potential of the cost of the controls {reduction.singular} is not finite: their cost has to be so on the "
-                "way along their directions from the origin; move the origin of the coordinates, or use the strategy 'rattle'"
+                f"the potential of the cost of the controls {reduction.singular} is not finite: their cost has to be "
+                "so on the way along their directions from the origin; move the origin of the coordinates, or use the "
+                "strategy 'rattle'"
             )
         if asymmetric > tolerance(asymmetric, CONSTANT_POWER):
             raise InvalidInputError(
-                f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is {asymmetric:.3g} of "
-                "its terms, expected 0; reduce by fewer controls"
+                f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is "
+                f"{asymmetric:.3g} of its terms, expected 0; reduce by fewer controls"
             )
         if missed > 1e-4 * default_tolerance():
             raise InvalidInputError(
-                f"the potential of the cost of the controls {reduction.singular} misses it by {missed:.3g}: their cost is too "
-                f"rough along their directions for the quadrature with {len(_NODES)} nodes; use the strategy 'rattle'"
+                f"the potential of the cost of the controls {reduction.singular} misses it by {missed:.3g}: their cost "
+                f"is too rough along their directions for the quadrature with {len(_NODES)} nodes; use the strategy "
+                "'rattle'"
             )
 
 
 @compiled
 def _potential_gap(reduction: GohReduction, q: Ambient) -> tuple[Array, Array]:
-    """Size of ``d lambda / ds - l`` and of the brackets of the primary constraints, relative to ``l`` and its change."""
+    """Size of ``d lambda / ds - l`` and of the brackets of the primary constraints, relative to ``l`` and its
+    change."""
     q_r, s = reduction.coordinates(q)
 
     def rates(s: Array) -> Array:

@@ -18,12 +18,12 @@ from .strategy import Gauge, NotApplicableError
 class StageIntegrator(DynamicsIntegrator):
     """``(1/h) (R_d^{T*})^-1 (z, z')`` lies in ``S_H``: the equations of the boundary-value problem, step by step.
 
-    The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a symplectic map
-    near ``P_f`` in ``T*Q``. Stable where the primary constraints are second class among themselves, as ``p = theta(q)`` is;
-    where their brackets vanish only if the leaves are straight. Unstable for any theta but 1/2.
+    The primary constraints hold at the stages, and the nodes stay beside ``P_f`` by ``O(h^2)``. The step is a
+    symplectic map near ``P_f`` in ``T*Q``. Stable where the primary constraints are second class among themselves, as
+    ``p = theta(q)`` is; where their brackets vanish only if the leaves are straight. Unstable for any theta but 1/2.
 
-    As ``h`` goes to 0 a step tends to the reflection in ``P_f`` and not to the identity: a point beside ``P_f`` changes sides,
-    for its constraint holds half-way. Compositions of such steps stay of order 2; of pairs,
+    As ``h`` goes to 0 a step tends to the reflection in ``P_f`` and not to the identity: a point beside ``P_f`` changes
+    sides, for its constraint holds half-way. Compositions of such steps stay of order 2; of pairs,
     ``Composition(Composition(method, (1/2, 1/2)))``, they are of order 4.
     """
 
@@ -34,17 +34,23 @@ class StageIntegrator(DynamicsIntegrator):
     @classmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
         if classification.gauge_controls:
-            raise NotApplicableError("the equations at the stages leave the gauge controls free, and the step with them")
+            raise NotApplicableError(
+                "the equations at the stages leave the gauge controls free, and the step with them"
+            )
         if classification.k_f_base > 0:
             raise NotApplicableError(
-                f"P_f has equations up to level {classification.k_f_base}, and the primary ones alone, at the stages, make no "
-                "stable step"
+                f"P_f has equations up to level {classification.k_f_base}, and the primary ones alone, at the stages, "
+                "make no stable step"
             )
         if lift.theta != 0.5:
             raise NotApplicableError(
-                f"the deviation of the nodes from P_f grows from step to step unless theta = 1/2, and it is {lift.theta}"
+                "the deviation of the nodes from P_f grows from step to step unless theta = 1/2, and it is "
+                f"{lift.theta}"
             )
-        reason = "the primary constraints determine all controls along their motion; they hold at the stages, at nodes to O(h^2)"
+        reason = (
+            "the primary constraints determine all controls along their motion; they hold at the stages, at "
+            "nodes to O(h^2)"
+        )
         return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason=reason)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:

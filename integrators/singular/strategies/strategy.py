@@ -24,8 +24,8 @@ class NotApplicableError(InvalidInputError):
 class SingularIntegrator(LiftedIntegrator):
     """A method for the extremals of a singular problem on its final constraint manifold ``P_f``.
 
-    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``; ``keeps_nodes`` whether its nodes lie on
-    ``P_f``, and not ``O(h^2)`` beside it; ``meets_stages`` whether ``dH/du = 0`` at the stage of each step.
+    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``; ``keeps_nodes`` whether its nodes lie
+    on ``P_f``, and not ``O(h^2)`` beside it; ``meets_stages`` whether ``dH/du = 0`` at the stage of each step.
     """
 
     presymplectic: ClassVar[bool]
@@ -42,8 +42,9 @@ class SingularIntegrator(LiftedIntegrator):
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
         return (
-            " Or the extremal leaves the regular part of P_f: the bracket {phi, psi}, which determines the singular controls, "
-            "tends to zero there, and they grow without bound; then the arc ends near this time, whatever the step size."
+            " Or the extremal leaves the regular part of P_f: the bracket {phi, psi}, which determines the singular "
+            "controls, tends to zero there, and they grow without bound; then the arc ends near this time, whatever "
+            "the step size."
         )
 
     @classmethod

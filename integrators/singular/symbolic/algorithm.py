@@ -1,4 +1,5 @@
-"""The constraint algorithm on R^n with exact algebra, branching where an equation factors or a coefficient may vanish."""
+"""The constraint algorithm on R^n with exact algebra, branching where an equation factors or a coefficient may
+vanish."""
 
 import math
 from collections.abc import Iterable, Iterator
@@ -42,11 +43,11 @@ class Phase:
 class SymbolicStratum:
     """A piece of ``P_f`` in closed form.
 
-    ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``history``: the coordinates
-    and controls that are determined, in the order in which they were found, with their values then and the levels;
-    ``nonzero``: expressions assumed not to vanish; ``conditions``: all that was made zero, as it came, with its level;
-    ``factors``: the factors of it that were chosen; ``degenerate``: a coefficient that vanishes, where the piece branched
-    off for it.
+    ``equations``: pairs of an expression that vanishes on it and the level at which it appeared; ``history``: the
+    coordinates and controls that are determined, in the order in which they were found, with their values then and the
+    levels; ``nonzero``: expressions assumed not to vanish; ``conditions``: all that was made zero, as it came, with its
+    level; ``factors``: the factors of it that were chosen; ``degenerate``: a coefficient that vanishes, where the piece
+    branched off for it.
     """
 
     phase: Phase
@@ -102,7 +103,9 @@ class SymbolicStratum:
 
     def up_to(self, level: int) -> "SymbolicStratum":
         """The stratum of ``P^level`` that holds this one: what was known at that level."""
-        equations, conditions = (tuple(e for e in known if e[1] <= level) for known in (self.equations, self.conditions))
+        equations, conditions = (
+            tuple(e for e in known if e[1] <= level) for known in (self.equations, self.conditions)
+        )
         history = tuple(found for found in self.history if found[2] <= level)
         return SymbolicStratum(self.phase, equations, history, conditions=conditions)
 
@@ -113,7 +116,9 @@ class SymbolicStratum:
         So does that of ``x^2``, unless another condition of the level has a simple zero on the piece.
         """
         parts = map(self.up_to, sorted({level for _, level in self.conditions}))
-        return any(part._ranks([e for e, _ in part.conditions])[1] < part.codimension + len(part.controls) for part in parts)
+        return any(
+            part._ranks([e for e, _ in part.conditions])[1] < part.codimension + len(part.controls) for part in parts
+        )
 
     @property
     def k_f_base(self) -> int:
@@ -192,7 +197,9 @@ def _inserted(history: History) -> dict[Expression, Expression]:
         return {}
     *_, (symbol, value, _) = history
     known = _inserted(history[:-1])
-    return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()} | {symbol: value}
+    return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()} | {
+        symbol: value
+    }
 
 
 @dataclass(frozen=True)
@@ -220,14 +227,20 @@ def generic_ranks(phase: Phase) -> tuple[int, int] | None:
     pieces = [piece for piece in strata(phase, last=0)[0] if piece.free_controls >= piece.codimension]
     slope = sympy.Matrix([phase.hamiltonian]).jacobian(sympy.Matrix(phase.u))
     state, control = (slope.jacobian(sympy.Matrix(symbols)) for symbols in ((*phase.q, *phase.p), phase.u))
-    found = [[generic_rank(matrix.xreplace(piece.solution)) for matrix in (state.row_join(control), control)] for piece in pieces]
+    found = [
+        [generic_rank(matrix.xreplace(piece.solution)) for matrix in (state.row_join(control), control)]
+        for piece in pieces
+    ]
     return (min(family for family, _ in found), min(hessian for _, hessian in found)) if found else None
 
 
 def generic_rank(matrix: sympy.Matrix) -> int:
-    """Rank of a matrix of functions at a point with small fractions as coordinates: no larger than the rank almost everywhere."""
+    """Rank of a matrix of functions at a point with small fractions as coordinates: no larger than the rank almost
+    everywhere."""
     field = field_of(*matrix)
-    point = field.point({s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(sorted(matrix.free_symbols, key=str))})
+    point = field.point(
+        {s: sympy.Rational(2 * i + 3, 3 * i + 7) for i, s in enumerate(sorted(matrix.free_symbols, key=str))}
+    )
     values = matrix.xreplace(field.inside).xreplace(point)
     return values.rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
 
@@ -257,7 +270,8 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
 
 
 def _factored(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expression, list[Expression]]:
-    """Of an expression on a piece: the number of terms, its numerator, and the irreducible factors of it that may vanish."""
+    """Of an expression on a piece: the number of terms, its numerator, and the irreducible factors of it that may
+    vanish."""
     reduced = piece.reduce(expression)
     field = field_of(reduced)
     numerator = field.fraction(reduced)[0]
@@ -292,16 +306,21 @@ def _contradict(equations: list[Expression], piece: SymbolicStratum) -> bool:
     field = field_of(*reduced)
     if not field.relations:
         return False
-    polynomials = [field.fraction(e)[0] for e in reduced] + [sympy.fraction(sympy.together(r))[0] for _, r in field.relations]
+    polynomials = [field.fraction(e)[0] for e in reduced] + [
+        sympy.fraction(sympy.together(r))[0] for _, r in field.relations
+    ]
     symbols = sorted(set().union(*(e.free_symbols for e in polynomials)), key=sympy.default_sort_key)
     return sympy.groebner(polynomials, *symbols, order="grevlex").exprs == [1]
 
 
 def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
-    """The pieces on which one more irreducible equation holds: it determines a control, or else is an equation of ``P_f``."""
+    """The pieces on which one more irreducible equation holds: it determines a control, or else is an equation of
+    ``P_f``."""
     expression, level = equation
     controls = [u for u in piece.phase.u if expression.has(u)]
-    pivots = _pivots(expression, controls or [s for s in (*reversed(piece.phase.p), *piece.phase.q) if expression.has(s)], piece)
+    pivots = _pivots(
+        expression, controls or [s for s in (*reversed(piece.phase.p), *piece.phase.q) if expression.has(s)], piece
+    )
     if not pivots:
         ended.unsolved.append(equation)
         return

@@ -22,10 +22,10 @@ LONGEST = 300  # characters of an expression that is printed
 class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
     """What the integrability algorithm finds in exact algebra.
 
-    ``strata``: the pieces of ``P_f`` in closed form, largest dimension first; ``excluded``: how many were left out because
-    ``p = 0`` on them. ``ranks``: of ``D(dH/du)`` and of ``d2H/du2`` almost everywhere where ``dH/du = 0``.
-    ``contradictions``: equations without a solution that ended a branch; ``unsolved``: those without one in closed form, and
-    those that vanish on pieces of smaller dimension too long to follow; each with its level.
+    ``strata``: the pieces of ``P_f`` in closed form, largest dimension first; ``excluded``: how many were left out
+    because ``p = 0`` on them. ``ranks``: of ``D(dH/du)`` and of ``d2H/du2`` almost everywhere where ``dH/du = 0``.
+    ``contradictions``: equations without a solution that ended a branch; ``unsolved``: those without one in closed
+    form, and those that vanish on pieces of smaller dimension too long to follow; each with its level.
     """
 
     phase: Phase
@@ -48,7 +48,9 @@ class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
     def __str__(self) -> str:
         lines = [*_problem(self), *_levels(self)]
         lines += _empty(self) if self.empty else _final(self)
-        lines += [("not followed", f"the branch {_short(e)} = 0 at level {k}: no short closed form") for e, k in self.unsolved]
+        lines += [
+            ("not followed", f"the branch {_short(e)} = 0 at level {k}: no short closed form") for e, k in self.unsolved
+        ]
         return table(lines)
 
 
@@ -60,7 +62,10 @@ def _problem(c: SymbolicClassification) -> Iterator[Line]:
     if c.ranks is not None:
         family, hessian = c.ranks
         size = len(c.phase.u)
-        yield "H", f"{words.family_words(c.family)} (D(dH/du) has rank {family} of {size} almost everywhere where dH/du = 0)"
+        yield (
+            "H",
+            f"{words.family_words(c.family)} (D(dH/du) has rank {family} of {size} almost everywhere where dH/du = 0)",
+        )
         yield "kind", f"{'regular' if c.regular else 'singular'}: d2H/du2 has rank {hessian} of {size} there"
 
 
@@ -87,7 +92,10 @@ def _final(c: SymbolicClassification) -> Iterator[Line]:
 
 def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
     total, kernel = 2 * len(piece.phase.q), piece.kernel
-    yield "P_f", words.final_words(len(piece.coordinates), total, [words.ordinal(level) for _, level in piece.equations])
+    yield (
+        "P_f",
+        words.final_words(len(piece.coordinates), total, [words.ordinal(level) for _, level in piece.equations]),
+    )
     for j in larger:
         yield "inside", f"P_f of [{j}], where its ranks drop"
     for expression, level in piece.equations:
@@ -100,7 +108,9 @@ def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
     yield "omega_f", words.form_words(piece.rank, len(kernel))
     symbols = (*piece.phase.q, *piece.phase.p)
     for vector in kernel:
-        terms = sum((c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0))
+        terms = sum(
+            (c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0)
+        )
         yield "kernel", _short(terms)
     yield "constraints", words.class_words(piece.codimension, len(kernel))
     for u in piece.controls:
@@ -140,7 +150,8 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
     pieces, ended = strata(phase)
     if not pieces and ended.unsolved:
         raise InvalidInputError(
-            f"no branch ends in closed form: {ended.unsolved[0][0]} = 0 is linear in no variable; classify without symbolic=True"
+            f"no branch ends in closed form: {ended.unsolved[0][0]} = 0 is linear in no variable; classify without "
+            "symbolic=True"
         )
     pieces = _distinct(pieces)
     kept = [piece for piece in pieces if not (exclude and all(piece.reduce(a) == 0 for a in phase.p))]

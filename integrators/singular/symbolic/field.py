@@ -1,8 +1,8 @@
 """Elementary functions as generators of a field, in which an expression is a quotient of polynomials and zero is known.
 
-Exponentials of rational functions are generators without relations where the exponents are linearly independent over the
-rationals [Ax, On Schanuel's conjectures, 1971]; so are logarithms of different irreducible polynomials. Sines and cosines
-satisfy ``s^2 + c^2 = 1``, roots of an irreducible polynomial ``r^n = b``, and nothing else.
+Exponentials of rational functions are generators without relations where the exponents are linearly independent over
+the rationals [Ax, On Schanuel's conjectures, 1971]; so are logarithms of different irreducible polynomials. Sines and
+cosines satisfy ``s^2 + c^2 = 1``, roots of an irreducible polynomial ``r^n = b``, and nothing else.
 """
 
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ class UntreatableError(InvalidInputError):
 
     def __init__(self, expression: str) -> None:
         super().__init__(
-            f"exact algebra met {expression}; it treats rational functions of states and controls, and exp, log, sin, cos and "
-            "rational powers of these; classify it without symbolic=True"
+            f"exact algebra met {expression}; it treats rational functions of states and controls, and exp, log, sin, "
+            "cos and rational powers of these; classify it without symbolic=True"
         )
 
 
@@ -31,8 +31,9 @@ class UntreatableError(InvalidInputError):
 class Field:
     """Generators for the functions in some expressions.
 
-    ``inside``: the functions by generators; ``outside``: the generators by functions; ``relations``: pairs of a generator and
-    a monic polynomial that it is a root of; ``circles``: pairs of generators that are a cosine and a sine.
+    ``inside``: the functions by generators; ``outside``: the generators by functions; ``relations``: pairs of a
+    generator and a monic polynomial that it is a root of; ``circles``: pairs of generators that are a cosine and a
+    sine.
     """
 
     inside: dict[Expression, Expression]
@@ -41,7 +42,8 @@ class Field:
     circles: tuple[tuple[Expression, Expression], ...]
 
     def fraction(self, expression: Expression) -> tuple[Expression, Expression]:
-        """Numerator and denominator of an expression, polynomials in variables and generators without a common factor."""
+        """Numerator and denominator of an expression, polynomials in variables and generators without a common
+        factor."""
         numerator, denominator = sympy.fraction(sympy.cancel(sympy.together(expression.xreplace(self.inside))))
         if not self.relations:
             return numerator, denominator
@@ -61,7 +63,13 @@ class Field:
         if len(symbols) != 1:
             return False
         (symbol,) = symbols
-        low, high = (0, None) if symbol.is_positive else (-1, 1) if any(symbol in pair for pair in self.circles) else (None, None)
+        low, high = (
+            (0, None)
+            if symbol.is_positive
+            else (-1, 1)
+            if any(symbol in pair for pair in self.circles)
+            else (None, None)
+        )
         return sympy.Poly(polynomial, symbol).count_roots(low, high) == 0
 
     def exponent_where_zero(self, polynomial: Expression) -> Expression | None:
@@ -74,7 +82,8 @@ class Field:
         return self.outside[symbol].args[0] - sympy.log(-polynomial.coeff(symbol, 0) / polynomial.coeff(symbol, 1))
 
     def point(self, values: dict[Expression, Expression]) -> dict[Expression, Expression]:
-        """Numbers for the generators where the variables have these: any that satisfy the relations, so not too large."""
+        """Numbers for the generators where the variables have these: any that satisfy the relations, so not too
+        large."""
         free = [g for g in self.outside if not any(g == r for r, _ in self.relations)]
         chosen = values | {g: sympy.Rational(3 * i + 5, 2 * i + 7) for i, g in enumerate(free)}
         for t, (cosine, sine) in enumerate(self.circles, 2):
@@ -91,7 +100,9 @@ def field_of(*expressions: Expression) -> Field:
     for f in atoms:
         if not f.args[0].is_rational_function():
             raise UntreatableError(f"{f}, a function of what is not rational")
-    exponents, angles = ([f.args[0] for f in atoms if isinstance(f, kinds)] for kinds in (sympy.exp, (sympy.sin, sympy.cos)))
+    exponents, angles = (
+        [f.args[0] for f in atoms if isinstance(f, kinds)] for kinds in (sympy.exp, (sympy.sin, sympy.cos))
+    )
     inside, outside, relations, circles = {}, {}, [], []
     _add_exponentials(list(dict.fromkeys(exponents)), inside, outside)
     _add_circles(list(dict.fromkeys(angles)), inside, outside, relations, circles)
@@ -116,7 +127,8 @@ def _functions(expression: Expression) -> set[Expression]:
 
 
 def _basis(arguments: list[Expression]) -> tuple[list[Expression], list[list[Any]]]:
-    """Elements of which each argument is a sum of whole multiples, linearly independent over the rationals, and the multiples."""
+    """Elements of which each argument is a sum of whole multiples, linearly independent over the rationals, and the
+    multiples."""
     parts = [sympy.fraction(sympy.cancel(sympy.together(a))) for a in arguments]
     common = reduce(sympy.lcm, (denominator for _, denominator in parts), sympy.Integer(1))
     terms = [sympy.expand(sympy.cancel(a * common)).as_coefficients_dict() for a in arguments]
@@ -147,7 +159,9 @@ def _add_circles(angles: list[Expression], inside: dict, outside: dict, relation
         relations.append((s, s**2 + c**2 - 1))
     circles.extend(pairs)
     for angle, powers in zip(angles, multiples, strict=True):
-        turned = sympy.Mul(*((c + sympy.sign(k) * sympy.I * s) ** abs(k) for (c, s), k in zip(pairs, powers, strict=True)))
+        turned = sympy.Mul(
+            *((c + sympy.sign(k) * sympy.I * s) ** abs(k) for (c, s), k in zip(pairs, powers, strict=True))
+        )
         real, imaginary = sympy.expand(turned).as_real_imag()
         inside.update({sympy.cos(angle): real, sympy.sin(angle): imaginary})
 

@@ -74,7 +74,8 @@ REDUCTIONS = {"reduce_sum": np.sum, "reduce_prod": np.prod}
 def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     """Value of a JAX function of arrays at arrays of SymPy expressions; floats become fractions by ``fraction``.
 
-    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here, or cannot be traced.
+    Raises ``InvalidInputError`` if the function uses an operation that has no exact counterpart here, or cannot be
+    traced.
     """
     shapes = [jax.ShapeDtypeStruct(a.shape, jnp.result_type(float)) for a in arguments]
     try:
@@ -84,7 +85,8 @@ def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     except (TypeError, ValueError, IndexError) as error:
         reason = TRACEABLE if isinstance(error, jax.errors.JAXTypeError) else str(error)
         raise InvalidInputError(
-            f"the problem's functions fail on arrays of shapes {[a.shape for a in arguments]}: {reason}; try problem.check(q, u)"
+            f"the problem's functions fail on arrays of shapes {[a.shape for a in arguments]}: {reason}; try "
+            "problem.check(q, u)"
         ) from error
     return _evaluate(closed.jaxpr, closed.consts, list(arguments))[0]
 
@@ -121,8 +123,8 @@ def _apply(equation: Any, values: list[Any]) -> list[Any]:
     if name == "dot_general":
         return [_product(*exact, *parameters["dimension_numbers"])]
     raise InvalidInputError(
-        f"the problem's functions use the operation {name}; exact algebra treats sums, products, rational powers, exp, log, sin, "
-        "cos, tan, sinh, cosh and tanh, and moves of entries; classify it without symbolic=True"
+        f"the problem's functions use the operation {name}; exact algebra treats sums, products, rational powers, exp, "
+        "log, sin, cos, tan, sinh, cosh and tanh, and moves of entries; classify it without symbolic=True"
     )
 
 
@@ -143,11 +145,14 @@ def _moved(equation: Any, values: list[Any], places: tuple[int, ...]) -> list[An
     data = {i: _exact(values[i]) for i in places}
     pool = np.concatenate([a.ravel() for a in data.values()])
     starts = np.cumsum([0, *(a.size for a in data.values())])
-    numbers = {i: jnp.arange(a.size).reshape(a.shape) + start for (i, a), start in zip(data.items(), starts, strict=False)}
+    numbers = {
+        i: jnp.arange(a.size).reshape(a.shape) + start for (i, a), start in zip(data.items(), starts, strict=False)
+    }
     operands = [numbers[i] if i in numbers else jnp.asarray(value) for i, value in enumerate(values)]
     result = equation.primitive.bind(*operands, **equation.params)
     return [
-        np.asarray(pool[np.asarray(part)], dtype=object) for part in (result if equation.primitive.multiple_results else [result])
+        np.asarray(pool[np.asarray(part)], dtype=object)
+        for part in (result if equation.primitive.multiple_results else [result])
     ]
 
 
@@ -164,14 +169,17 @@ def _exact(value: Any) -> np.ndarray:
 
 
 def fraction(a: Any) -> Any:
-    """The rational number that was meant by a NumPy float: each rounds to its float, so that different ones stay different.
+    """The rational number that was meant by a NumPy float: each rounds to its float, so that different ones stay
+    different.
 
-    The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a power
-    of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
+    The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a
+    power of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
     ``InvalidInputError`` if it is complex or not finite.
     """
     if np.iscomplexobj(a):
-        raise InvalidInputError(f"the problem's functions contain the complex constant {a}; classify it without symbolic=True")
+        raise InvalidInputError(
+            f"the problem's functions contain the complex constant {a}; classify it without symbolic=True"
+        )
     if not np.isfinite(a):
         raise InvalidInputError(f"the problem's functions contain the constant {a}; classify it without symbolic=True")
     if not np.issubdtype(a.dtype, np.floating):

@@ -1,4 +1,5 @@
-"""Functions of matrices without further structure: the exponential, its inverse, and the Cayley transform [Higham 2008]."""
+"""Functions of matrices without further structure: the exponential, its inverse, and the Cayley transform [Higham
+2008]."""
 
 import jax
 import jax.numpy as jnp
@@ -17,10 +18,11 @@ _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
 
 
 def logarithm(a: Matrix) -> Matrix:
-    """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN on it and within rounding of it.
+    """Principal logarithm of a matrix without eigenvalues on the closed negative axis, NaN on it and within rounding of
+    it.
 
-    Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10. The
-    rounding of the roots comes 2^5-fold: a step of Newton's method takes it away.
+    Repeated square roots, then Gregory's series [Higham 2008, 11.3 and 11.5]; for logarithms of norm up to about 10.
+    The rounding of the roots comes 2^5-fold: a step of Newton's method takes it away.
     """
     root = _product_root(a, _FIRST)
     root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_HALVINGS - 1)
@@ -41,7 +43,8 @@ def _newton_step(log: Matrix, a: Matrix) -> Matrix:
 
 
 def gregory(a: Matrix) -> Matrix:
-    """``log a = 2 artanh c`` with ``c = (a - I)(a + I)^-1`` for a matrix near the identity: to rounding for ``|c| < 0.2``."""
+    """``log a = 2 artanh c`` with ``c = (a - I)(a + I)^-1`` for a matrix near the identity: to rounding for ``|c| <
+    0.2``."""
     c = cayley_inverse(a) / 2
     total, power, square = jnp.zeros_like(c), c, c @ c
     for coefficient in _GREGORY:

@@ -12,7 +12,8 @@ Block = Float[Array, "n n"]
 
 
 def exponential(a: Matrix) -> Matrix:
-    """``(exp Omega, V v)`` with ``V`` the integral of ``exp(s Omega)`` over ``s`` in [0, 1] [Lynch, Park 2017, 3.3.3]."""
+    """``(exp Omega, V v)`` with ``V`` the integral of ``exp(s Omega)`` over ``s`` in [0, 1] [Lynch, Park 2017,
+    3.3.3]."""
     omega, v = blocks(a)
     return homogeneous(rotations.exponential(omega), left_jacobian(omega) @ v, 1.0)
 
@@ -29,7 +30,8 @@ def logarithm(a: Matrix) -> Matrix:
 
 
 def left_jacobian(omega: Block) -> Block:
-    """``V = I + (1 - cos t)/t^2 Omega + (t - sin t)/t^3 Omega^2`` for n = 2, 3; a block of an exponential for other n."""
+    """``V = I + (1 - cos t)/t^2 Omega + (t - sin t)/t^3 Omega^2`` for n = 2, 3; a block of an exponential for other
+    n."""
     n = omega.shape[0]
     eye = jnp.eye(n, dtype=omega.dtype)
     if n <= 3:

@@ -1,7 +1,7 @@
 """Functions of skew and orthogonal matrices, with derivatives that are right everywhere, the identity included.
 
-In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omega``, and every function of it is a quadratic
-polynomial [Lynch, Park 2017, 3.2.3].
+In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omega``, and every function of it is a
+quadratic polynomial [Lynch, Park 2017, 3.2.3].
 """
 
 import jax.numpy as jnp
@@ -53,8 +53,8 @@ def logarithm(a: Matrix) -> Matrix:
 def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
     """Rotation vector, angle below pi: axis times angle; NaN for a half turn.
 
-    Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew part
-    of ``a`` has lost its digits.
+    Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew
+    part of ``a`` has lost its digits.
     """
     sine, cosine = vee(a), (jnp.trace(a) - 1) / 2
     s = sine @ sine

@@ -55,7 +55,8 @@ def square_root(a: Matrix) -> Matrix:
 
 
 def injective(a: Matrix) -> Bool[Array, ""]:
-    """Whether the logarithm inverts the exponential at a skew-Hermitian matrix: angles below pi, and no two a full turn apart.
+    """Whether the logarithm inverts the exponential at a skew-Hermitian matrix: angles below pi, and no two a full turn
+    apart.
 
     Rounding of ``exp a`` turns the eigenvectors of angles ``s`` and ``t`` into each other, magnified by
     ``2 pi / (2 pi - |s - t|)``, but for those of one plane, ``t`` and ``-t`` of a real matrix.
@@ -69,13 +70,15 @@ def injective(a: Matrix) -> Bool[Array, ""]:
 
 @jax.custom_jvp
 def unitary_logarithm(a: Matrix) -> Matrix:
-    """Principal logarithm of an orthogonal or unitary matrix, from its Hermitian part ``C`` and skew-Hermitian part ``S``.
+    """Principal logarithm of an orthogonal or unitary matrix, from its Hermitian part ``C`` and skew-Hermitian part
+    ``S``.
 
-    They commute and have the eigenvalues ``cos t`` and ``i sin t``. Near the identity the logarithm is ``arcsin S``, near a half
-    turn ``pi sign S - arcsin S``. NaN at the eigenvalue -1, where the sign is unknown, and where ``a`` is not unitary.
+    They commute and have the eigenvalues ``cos t`` and ``i sin t``. Near the identity the logarithm is ``arcsin S``,
+    near a half turn ``pi sign S - arcsin S``. NaN at the eigenvalue -1, where the sign is unknown, and where ``a`` is
+    not unitary.
 
-    Both are taken in eigenvectors of ``C``. Rounding mixes those of nearly equal cosines, which does no harm: ``arcsin S`` is
-    ``S`` times a smooth function of ``C``, and the sign is that of a whole block. The derivative is that of
+    Both are taken in eigenvectors of ``C``. Rounding mixes those of nearly equal cosines, which does no harm: ``arcsin
+    S`` is ``S`` times a smooth function of ``C``, and the sign is that of a whole block. The derivative is that of
     ``logarithm_by_roots``: eigenvectors have none at repeated eigenvalues.
     """
     adjoint = a.conj().T
@@ -95,15 +98,19 @@ def unitary_logarithm(a: Matrix) -> Matrix:
 
 def _widest_gap(cosines: Float[Array, " n"]) -> Array:
     """The middle of the widest gap between cosines from -0.9 to 0: to both sides of it eigenvectors are not mixed."""
-    ends = jnp.concatenate([jnp.full(1, -0.9, cosines.dtype), jnp.clip(cosines, -0.9, 0.0), jnp.zeros(1, cosines.dtype)])
+    ends = jnp.concatenate(
+        [jnp.full(1, -0.9, cosines.dtype), jnp.clip(cosines, -0.9, 0.0), jnp.zeros(1, cosines.dtype)]
+    )
     widest = jnp.argmax(jnp.diff(ends))
     return (ends[widest] + ends[widest + 1]) / 2
 
 
 def _sign_of_block(s: Matrix, chosen: Bool[Array, " n"]) -> tuple[Matrix, Bool[Array, ""]]:
-    """``S (-S^2)^(-1/2)`` of the ``chosen`` rows and columns of a skew-Hermitian ``S``, zero elsewhere; and whether it is known.
+    """``S (-S^2)^(-1/2)`` of the ``chosen`` rows and columns of a skew-Hermitian ``S``, zero elsewhere; and whether it
+    is known.
 
-    It is the unitary polar factor. Newton and Schulz make it skew again, which that of a matrix of size ``d`` is to ``eps / d``.
+    It is the unitary polar factor. Newton and Schulz make it skew again, which that of a matrix of size ``d`` is to
+    ``eps / d``.
     """
     block, eye = chosen[:, None] & chosen, jnp.diag(chosen.astype(s.dtype))
     u, singular, w = jnp.linalg.svd(jnp.where(block, s, 0.0) + jnp.eye(s.shape[0], dtype=s.dtype) - eye)

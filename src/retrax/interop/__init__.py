@@ -1,8 +1,8 @@
-"""Doors to other libraries: manifolds of pymanopt and geomstats as ours, ours as theirs; problems for CasADi's solvers; records
-as tables of xarray and pandas and in CSV files; attitudes as quaternions, splines and CCSDS ephemerides.
+"""Doors to other libraries: manifolds of pymanopt and geomstats as ours, ours as theirs; problems for CasADi's solvers;
+records as tables of xarray and pandas and in CSV files; attitudes as quaternions, splines and CCSDS ephemerides.
 
-None of these libraries is imported before one of these functions is called; what the import of pymanopt and geomstats does to
-global settings is undone.
+None of these libraries is imported before one of these functions is called; what the import of pymanopt and geomstats
+does to global settings is undone.
 """
 
 from ..optional import MissingPackageError

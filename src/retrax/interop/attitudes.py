@@ -1,7 +1,7 @@
 """Attitudes as quaternions, splines and CCSDS attitude ephemerides.
 
-A rotation ``R`` maps the components of a vector in the body frame to those in the inertial frame. Its quaternion is that of the
-same map, ``(cos(a/2), sin(a/2) e)`` for the turn of ``a`` about ``e`` (Hamilton's product).
+A rotation ``R`` maps the components of a vector in the body frame to those in the inertial frame. Its quaternion is
+that of the same map, ``(cos(a/2), sin(a/2) e)`` for the turn of ``a`` about ``e`` (Hamilton's product).
 """
 
 import re
@@ -26,10 +26,12 @@ REQUIRED = "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"
 
 
 def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
-    """Unit quaternions of rotations of shape ``(..., 3, 3)``, shape ``(..., 4)``, with the scalar part ``"first"`` or ``"last"``.
+    """Unit quaternions of rotations of shape ``(..., 3, 3)``, shape ``(..., 4)``, with the scalar part ``"first"`` or
+    ``"last"``.
 
-    The second rotation of a sequence, and each after it, has the sign that is nearer to the one before. The first one has a
-    scalar part that is not negative. Raises ``InvalidInputError`` for other words, and for arrays that are not rotations.
+    The second rotation of a sequence, and each after it, has the sign that is nearer to the one before. The first one
+    has a scalar part that is not negative. Raises ``InvalidInputError`` for other words, and for arrays that are not
+    rotations.
     """
     _require_scalar(scalar)
     given = np.asarray(matrices, float)
@@ -43,9 +45,11 @@ def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
 
 
 def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
-    """Rotations, shape ``(..., 3, 3)``, of unit quaternions of shape ``(..., 4)`` with the scalar part ``"first"`` or ``"last"``.
+    """Rotations, shape ``(..., 3, 3)``, of unit quaternions of shape ``(..., 4)`` with the scalar part ``"first"`` or
+    ``"last"``.
 
-    Quaternions are divided by their norms, which may be off by rounding to six digits. Raises ``InvalidInputError`` for others.
+    Quaternions are divided by their norms, which may be off by rounding to six digits. Raises ``InvalidInputError`` for
+    others.
     """
     _require_scalar(scalar)
     given = np.asarray(quaternions, float)
@@ -62,8 +66,8 @@ def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
 def to_rotation_spline(record: Any, array: int | None = None, problem: About = None) -> RotationSpline:
     """The attitudes at the nodes as SciPy's cubic spline of rotations, with continuous rate and acceleration.
 
-    It goes through the nodes; between them ``solution(t)`` is the method's own polynomial. Raises ``InvalidInputError`` for a
-    record without an attitude.
+    It goes through the nodes; between them ``solution(t)`` is the method's own polynomial. Raises ``InvalidInputError``
+    for a record without an attitude.
     """
     found = view(record, problem)
     return RotationSpline(found.times, Rotation.from_matrix(rotations(found, array)))
@@ -82,7 +86,8 @@ def _sampled(record: Any, found: View, at: Any) -> View:
 @final
 @dataclass(frozen=True)
 class AttitudeEphemeris:
-    """Attitudes of an object: ``times`` in seconds after ``epoch``, in ``time_system``, and ``attitudes``, shape ``(N, 3, 3)``.
+    """Attitudes of an object: ``times`` in seconds after ``epoch``, in ``time_system``, and ``attitudes``, shape ``(N,
+    3, 3)``.
 
     ``attitudes`` map components in the frame ``body`` to those in the frame ``reference``.
     """
@@ -114,11 +119,11 @@ def to_aem(
 ) -> None:
     """Write the attitudes as a CCSDS attitude ephemeris message, keyword-value notation [CCSDS 504.0-B-2, 2024].
 
-    Times are those of the record, in seconds, after ``epoch``, a ``datetime`` in ``time_system``; they are written to the
-    microsecond. ``at``: ``"nodes"``, or, for a solution, times at which it is interpolated. The rotation from ``reference``
-    to ``body`` takes the frame to the one of the body, so that its quaternion, with the scalar last as that version
-    prescribes, is that of the attitude. Raises ``InvalidInputError`` for a record without an attitude, one that does not go
-    forward in time, words with line breaks, and times where the record is not a solution.
+    Times are those of the record, in seconds, after ``epoch``, a ``datetime`` in ``time_system``; they are written to
+    the microsecond. ``at``: ``"nodes"``, or, for a solution, times at which it is interpolated. The rotation from
+    ``reference`` to ``body`` takes the frame to the one of the body, so that its quaternion, with the scalar last as
+    that version prescribes, is that of the attitude. Raises ``InvalidInputError`` for a record without an attitude, one
+    that does not go forward in time, words with line breaks, and times where the record is not a solution.
     """
     found = _sampled(record, view(record, problem), at)
     quaternions = to_quaternions(rotations(found, array), "last")
@@ -129,9 +134,17 @@ def to_aem(
             raise InvalidInputError(f"{name} must be a text on one line, got {word!r:.80}")
     stamps = [_stamp(epoch + timedelta(microseconds=round(1e6 * float(t)))) for t in found.times]
     if any(a >= b for a, b in pairwise(stamps)):
-        raise InvalidInputError("the times of the record must ascend by a microsecond or more; try one that goes forward")
+        raise InvalidInputError(
+            "the times of the record must ascend by a microsecond or more; try one that goes forward"
+        )
     created = _stamp(datetime.now(UTC).replace(tzinfo=None))
-    lines = [f"CCSDS_AEM_VERS = {VERSION}", f"CREATION_DATE = {created}", f"ORIGINATOR = {originator}", "", "META_START"]
+    lines = [
+        f"CCSDS_AEM_VERS = {VERSION}",
+        f"CREATION_DATE = {created}",
+        f"ORIGINATOR = {originator}",
+        "",
+        "META_START",
+    ]
     lines += [f"{name} = {word}" for name, word in words.items()]
     lines += [
         f"START_TIME = {stamps[0]}",
@@ -141,15 +154,18 @@ def to_aem(
         "",
         "DATA_START",
     ]
-    lines += [" ".join([stamp, *(f"{value:.16g}" for value in q)]) for stamp, q in zip(stamps, quaternions, strict=True)]
+    lines += [
+        " ".join([stamp, *(f"{value:.16g}" for value in q)]) for stamp, q in zip(stamps, quaternions, strict=True)
+    ]
     Path(path).write_text("\n".join([*lines, "DATA_STOP", ""]), encoding="ascii")
 
 
 def from_aem(path: str | Path) -> AttitudeEphemeris:
     """Read a CCSDS attitude ephemeris message with one segment of quaternions, of version 1.0 or 2.0.
 
-    In version 1.0 ``QUATERNION_TYPE`` says where the scalar part is, and ``ATTITUDE_DIR`` from which frame to which the rotation
-    leads. ``reference`` is the frame from which it does. Raises ``InvalidInputError`` for files that are something else.
+    In version 1.0 ``QUATERNION_TYPE`` says where the scalar part is, and ``ATTITUDE_DIR`` from which frame to which the
+    rotation leads. ``reference`` is the frame from which it does. Raises ``InvalidInputError`` for files that are
+    something else.
     """
     lines = [line.strip() for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines()]
     lines = [line for line in lines if line and not line.startswith("COMMENT")]
@@ -160,8 +176,8 @@ def from_aem(path: str | Path) -> AttitudeEphemeris:
     if version not in ("1.0", "2.0") or missing or lines.count("META_START") != 1 or kind != "QUATERNION":
         lacks = f" without {', '.join(missing)}" if missing else ""
         raise InvalidInputError(
-            f"{path} has the version {version!r:.40} of an attitude ephemeris{lacks}, expected 1.0 or 2.0 with one segment of "
-            "the type QUATERNION"
+            f"{path} has the version {version!r:.40} of an attitude ephemeris{lacks}, expected 1.0 or 2.0 with one "
+            "segment of the type QUATERNION"
         )
     rows = [line.split() for line in lines if re.match(r"\d{4}-\d", line)]
     try:
@@ -204,7 +220,9 @@ def _are_rotations(given: np.ndarray) -> bool:
 
 def _require_scalar(scalar: Any) -> None:
     if scalar not in ("first", "last"):
-        raise InvalidInputError(f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {scalar!r:.80}")
+        raise InvalidInputError(
+            f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {scalar!r:.80}"
+        )
 
 
 def _words(given: np.ndarray) -> str:

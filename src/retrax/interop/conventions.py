@@ -1,7 +1,7 @@
 """How another library writes down a point and a tangent vector of one of our manifolds.
 
-``x``, ``a``, ``v`` are theirs: a point, a vector of the space around it, a tangent vector in their coordinates. ``q`` and ``w``
-are ours. Every map is a JAX function of single points.
+``x``, ``a``, ``v`` are theirs: a point, a vector of the space around it, a tangent vector in their coordinates. ``q``
+and ``w`` are ours. Every map is a JAX function of single points.
 """
 
 from abc import abstractmethod
@@ -48,7 +48,8 @@ class Conventions(eqx.Module):
         return self.push(x, self.embedding(x, v))
 
     def elsewhere(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
-        """The vector around ``y`` that the coordinates ``v`` of a tangent vector at ``x`` stand for when it is moved there."""
+        """The vector around ``y`` that the coordinates ``v`` of a tangent vector at ``x`` stand for when it is moved
+        there."""
         return self.embedding(y, v)
 
 
@@ -74,7 +75,8 @@ class Same(Conventions):
 
 @final
 class SkewFactors(Conventions):
-    """pymanopt's rotations and unitary matrices: a tangent vector ``x Omega`` is written as its skew factor ``Omega``."""
+    """pymanopt's rotations and unitary matrices: a tangent vector ``x Omega`` is written as its skew factor
+    ``Omega``."""
 
     def point(self, x: Array) -> Array:
         return x
@@ -95,7 +97,8 @@ class SkewFactors(Conventions):
 
 @final
 class Representatives(Conventions):
-    """pymanopt's Grassmann manifold: a subspace is written as an ``(n, p)`` matrix ``x`` of orthonormal columns that span it.
+    """pymanopt's Grassmann manifold: a subspace is written as an ``(n, p)`` matrix ``x`` of orthonormal columns that
+    span it.
 
     Our point is the projector ``x x'``. Tangent vectors are horizontal, ``x'v = 0``, and mean ``v x' + x v'``.
     """

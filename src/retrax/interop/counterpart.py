@@ -8,7 +8,8 @@ from .conventions import Conventions
 
 
 class Counterpart(NamedTuple):
-    """Our manifold, retraction and metric for a space of another library, and how that writes points and tangent vectors.
+    """Our manifold, retraction and metric for a space of another library, and how that writes points and tangent
+    vectors.
 
     ``metric`` is the embedded one where theirs is not known here.
 

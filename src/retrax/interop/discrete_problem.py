@@ -23,10 +23,11 @@ from .transcription import Transcription
 @final
 @dataclass(frozen=True, eq=False)
 class DiscreteProblem:
-    """A discrete optimal control problem as a nonlinear program: symbols ``x``, cost ``f``, constraints ``g``, their bounds.
+    """A discrete optimal control problem as a nonlinear program: symbols ``x``, cost ``f``, constraints ``g``, their
+    bounds.
 
-    ``nlp`` is what ``casadi.nlpsol`` takes, ``arguments`` what the solver is called with (``x0, lbx, ubx, lbg, ubg``), and
-    ``guess(found)`` turns what it returns into the ``Guess`` with these states, controls and costates.
+    ``nlp`` is what ``casadi.nlpsol`` takes, ``arguments`` what the solver is called with (``x0, lbx, ubx, lbg, ubg``),
+    and ``guess(found)`` turns what it returns into the ``Guess`` with these states, controls and costates.
     """
 
     x: ca.MX
@@ -50,7 +51,8 @@ class DiscreteProblem:
         return {"x0": self.x0, "lbx": self.lbx, "ubx": self.ubx, "lbg": self.lbg, "ubg": self.ubg}
 
     def guess(self, found: Any) -> Guess:
-        """States and controls at the stages and costates at the nodes, from ``{"x", "lam_g"}`` as ``nlpsol`` returns them."""
+        """States and controls at the stages and costates at the nodes, from ``{"x", "lam_g"}`` as ``nlpsol`` returns
+        them."""
         return self.points.read(*(np.asarray(ca.DM(found[name])).ravel() for name in ("x", "lam_g")))
 
     def initial(self, guess: Guess) -> np.ndarray:
@@ -87,19 +89,27 @@ def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, 
     count, size, slack = len(lengths), functions.state.size, functions.slack
     y, s = ca.MX.sym("y", functions.size, count), ca.MX.sym("s", slack, count + 1)
     x = ca.vertcat(ca.vec(y), ca.vec(s))
-    begins, finishes, costs, held, limits, stages = _function(functions.step, functions.size, 1).map(count)(y, lengths[None])
+    begins, finishes, costs, held, limits, stages = _function(functions.step, functions.size, 1).map(count)(
+        y, lengths[None]
+    )
     ends, fixed = (points.start[0], points.end[0]), [prescribed.entries for prescribed in points.prescribed]
     first, last = (
-        mask * end + (1 - mask) * reached for mask, end, reached in zip(fixed, ends, (begins[:, 0], finishes[:, -1]), strict=True)
+        mask * end + (1 - mask) * reached
+        for mask, end, reached in zip(fixed, ends, (begins[:, 0], finishes[:, -1]), strict=True)
     )
     meeting = _function(functions.meeting, size, size, slack).map(count + 1)
     gaps = meeting(ca.horzcat(begins, ends[1]), ca.horzcat(ends[0], finishes), s)
     prescribed = np.concatenate([fixed[0], np.ones((count - 1) * size, bool), fixed[1]])
     terminal, slope = _function(functions.last, size)(last)
-    f, g = ca.sum2(costs) + terminal, ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits))
+    f, g = (
+        ca.sum2(costs) + terminal,
+        ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits)),
+    )
     bound = np.full(x.numel(), np.inf)
     unused = [*map(_unused_slacks, points.prescribed)]
-    bound[x.numel() - slack * (count + 1) :][np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])] = 0.0
+    bound[x.numel() - slack * (count + 1) :][
+        np.concatenate([unused[0], np.zeros((count - 1) * slack, bool), unused[1]])
+    ] = 0.0
     lower = np.zeros(g.numel())
     lower[g.numel() - limits.numel() :] = -np.inf
     nodes = ca.horzcat(first, finishes[:, :-1], last)

@@ -26,8 +26,8 @@ from .metrics import split
 def distance(metric: Metric, exponential: Retraction, x: Ambient, y: Ambient) -> Array:
     """Geodesic distance of two points; ``exponential`` is the exponential map of the metric.
 
-    In closed form on spheres, rotations, rigid motions, U(n), SU(2), Grassmann and oblique manifolds, and products and powers of
-    them. Elsewhere it is the length of the logarithm, NaN where there is none.
+    In closed form on spheres, rotations, rigid motions, U(n), SU(2), Grassmann and oblique manifolds, and products and
+    powers of them. Elsewhere it is the length of the logarithm, NaN where there is none.
     """
     if isinstance(metric, ScaledMetric):
         return jnp.sqrt(metric.scale) * distance(metric.base, exponential, x, y)

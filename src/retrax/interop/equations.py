@@ -35,9 +35,9 @@ def equations(manifold: Manifold, x: Ambient) -> Array:
     Raises ``InvalidInputError`` for a manifold of which no such equations are known.
     """
     raise InvalidInputError(
-        f"no independent equations of {manifold} are known, and the problem is written in the ambient space; expected a level "
-        "set, Euclidean space, a sphere, rotations, rigid motions, unitary matrices, frames, SPD or hyperbolic space, a simplex, "
-        "or a product or power of these; try a LevelSet with the same points"
+        f"no independent equations of {manifold} are known, and the problem is written in the ambient space; expected "
+        "a level set, Euclidean space, a sphere, rotations, rigid motions, unitary matrices, frames, SPD or hyperbolic "
+        "space, a simplex, or a product or power of these; try a LevelSet with the same points"
     )
 
 

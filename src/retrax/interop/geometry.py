@@ -182,6 +182,7 @@ def require_values(method: str, values: Theirs) -> None:
     """Raise ``DomainError`` if a method that has no value for some pairs of points has none for these."""
     if method in _UNDEFINED and any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(values)):
         raise DomainError(
-            "between these points there is no one shortest geodesic, or none was found: expected points off each other's cut "
-            "locus (not antipodes, not half a turn apart) and within reach of Newton's method; take nearer points"
+            "between these points there is no one shortest geodesic, or none was found: expected points off each "
+            "other's cut locus (not antipodes, not half a turn apart) and within reach of Newton's method; take nearer "
+            "points"
         )

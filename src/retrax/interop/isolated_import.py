@@ -1,8 +1,9 @@
 """Importing pymanopt and geomstats without what they do to the settings of the whole process.
 
-Found in pymanopt 2.2.1: it turns on JAX's double precision. Found in geomstats 2.8.0: it sets the level and a handler of the
-root logger, adds a finder to ``sys.meta_path`` whose use warns, and its dependencies change warning filters and environment
-variables. Everything is as before when the import is done; a library that the user has imported already is left alone.
+Found in pymanopt 2.2.1: it turns on JAX's double precision. Found in geomstats 2.8.0: it sets the level and a handler
+of the root logger, adds a finder to ``sys.meta_path`` whose use warns, and its dependencies change warning filters and
+environment variables. Everything is as before when the import is done; a library that the user has imported already is
+left alone.
 """
 
 import importlib

@@ -46,12 +46,14 @@ from ..retractions import (
 )
 
 _ROUNDING = 1e-12
-_SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)  # symmetric spaces in the metric of the ambient space
+# Symmetric spaces in the metric of the ambient space.
+_SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)
 
 
 @singledispatch
 def natural_metric(manifold: Manifold) -> Metric:
-    """The metric that the literature gives a manifold: affine-invariant on SPD, Lorentz on hyperbolic space, else embedded.
+    """The metric that the literature gives a manifold: affine-invariant on SPD, Lorentz on hyperbolic space, else
+    embedded.
 
     On SL(n) it is left-invariant, the Frobenius inner product at the identity.
     """
@@ -86,7 +88,8 @@ def _(manifold: Power) -> Metric:
 def exponential_map(metric: Metric) -> Retraction:
     """The exponential map of a metric: a closed form where one is known, else geodesics in 8 steps of order 8.
 
-    On SE(n), U(n) and SU(n) the embedded metric is meant, whose geodesics are decoupled motions and one-parameter subgroups.
+    On SE(n), U(n) and SU(n) the embedded metric is meant, whose geodesics are decoupled motions and one-parameter
+    subgroups.
     """
     metric = split(metric)
     manifold = metric.manifold
@@ -130,7 +133,8 @@ def _is_frobenius(metric: LeftInvariantMetric) -> bool:
 
 
 def split(metric: Metric) -> Metric:
-    """A metric with the same geodesics: without its scale; the embedded one of a product or a power as the sum that it is."""
+    """A metric with the same geodesics: without its scale; the embedded one of a product or a power as the sum that it
+    is."""
     while isinstance(metric, ScaledMetric):
         metric = metric.base
     if not isinstance(metric, EmbeddedMetric):

@@ -17,11 +17,11 @@ from ..optional import needed
 def to_xarray(record: Any, problem: About = None) -> Any:
     """A ``Solution``, ``Solutions`` or ``Trajectory`` as an ``xarray.Dataset`` with named dimensions and units.
 
-    States and costates (``costate of NAME``) are along ``time``, the nodes; controls, multipliers and the Hamiltonian along
-    ``stage_time``; a batch has the dimension ``member`` first, then ``node`` or ``stage``, of which each has its times. Axes of
-    an array are ``NAME_0``, ``NAME_1``, and multipliers of boundary constraints have no other; entries with names of their own
-    are coordinates. ``units`` is an attribute of each variable that has one for all entries. ``problem`` has the names and units
-    of a trajectory, or is its manifold.
+    States and costates (``costate of NAME``) are along ``time``, the nodes; controls, multipliers and the Hamiltonian
+    along ``stage_time``; a batch has the dimension ``member`` first, then ``node`` or ``stage``, of which each has its
+    times. Axes of an array are ``NAME_0``, ``NAME_1``, and multipliers of boundary constraints have no other; entries
+    with names of their own are coordinates. ``units`` is an attribute of each variable that has one for all entries.
+    ``problem`` has the names and units of a trajectory, or is its manifold.
 
     Raises ``InvalidInputError`` for other records, ``MissingPackageError`` without xarray.
     """
@@ -84,9 +84,10 @@ def _groups(found: View) -> Iterator[tuple[str, list[np.ndarray], Sequence[Quant
 def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
     """A record as a ``pandas.DataFrame`` with a row for each time, and a column for each entry, as ``body rate[1]``.
 
-    ``at``: ``"nodes"``, with states and costates; ``"stages"``, with the controls, and of a solution with the states, costates,
-    multipliers and the Hamiltonian there; or, for a solution, times, at which it is interpolated. ``Solutions`` have the
-    ``member`` as the first level of their index. ``frame.attrs["units"]`` has the units by column.
+    ``at``: ``"nodes"``, with states and costates; ``"stages"``, with the controls, and of a solution with the states,
+    costates, multipliers and the Hamiltonian there; or, for a solution, times, at which it is interpolated.
+    ``Solutions`` have the ``member`` as the first level of their index. ``frame.attrs["units"]`` has the units by
+    column.
 
     Raises ``InvalidInputError`` for other records and places, ``MissingPackageError`` without pandas.
     """
@@ -105,9 +106,11 @@ def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
 
 
 def to_csv(record: Any, path: str | Path, at: Any = "nodes", problem: About = None) -> None:
-    """Write the table of ``to_pandas`` to a CSV file: a head with names and units, as ``body rate[1] [rad/s]``, and a row a time.
+    """Write the table of ``to_pandas`` to a CSV file: a head with names and units, as ``body rate[1] [rad/s]``, and a
+    row a time.
 
-    Numbers are written with 17 digits, so that they are read back as they were. Raises ``InvalidInputError`` as ``to_pandas``.
+    Numbers are written with 17 digits, so that they are read back as they were. Raises ``InvalidInputError`` as
+    ``to_pandas``.
     """
     members = list(record) if isinstance(record, Solutions) else [record]
     tables = [_columns(member, at, problem) for member in members]
@@ -154,7 +157,11 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
         expected = '"nodes", "stages"' + (" or times" if isinstance(record, Solution) else "")
         raise InvalidInputError(f"at must be {expected}, got {at!r:.80}")
     if words:
-        times, parts, more = found.stage_times, (record.stage_states, record.stage_costates, record.controls), _at_stages(record)
+        times, parts, more = (
+            found.stage_times,
+            (record.stage_states, record.stage_costates, record.controls),
+            _at_stages(record),
+        )
     else:
         sample, more = record(np.ravel(at)), []
         times, parts = sample.times, (sample.states, sample.costates, sample.controls)
@@ -165,10 +172,15 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
 
 def _at_stages(solution: Solution) -> list[tuple[str, Quantity, np.ndarray]]:
     """The Hamiltonian and the multipliers."""
-    rows = {"hamiltonian": solution.hamiltonians, **{f"multiplier of {n}": v for n, v in solution.stage_multipliers.items()}}
+    rows = {
+        "hamiltonian": solution.hamiltonians,
+        **{f"multiplier of {n}": v for n, v in solution.stage_multipliers.items()},
+    }
     places = {name: tuple(map(str, range(v.shape[1]))) if v.ndim > 1 else ("",) for name, v in rows.items()}
     return [("", Quantity(name, ("",), places[name], ""), values) for name, values in rows.items()]
 
 
-def _named(prefix: str, own: Sequence[Quantity], leaves: Sequence[np.ndarray]) -> list[tuple[str, Quantity, np.ndarray]]:
+def _named(
+    prefix: str, own: Sequence[Quantity], leaves: Sequence[np.ndarray]
+) -> list[tuple[str, Quantity, np.ndarray]]:
     return [(prefix, quantity, values) for quantity, values in zip(own, leaves, strict=True)]

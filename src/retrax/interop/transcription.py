@@ -27,11 +27,11 @@ class Transcription:
     """The functions of one step and of a node, in flat ambient coordinates.
 
     Unknowns of a step: its centre ``x`` and the controls ``u_i``, points of the ambient spaces with the equations
-    ``c(x) = 0`` of the manifolds. For a Gauss method with several points also its velocities ``v_i``, ambient vectors with
-    ``Dc(x) v_i = 0``, and slacks ``s_i`` in ``D R_x(xi_i)[v_i] = X(q_i, u_i) + Dc(q_i)' s_i``: the equation holds in the
-    tangent space, whose codimension the slacks have. So do ends meet: ``begin - end = Dc(m)' s`` with ``m`` in the middle. For a
-    manifold whose equations are quadratic this and ``c(begin) = c(end)`` give ``s = 0`` unless ``m`` is zero: exactly opposite
-    ends meet too, by slacks without bound, and an optimum with large slacks is none.
+    ``c(x) = 0`` of the manifolds. For a Gauss method with several points also its velocities ``v_i``, ambient vectors
+    with ``Dc(x) v_i = 0``, and slacks ``s_i`` in ``D R_x(xi_i)[v_i] = X(q_i, u_i) + Dc(q_i)' s_i``: the equation holds
+    in the tangent space, whose codimension the slacks have. So do ends meet: ``begin - end = Dc(m)' s`` with ``m`` in
+    the middle. For a manifold whose equations are quadratic this and ``c(begin) = c(end)`` give ``s = 0`` unless ``m``
+    is zero: exactly opposite ends meet too, by slacks without bound, and an optimum with large slacks is none.
     """
 
     def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap | Gauss) -> None:
@@ -61,7 +61,8 @@ class Transcription:
         return np.concatenate([parts[part.name].reshape(len(parts["centre"]), -1) for part in self.parts], axis=1)
 
     def begin(self, guess: Guess, count: int) -> np.ndarray:
-        """The unknowns of steps with the states and controls of a guess at their stages; velocities are those of the dynamics."""
+        """The unknowns of steps with the states and controls of a guess at their stages; velocities are those of the
+        dynamics."""
         states = self.state.rows(guess.states, 1).reshape(count, self.stages, -1)
         controls = self.control.rows(guess.controls, 1).reshape(count, self.stages, -1)
         if self.stages == 1:

@@ -13,7 +13,8 @@ MANY = 12  # entries that a legend still names
 
 
 def one(ax: Any, projection: str | None = None) -> Any:
-    """The axes that were given, or those of a new figure. Raises ``InvalidInputError`` for flat ones where they are spatial."""
+    """The axes that were given, or those of a new figure. Raises ``InvalidInputError`` for flat ones where they are
+    spatial."""
     if ax is None:
         from matplotlib import pyplot
 
@@ -27,7 +28,8 @@ def one(ax: Any, projection: str | None = None) -> Any:
 
 
 def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float, float] = PANEL) -> np.ndarray:
-    """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by row."""
+    """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by
+    row."""
     if ax is None:
         from matplotlib import pyplot
 
@@ -42,7 +44,9 @@ def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float,
         return made.flat[:count]
     given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
     if len(given) != count:
-        raise InvalidInputError(f"ax must be {count} axes, one for each panel, got {len(given)}; try ax=None for a new figure")
+        raise InvalidInputError(
+            f"ax must be {count} axes, one for each panel, got {len(given)}; try ax=None for a new figure"
+        )
     return np.array([one(each) for each in given], dtype=object)
 
 

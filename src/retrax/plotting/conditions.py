@@ -17,10 +17,11 @@ from .axes import draw, one, several, time_axis
 def conserved(solution: Solution, ax: Any = None) -> Any:
     """Errors of what the continuous extremal keeps: its Hamiltonian, its momenta and the equations of its manifold.
 
-    The Hamiltonian is compared with its mean, relative to the largest of its parts; the components of a momentum that the
-    problem conserves with those at the start, relative to the largest; the equations are those of ``manifold.violations`` at
-    the nodes, as they are. Errors of zero are drawn at the rounding of 1. The Hamiltonian of a problem with an explicit time
-    is not constant. Returns the axes; raises ``InvalidInputError`` for anything but a ``Solution``.
+    The Hamiltonian is compared with its mean, relative to the largest of its parts; the components of a momentum that
+    the problem conserves with those at the start, relative to the largest; the equations are those of
+    ``manifold.violations`` at the nodes, as they are. Errors of zero are drawn at the rounding of 1. The Hamiltonian of
+    a problem with an explicit time is not constant. Returns the axes; raises ``InvalidInputError`` for anything but a
+    ``Solution``.
     """
     found, axis, checks = view(_checked(solution)), one(ax), solution.checks
     size = checks.hamiltonian_size or 1.0
@@ -44,21 +45,23 @@ def _violations(solution: Solution) -> dict[str, np.ndarray]:
         return {}
     manifold = solution.interpolant.retraction.manifold
     found = jax.jit(jax.vmap(manifold.violations))(solution.states)
-    return {name: np.max(np.abs(values).reshape(len(values), -1), axis=1) for name, values in jax.device_get(found).items()}
+    return {
+        name: np.max(np.abs(values).reshape(len(values), -1), axis=1) for name, values in jax.device_get(found).items()
+    }
 
 
 def multipliers(solution: Solution, ax: Any = None) -> Any:
     """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time.
 
-    The legend names those that hold the trajectory at some stage, each relative to the largest of its name: multipliers of
-    inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution of a
-    problem without inequalities.
+    The legend names those that hold the trajectory at some stage, each relative to the largest of its name: multipliers
+    of inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution
+    of a problem without inequalities.
     """
     rows_by_name = _checked(solution).stage_multipliers
     if not rows_by_name:
         raise InvalidInputError(
-            "the solution has no multipliers at its stages, its problem has no inequalities; try control_bounds= or constraints= "
-            "of the problem"
+            "the solution has no multipliers at its stages, its problem has no inequalities; try control_bounds= or "
+            "constraints= of the problem"
         )
     found, axis = view(solution), one(ax)
     active = getattr(solution.checks, "active", {})
@@ -76,7 +79,8 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
 
 @reads_once
 def switching_functions(problem: OptimalControlProblem, solution: Solution) -> list[np.ndarray]:
-    """``dH/du = d/du (<p, X> - p_0 F)`` at the stages, without the inequalities, array by array, shape ``(S, *shape)``."""
+    """``dH/du = d/du (<p, X> - p_0 F)`` at the stages, without the inequalities, array by array, shape ``(S,
+    *shape)``."""
     require_concrete("switching", problem)
 
     def at(q: Any, p: Any, u: Any, t: Any) -> Any:
@@ -89,9 +93,9 @@ def switching_functions(problem: OptimalControlProblem, solution: Solution) -> l
 def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None) -> Any:
     """The switching functions ``dH/du``, derivatives of ``<p, X> - F`` by the controls at the stages, against time.
 
-    Where a control is at its upper bound its switching function is positive, where it is at its lower one negative, between
-    the bounds and other constraints zero (Pontryagin et al. 1962). Returns the axes; raises ``InvalidInputError`` if the
-    problem is not that of the solution.
+    Where a control is at its upper bound its switching function is positive, where it is at its lower one negative,
+    between the bounds and other constraints zero (Pontryagin et al. 1962). Returns the axes; raises
+    ``InvalidInputError`` if the problem is not that of the solution.
     """
     found, axis = view(_checked(solution), problem), one(ax)
     for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
@@ -104,7 +108,8 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
 def optimality(solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None) -> np.ndarray:
     """The controls, under them their switching functions if ``problem`` is given, and the multipliers if there are any.
 
-    Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape ``(panels,)``.
+    Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape
+    ``(panels,)``.
     """
     found = view(_checked(solution), problem)
     rows = 1 + (problem is not None) + bool(solution.stage_multipliers)

@@ -18,8 +18,8 @@ TICKS = 8  # on the longest axis of a box
 def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
     """The three body axes, columns of the attitude, as curves on the sphere of directions of the inertial frame.
 
-    Each leads from an open to a full dot. Returns the axes, in three dimensions; raises ``InvalidInputError`` for a record
-    without an attitude.
+    Each leads from an open to a full dot. Returns the axes, in three dimensions; raises ``InvalidInputError`` for a
+    record without an attitude.
     """
     attitudes, axis = rotations(view(record, problem), array), one(ax, "3d")
     sphere(axis)
@@ -33,8 +33,8 @@ def body_axes(record: Any, array: int | None = None, problem: About = None, ax: 
 def path(record: Any, array: int | None = None, problem: About = None, frames: int = FRAMES, ax: Any = None) -> Any:
     """The path of a point on S^2, of a position in R^2 or R^3, or of a pose with ``frames`` of its body axes along it.
 
-    Of the array at a place, or of the first that has such a path. Returns the axes; raises ``InvalidInputError`` for a record
-    without one.
+    Of the array at a place, or of the first that has such a path. Returns the axes; raises ``InvalidInputError`` for a
+    record without one.
     """
     found = view(record, problem)
     place = _place([q.space for q in found.quantities.states], found.states, array)
@@ -51,7 +51,9 @@ def path(record: Any, array: int | None = None, problem: About = None, frames: i
     if quantity.space == SPHERE:
         bare(axis)
         return axis
-    for name, set_label in zip("xyz", (axis.set_xlabel, axis.set_ylabel, getattr(axis, "set_zlabel", None)), strict=True):
+    for name, set_label in zip(
+        "xyz", (axis.set_xlabel, axis.set_ylabel, getattr(axis, "set_zlabel", None)), strict=True
+    ):
         if set_label is not None:
             set_label(with_unit(name, quantity.unit))
     axis.set_aspect("equal", *([] if n == 3 else ["datalim"]))

@@ -12,9 +12,9 @@ from .axes import draw, one, several
 def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
     """States and controls of a solution or a trajectory against time, one panel for each.
 
-    Rotations are shown as rotation vectors, poses as rotation vectors and positions. ``problem`` has the names and units of a
-    trajectory, a manifold its spaces; a solution has its own. ``ax``: as many axes as there are panels. Returns the array of
-    axes. Raises ``InvalidInputError`` for another record or number of axes.
+    Rotations are shown as rotation vectors, poses as rotation vectors and positions. ``problem`` has the names and
+    units of a trajectory, a manifold its spaces; a solution has its own. ``ax``: as many axes as there are panels.
+    Returns the array of axes. Raises ``InvalidInputError`` for another record or number of axes.
     """
     found = view(record, problem)
     pairs = [(found.times, channel) for channel in state_channels(found)]
@@ -32,7 +32,9 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) ->
     """
     found = view(record, problem)
     if array not in range(len(found.states)):
-        raise InvalidInputError(f"array must be a place of one of the {len(found.states)} arrays of a state, got {array!r}")
+        raise InvalidInputError(
+            f"array must be a place of one of the {len(found.states)} arrays of a state, got {array!r}"
+        )
     single = found.quantities.states[array : array + 1]
     part = found._replace(states=found.states[array : array + 1], quantities=_only(found.quantities, single))
     axis = one(ax)
@@ -46,7 +48,9 @@ def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
     found = view(record, problem)
     channels = control_channels(found)
     if not channels:
-        raise InvalidInputError("the trajectory has no controls, it is one of Hamilton's equations; try plotting.histories")
+        raise InvalidInputError(
+            "the trajectory has no controls, it is one of Hamilton's equations; try plotting.histories"
+        )
     axis = one(ax)
     for channel in channels:
         draw(axis, found.stage_times, channel, found)
@@ -54,7 +58,8 @@ def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
 
 
 def attitude(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
-    """The attitude as a rotation vector in rad, without a jump at half a turn; of the array at a place, or of the first.
+    """The attitude as a rotation vector in rad, without a jump at half a turn; of the array at a place, or of the
+    first.
 
     Returns the axes; raises ``InvalidInputError`` for a record without an attitude.
     """

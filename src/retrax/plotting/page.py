@@ -43,14 +43,14 @@ Mesh = tuple[Any, Any]
 def to_html(record: Any, path: str | Path, mesh: Mesh | None = None, title: str = "", problem: About = None) -> None:
     """Write a page that shows a solution or a trajectory in motion, in one file that needs no network.
 
-    An attitude is shown as a body that turns, with its axes and their traces on the sphere of directions; a pose as a body that
-    moves; a point on S^2, or in R^2 or R^3, on its path; beside it are the histories under a cursor, and below the report. Time
-    is played, or dragged with the slider; a click on a history goes to its time. A solution is drawn between its nodes by its
-    polynomials.
+    An attitude is shown as a body that turns, with its axes and their traces on the sphere of directions; a pose as a
+    body that moves; a point on S^2, or in R^2 or R^3, on its path; beside it are the histories under a cursor, and
+    below the report. Time is played, or dragged with the slider; a click on a history goes to its time. A solution is
+    drawn between its nodes by its polynomials.
 
-    ``mesh``: a pair of vertices in the body frame, shape ``(V, 3)``, and triangles of their numbers, shape ``(F, 3)``, by
-    default a box; for poses in the unit of the position, else its size plays no part. ``problem`` has the names and units of a
-    trajectory, or is its manifold. The library that draws is Plotly's, 4.8 MB of the file.
+    ``mesh``: a pair of vertices in the body frame, shape ``(V, 3)``, and triangles of their numbers, shape ``(F, 3)``,
+    by default a box; for poses in the unit of the position, else its size plays no part. ``problem`` has the names and
+    units of a trajectory, or is its manifold. The library that draws is Plotly's, 4.8 MB of the file.
 
     Raises ``InvalidInputError`` for another record or mesh, ``MissingPackageError`` without plotly.
     """
@@ -90,8 +90,8 @@ def _checked(mesh: Any) -> _Body:
     whole = faces.ndim == 2 and faces.shape[1:] == (3,) and faces.dtype.kind in "iu"
     if not fit or not whole or not np.all((faces >= 0) & (faces < len(vertices))):
         raise InvalidInputError(
-            f"mesh must be finite vertices of shape (V, 3) and triangles of shape (F, 3) with their numbers from 0 to V - 1, got "
-            f"arrays of shapes {vertices.shape} and {faces.shape}"
+            "mesh must be finite vertices of shape (V, 3) and triangles of shape (F, 3) with their numbers from 0 to "
+            f"V - 1, got arrays of shapes {vertices.shape} and {faces.shape}"
         )
     return _Body(vertices, faces, given=True)
 
@@ -105,7 +105,8 @@ def _frames(record: Any, found: View) -> tuple[np.ndarray, list[np.ndarray]]:
 
 
 def _scene(found: View, states: list[np.ndarray], body: _Body) -> dict[str, Any]:
-    """What is drawn in space: of the first attitude or pose, else of the first point on S^2, or in R^2 or R^3; or nothing."""
+    """What is drawn in space: of the first attitude or pose, else of the first point on S^2, or in R^2 or R^3; or
+    nothing."""
     spaces = [quantity.space for quantity in found.quantities.states]
     for space, values in zip(spaces, states, strict=True):
         if space in BODY:
@@ -144,7 +145,8 @@ def _panel(times: np.ndarray, channel: Channel) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Nested lists of numbers, rounded to what can be seen; None for numbers that are not finite, which JSON has not."""
+    """Nested lists of numbers, rounded to what can be seen; None for numbers that are not finite, which JSON has
+    not."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, list | tuple):

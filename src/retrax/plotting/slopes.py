@@ -14,11 +14,12 @@ from .axes import one
 
 
 def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None) -> Any:
-    """The errors ``|R(x, t u) - x - t u|`` against ``t`` for unit tangent vectors ``u``, as the conformance kit measures them.
+    """The errors ``|R(x, t u) - x - t u|`` against ``t`` for unit tangent vectors ``u``, as the conformance kit
+    measures them.
 
-    One line for each sample, its slope in the legend; dotted a line of slope 2, which a retraction has or exceeds, and shaded
-    what the kit takes for rounding. Drawn as ``check_retraction`` of ManifoldsBase.jl does. Returns the axes; raises
-    ``InvalidInputError`` for anything but a retraction.
+    One line for each sample, its slope in the legend; dotted a line of slope 2, which a retraction has or exceeds, and
+    shaded what the kit takes for rounding. Drawn as ``check_retraction`` of ManifoldsBase.jl does. Returns the axes;
+    raises ``InvalidInputError`` for anything but a retraction.
     """
     facts = RetractionFacts(retraction, seeds=seeds)
     errors, floors = short_errors(facts)

@@ -16,8 +16,9 @@ if TYPE_CHECKING:
 def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:
     """Gap, stationarity and, with inequalities, violation and barrier of each iteration of a solve.
 
-    ``iterations``: what its ``callback`` was given, ``solve(..., callback=iterations.append)``; ``member`` of a batch. Zeros
-    are drawn at the rounding of 1. Returns the axes; raises ``InvalidInputError`` where there is no iteration of the member.
+    ``iterations``: what its ``callback`` was given, ``solve(..., callback=iterations.append)``; ``member`` of a batch.
+    Zeros are drawn at the rounding of 1. Returns the axes; raises ``InvalidInputError`` where there is no iteration of
+    the member.
     """
     kept = [(it.number, int(np.flatnonzero(it.members == member)[0]), it) for it in iterations if member in it.members]
     if not kept:
@@ -38,7 +39,8 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
 
 
 def sparsity(discrete: "DiscreteProblem", ax: Any = None) -> Any:
-    """Where the KKT matrix of a discrete problem has entries: the Hessian of its Lagrangian, and the Jacobian of its equations.
+    """Where the KKT matrix of a discrete problem has entries: the Hessian of its Lagrangian, and the Jacobian of its
+    equations.
 
     ``discrete``: from ``retrax.interop.to_casadi``. The unknowns come first, then the equations. Returns the axes.
     """

@@ -17,11 +17,15 @@ def _along(function: Callable[[Any, Any], Any], trajectory: Trajectory) -> np.nd
     """The values of a function of ``(q, p)`` at the nodes."""
     values = np.asarray(jax.jit(jax.vmap(function))(trajectory.q, trajectory.p))
     if values.ndim != 1:
-        raise InvalidInputError(f"the function of (q, p) must return a number, got shape {values.shape[1:]}; try one entry of it")
+        raise InvalidInputError(
+            f"the function of (q, p) must return a number, got shape {values.shape[1:]}; try one entry of it"
+        )
     return values
 
 
-def energy(trajectory: Trajectory, hamiltonian: Callable[[Any, Any], Any], label: str | None = None, ax: Any = None) -> Any:
+def energy(
+    trajectory: Trajectory, hamiltonian: Callable[[Any, Any], Any], label: str | None = None, ax: Any = None
+) -> Any:
     """The energy error ``H(q, p) - H(q_0, p_0)`` along a trajectory against time.
 
     ``hamiltonian(q, p)`` is the Hamiltonian that was integrated; of a singular problem, one with the control of
@@ -44,11 +48,12 @@ def phase_portrait(
     names: tuple[str, str] = ("", ""),
     ax: Any = None,
 ) -> Any:
-    """Trajectories in two coordinates of ``T*Q``, or of ``P_f`` for those of a ``singular_integrator``; a dot is a start.
+    """Trajectories in two coordinates of ``T*Q``, or of ``P_f`` for those of a ``singular_integrator``; a dot is a
+    start.
 
-    ``coordinates``: two JAX functions of ``(q, p)`` that return a number, ``names`` those of the axes. A start may have been
-    moved to ``P_f`` by ``classification.manifold.nearby``. Returns the axes; raises ``InvalidInputError`` for other
-    trajectories or functions.
+    ``coordinates``: two JAX functions of ``(q, p)`` that return a number, ``names`` those of the axes. A start may have
+    been moved to ``P_f`` by ``classification.manifold.nearby``. Returns the axes; raises ``InvalidInputError`` for
+    other trajectories or functions.
     """
     axis = one(ax)
     for trajectory in [trajectories] if isinstance(trajectories, Trajectory) else trajectories:

@@ -14,7 +14,9 @@ from ..retractions import Cayley, Gauss
 from .geodesics import IDENTITY, energy
 from .record import KnownProblem, known
 
-BETTS = "J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, 2nd ed., SIAM 2010"
+BETTS = (
+    "J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, 2nd ed., SIAM 2010"
+)
 INERTIA = np.array([5621.0, 4547.0, 2364.0])  # kg m^2, of X-SAT in Betts 6.8
 RIGID = SO(3) * Euclidean(3)
 REST = np.zeros(3)
@@ -61,7 +63,8 @@ def rest_to_rest_slew() -> KnownProblem:
 
 
 def three_turns(s: np.ndarray) -> tuple[Any, Any]:
-    """Turns about axes 1, 2 and 1 one after another, from rest to rest: those that the torques left give by themselves."""
+    """Turns about axes 1, 2 and 1 one after another, from rest to rest: those that the torques left give by
+    themselves."""
     angles, horizon = Rotation.from_matrix(TARGET).as_euler("XYX"), 120.0
     done = np.clip(3 * s[:, None] - np.arange(3), 0, 1)
     speeds = 6 * done * (1 - done) * 3 * angles / horizon
@@ -218,16 +221,21 @@ def detumbling() -> KnownProblem:
 
 
 def eigenaxis_turn(s: np.ndarray) -> tuple[Any, Any]:
-    """A turn about x, with torques that disturb it about the other axes: at rest there, it leads to slower extremals."""
+    """A turn about x, with torques that disturb it about the other axes: at rest there, it leads to slower
+    extremals."""
     angle, guessed = np.deg2rad(150), 30.0
-    turns, rates = np.outer(angle * s**2 * (3 - 2 * s), [1, 0, 0]), np.outer(angle * 6 * s * (1 - s) / guessed, [1, 0, 0])
+    turns, rates = (
+        np.outer(angle * s**2 * (3 - 2 * s), [1, 0, 0]),
+        np.outer(angle * 6 * s * (1 - s) / guessed, [1, 0, 0]),
+    )
     torques = 30 * np.stack([np.cos(np.pi * s), np.cos(2 * np.pi * s), np.cos(2 * np.pi * s)], axis=1)
     return (Rotation.from_rotvec(turns).as_matrix(), rates), torques
 
 
 @known
 def betts() -> KnownProblem:
-    """Minimum-time reorientation of an asymmetric body; the turn about the axis itself, 34.3112 s, is an extremal too."""
+    """Minimum-time reorientation of an asymmetric body; the turn about the axis itself, 34.3112 s, is an extremal
+    too."""
     return KnownProblem(
         name="betts",
         title="150 degrees about x in least time, torques of at most 50 N m",
@@ -257,7 +265,9 @@ def bilimoria_wie() -> KnownProblem:
     return KnownProblem(
         name="bilimoria-wie",
         title="half a turn of a sphere in least time, three independent torques",
-        problem=OptimalControlProblem(RIGID, lambda q, u: (q[0] @ hat(q[1]), u), lambda q, u: 1.0, 3, control_bounds=(-1.0, 1.0)),
+        problem=OptimalControlProblem(
+            RIGID, lambda q, u: (q[0] @ hat(q[1]), u), lambda q, u: 1.0, 3, control_bounds=(-1.0, 1.0)
+        ),
         start=(IDENTITY, REST),
         end=(np.diag([-1.0, -1.0, 1.0]), REST),
         horizon=Free(4.0, lower=0.1),

@@ -145,7 +145,9 @@ def bryson_denham() -> KnownProblem:
     return KnownProblem(
         name="bryson-denham",
         title="the double integrator below a ceiling",
-        problem=OptimalControlProblem(PLANE, double_integrator, energy, 1, constraints={"ceiling": lambda q, u: q[0] - limit}),
+        problem=OptimalControlProblem(
+            PLANE, double_integrator, energy, 1, constraints={"ceiling": lambda q, u: q[0] - limit}
+        ),
         start=np.array([0.0, 1.0]),
         end=np.array([0.0, -1.0]),
         horizon=1.0,
@@ -203,14 +205,17 @@ def fuller() -> KnownProblem:
     return KnownProblem(
         name="fuller",
         title="infinitely many switches in finite time",
-        problem=OptimalControlProblem(PLANE, double_integrator, lambda q, u: q[0] ** 2 / 2, 1, control_bounds=(-1.0, 1.0)),
+        problem=OptimalControlProblem(
+            PLANE, double_integrator, lambda q, u: q[0] ** 2 / 2, 1, control_bounds=(-1.0, 1.0)
+        ),
         start=np.array([0.0, 1.0]),
         end=np.zeros(2),
         horizon=5.0,
         steps=60,
         states=MOTION,
         controls={"u": "acceleration"},
-        source="A. T. Fuller, Study of an optimum non-linear control system, J. Electronics and Control 15, 1963, 63-71",
+        source="A. T. Fuller, Study of an optimum non-linear control system, J. Electronics and Control 15, 1963, "
+        "63-71",
         optimum=0.134196915284,
         digits=12,
         origin="closed form: a finite arc and a self-similar chattering one, x = -0.44462 v |v| where it switches",
@@ -230,7 +235,12 @@ def catalyst_mixing() -> KnownProblem:
         name="catalyst-mixing",
         title="the best mixture of two catalysts along a reactor",
         problem=OptimalControlProblem(
-            PLANE, dynamics, lambda q, u: 0.0 * q[0], 1, terminal_cost=lambda q: q[0] + q[1] - 1, control_bounds=(0.0, 1.0)
+            PLANE,
+            dynamics,
+            lambda q, u: 0.0 * q[0],
+            1,
+            terminal_cost=lambda q: q[0] + q[1] - 1,
+            control_bounds=(0.0, 1.0),
         ),
         start=np.array([1.0, 0.0]),
         end=None,
@@ -269,7 +279,8 @@ def brachistochrone() -> KnownProblem:
         controls={"a": "angle of the path from the vertical, rad"},
         time="s",
         cost="s",
-        source="Johann Bernoulli, Acta Eruditorum, 1696; data of R. Falck and others, dymos, J. Open Source Softw. 6, 2021, 2809",
+        source="Johann Bernoulli, Acta Eruditorum, 1696; data of R. Falck and others, dymos, J. Open Source "
+        "Softw. 6, 2021, 2809",
         optimum=float(turn * np.sqrt(down / (1 - np.cos(turn)) / gravity)),
         digits=12,
         origin="closed form: a cycloid",

@@ -32,13 +32,21 @@ def goddard() -> KnownProblem:
         name="goddard",
         title="Goddard's rocket to the largest height",
         problem=OptimalControlProblem(
-            PLANE * LINE, dynamics, lambda q, u: 0.0 * u[0], 1, terminal_cost=lambda q: -q[0][0], control_bounds=(0.0, 3.5)
+            PLANE * LINE,
+            dynamics,
+            lambda q, u: 0.0 * u[0],
+            1,
+            terminal_cost=lambda q: -q[0][0],
+            control_bounds=(0.0, 3.5),
         ),
         start=(np.array([1.0, 0.0]), np.ones(1)),
         end=(None, np.array([0.6])),
         horizon=Free(0.2, lower=0.05, upper=0.5),
         steps=60,
-        path=lambda s: ((np.stack([1 + 0.01 * s, 0.1 * s * (1 - s)], axis=1), 1 - 0.4 * s[:, None]), np.full((len(s), 1), 1.0)),
+        path=lambda s: (
+            (np.stack([1 + 0.01 * s, 0.1 * s * (1 - s)], axis=1), 1 - 0.4 * s[:, None]),
+            np.full((len(s), 1), 1.0),
+        ),
         states={
             "h": "distance from the centre of the Earth over its radius",
             "v": "velocity",
@@ -118,7 +126,8 @@ def linear_tangent_steering() -> KnownProblem:
 
 @known
 def orbit_raising() -> KnownProblem:
-    """The largest circular orbit within a given time under a small thrust. ``w = v sqrt(r)`` is 1 on a circular orbit."""
+    """The largest circular orbit within a given time under a small thrust. ``w = v sqrt(r)`` is 1 on a circular
+    orbit."""
 
     def dynamics(q: Any, u: Array) -> Any:
         r, (v, w) = q[0][0], q[1]

@@ -316,7 +316,8 @@ def unicycle() -> KnownProblem:
         path=path,
         states={"g": "pose, body to plane, unit of length"},
         controls={"u1": "speed", "u2": "turning rate, rad"},
-        source="I. Moiseev, Yu. L. Sachkov, Maxwell strata in sub-Riemannian problem on the group of motions of a plane, "
+        source="I. Moiseev, Yu. L. Sachkov, Maxwell strata in sub-Riemannian problem on the group of motions of a "
+        "plane, "
         "ESAIM: COCV 16, 2010, 380-399",
         optimum=5.579079358,
         digits=9,

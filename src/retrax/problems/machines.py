@@ -16,7 +16,11 @@ from .record import KnownProblem, known
 
 RIGID = SE(3) * Euclidean(6)
 UP = np.array([0.0, 0.0, 1.0])
-MOTION = {"g": "pose, body to inertial frame, m", "w": "angular velocity, rad/s, body frame", "v": "velocity, m/s, body frame"}
+MOTION = {
+    "g": "pose, body to inertial frame, m",
+    "w": "angular velocity, rad/s, body frame",
+    "v": "velocity, m/s, body frame",
+}
 
 
 def rigid_motion(mass: float, inertia: np.ndarray, q: Any, force: Any, torque: Any) -> Any:
@@ -161,7 +165,10 @@ def docking() -> KnownProblem:
     "alone."""
     mass, horizon, shift = 500.0, 60.0, np.array([8.0, 6.0, 0.0])
     problem = OptimalControlProblem(
-        RIGID, lambda q, u: rigid_motion(mass, SATELLITE, q, u[:3], u[3:]), lambda q, u: (u[:3] @ u[:3] + u[3:] @ u[3:]) / 2, 6
+        RIGID,
+        lambda q, u: rigid_motion(mass, SATELLITE, q, u[:3], u[3:]),
+        lambda q, u: (u[:3] @ u[:3] + u[3:] @ u[3:]) / 2,
+        6,
     )
     return KnownProblem(
         name="docking",
@@ -240,7 +247,8 @@ def robot_arm() -> KnownProblem:
         steps=60,
         states={"r": "length", "a": "turn, rad", "b": "lift, rad", "r', a', b'": "their rates"},
         controls={"u": "forces and torques, scaled"},
-        source="E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, ANL/MCS-TM-273, 2004, 8",
+        source="E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, "
+        "ANL/MCS-TM-273, 2004, 8",
         optimum=9.1409,
         digits=5,
         origin="limit of the discrete optima here as the steps shrink; published as 9.14138, on a coarse mesh",

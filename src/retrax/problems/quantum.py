@@ -62,7 +62,8 @@ def two_spins() -> KnownProblem:
         states={"m1": "magnetisation on resonance", "m2": "magnetisation off resonance"},
         controls={"u": "field in the rotating frame over the offset"},
         time="1 / offset",
-        source="J.-S. Li, N. Khaneja, Ensemble control of Bloch equations, IEEE Trans. Autom. Control 54, 2009, 528-536",
+        source="J.-S. Li, N. Khaneja, Ensemble control of Bloch equations, IEEE Trans. Autom. Control 54, 2009, "
+        "528-536",
         optimum=1.833712717,
         digits=9,
         origin="collocation of order 8 with IPOPT, from several guesses",

@@ -20,15 +20,16 @@ Path = Callable[[np.ndarray], tuple[Any, Any]]
 class KnownProblem:
     """An optimal control problem with its data, where it comes from, and what is known of its optimum.
 
-    ``start``, ``end``, ``horizon`` and ``steps`` are those of ``solve``; ``method`` is ``Gauss(3, default_retraction(manifold))``
-    where it is None. ``path`` makes the default guess: states and controls, with the points along the leading axis, at an array
-    of fractions of the horizon; None where that of ``solve`` does. ``states`` and ``controls`` say by symbol what the entries
-    are, with units and frames; ``time`` and ``cost`` are units.
+    ``start``, ``end``, ``horizon`` and ``steps`` are those of ``solve``; ``method`` is ``Gauss(3,
+    default_retraction(manifold))`` where it is None. ``path`` makes the default guess: states and controls, with the
+    points along the leading axis, at an array of fractions of the horizon; None where that of ``solve`` does.
+    ``states`` and ``controls`` say by symbol what the entries are, with units and frames; ``time`` and ``cost`` are
+    units.
 
-    ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and ``origin`` says
-    how. ``formula``: the optimum in closed form. ``accuracy``: what is asked of ``solve``, where its steps do not fit the problem
-    from the beginning. ``error``: how near to the optimum the method comes with these steps, relative
-    to it, or absolutely where it is zero.
+    ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and
+    ``origin`` says how. ``formula``: the optimum in closed form. ``accuracy``: what is asked of ``solve``, where its
+    steps do not fit the problem from the beginning. ``error``: how near to the optimum the method comes with these
+    steps, relative to it, or absolutely where it is zero.
     """
 
     name: str
@@ -65,13 +66,15 @@ class KnownProblem:
         return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
     def solve(self, steps: Any = None, discretization: Method | None = None, **options: Any) -> Solution:
-        """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the record's."""
+        """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the
+        record's."""
         posed = replace(self, steps=self.steps if steps is None else steps, method=discretization or self.method)
         given = {"guess": posed.guess, "accuracy": self.accuracy, **options}
         return solve(self.problem, posed.discretization, self.start, self.end, self.horizon, posed.steps, **given)
 
     def distance(self, cost: float) -> float:
-        """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better one."""
+        """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better
+        one."""
         return (cost - self.optimum) / (abs(self.optimum) or 1.0)
 
     def __repr__(self) -> str:

@@ -21,8 +21,8 @@ ALY_CHAN = (
     "problems, International Journal of Control 17(4), 1973, 809-815"
 )
 DELGADO_IBORT = (
-    "in the manner of the examples of arbitrary index in M. Delgado-Tellez, A. Ibort, A numerical algorithm for singular "
-    "optimal LQ control systems, Numerical Algorithms 51, 2009, 477-500, arXiv:1203.2194"
+    "in the manner of the examples of arbitrary index in M. Delgado-Tellez, A. Ibort, A numerical algorithm for "
+    "singular optimal LQ control systems, Numerical Algorithms 51, 2009, 477-500, arXiv:1203.2194"
 )
 KRAUS = "after M. Kraus, Projected variational integrators for degenerate Lagrangian systems, 2017, arXiv:1708.07356"
 BROWN = (
@@ -37,8 +37,8 @@ class KnownClassification:
     """A problem, where it comes from, and what is known of its final manifold ``P_f``.
 
     ``levels``: where ``S`` and where ``P`` stop changing; ``dimension`` of ``P_f`` and ``rank`` of its form; ``gauge``
-    controls. Where ``P_f`` is empty these are zero and ``empty_at`` is the level that shows it. ``regular_equations`` is
-    False where the equations' differentials vanish on their zero set.
+    controls. Where ``P_f`` is empty these are zero and ``empty_at`` is the level that shows it. ``regular_equations``
+    is False where the equations' differentials vanish on their zero set.
     """
 
     problem: OptimalControlProblem
@@ -64,7 +64,9 @@ def academic() -> KnownClassification:
 
 def integrator_chain(n: int) -> KnownClassification:
     """``x1' = x2, ..., xn' = u``, cost ``x1^2/2``: ``P_f = {0}`` after ``2n`` levels."""
-    problem = OptimalControlProblem(Euclidean(n), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u: q[0] ** 2 / 2, 1)
+    problem = OptimalControlProblem(
+        Euclidean(n), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u: q[0] ** 2 / 2, 1
+    )
     return KnownClassification(problem, DELGADO_IBORT, (2 * n, 2 * n - 1))
 
 
@@ -77,7 +79,8 @@ def aly_chan() -> KnownClassification:
 
 
 def aly_chan_mayer() -> KnownClassification:
-    """The same with ``x3' = (x2^2 - x1^2)/2`` and the terminal cost ``x3``: Pontryagin's principle excludes ``p = 0``."""
+    """The same with ``x3' = (x2^2 - x1^2)/2`` and the terminal cost ``x3``: Pontryagin's principle excludes ``p =
+    0``."""
 
     def dynamics(q: Array, u: Array) -> Array:
         return jnp.stack([q[1], u[0], (q[1] ** 2 - q[0] ** 2) / 2])
@@ -114,7 +117,9 @@ def massless_particle() -> KnownClassification:
     def potential(q: Array) -> Array:
         return (1 + q @ q) / 2 * jnp.stack([-q[1], q[0]])
 
-    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: potential(q) @ u - q[0] ** 2 / 2 - q[1] ** 2, 2)
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: u, lambda q, u: potential(q) @ u - q[0] ** 2 / 2 - q[1] ** 2, 2
+    )
     return KnownClassification(problem, KRAUS, (1, 0), dimension=2, rank=2)
 
 
@@ -194,7 +199,8 @@ def irregular() -> KnownClassification:
     return KnownClassification(problem, OWN, (0, 0), dimension=1, rank=0, gauge=1, regular_equations=False)
 
 
-SINGULAR: dict[str, Callable[[], KnownClassification]] = {  # functions that make singular problems with known answers, by name
+# Functions that make singular problems with known answers, by name.
+SINGULAR: dict[str, Callable[[], KnownClassification]] = {
     "academic": academic,
     "chain of 2": lambda: integrator_chain(2),
     "chain of 3": lambda: integrator_chain(3),

@@ -70,7 +70,8 @@ def rod() -> KnownProblem:
         method=cayley(group),
         states={"g": "pose of the cross-section, body to space"},
         controls={"k1": "curvature about body axis 1", "k2": "about body axis 2", "t": "torsion"},
-        source="J. Biggs, W. Holderbaum, V. Jurdjevic, Singularities of optimal control problems on some 6-D Lie groups, "
+        source="J. Biggs, W. Holderbaum, V. Jurdjevic, Singularities of optimal control problems on some 6-D Lie "
+        "groups, "
         "IEEE Trans. Autom. Control 52, 2007, 1027-1038",
         optimum=1.943693359,
         digits=9,
@@ -190,7 +191,8 @@ def zermelo_sphere() -> KnownProblem:
         controls={"u": "velocity in the air; its normal part does nothing and costs"},
         source="E. Zermelo, Uber das Navigationsproblem bei ruhender oder veranderlicher Windverteilung, ZAMM 11, "
         "1931, 114-124; "
-        "D. Bao, C. Robles, Z. Shen, Zermelo navigation on Riemannian manifolds, J. Differential Geom. 66, 2004, 377-435",
+        "D. Bao, C. Robles, Z. Shen, Zermelo navigation on Riemannian manifolds, J. Differential Geom. 66, 2004, "
+        "377-435",
         optimum=float(root_scalar(late, bracket=(0.0, 3.0), xtol=1e-15).root),
         digits=12,
         origin="closed form: a great circle in the air",

@@ -23,10 +23,10 @@ class Work(NamedTuple):
 class Sweep:
     """The finished members of a sweep, read from its folder when they are asked for.
 
-    All arrays have the M finished members along the leading axis, in the order of their numbers: ``members``, shape ``(M,)``,
-    are these numbers; ``cost`` and ``success`` are arrays of shape ``(M,)``, ``result`` a list, as of ``Solutions``; ``kept``
-    has what ``keep`` of the study returned, by name, shape ``(M, ...)``. A member that the solver refused has NaN as its cost and
-    as what is kept, no success, and the reason as its result.
+    All arrays have the M finished members along the leading axis, in the order of their numbers: ``members``, shape
+    ``(M,)``, are these numbers; ``cost`` and ``success`` are arrays of shape ``(M,)``, ``result`` a list, as of
+    ``Solutions``; ``kept`` has what ``keep`` of the study returned, by name, shape ``(M, ...)``. A member that the
+    solver refused has NaN as its cost and as what is kept, no success, and the reason as its result.
     """
 
     def __init__(self, store: Store, parts: Sequence[int] | None = None) -> None:
@@ -85,7 +85,8 @@ class Sweep:
 
     @cached_property
     def kept(self) -> dict[str, np.ndarray]:
-        """What the study keeps, by name, shape ``(M, ...)``; raises ``InvalidInputError`` where chunks keep different things."""
+        """What the study keeps, by name, shape ``(M, ...)``; raises ``InvalidInputError`` where chunks keep different
+        things."""
         known: dict[str, Any] | None = None
         for found in self._read:
             if not found["has"].any():
@@ -94,11 +95,12 @@ class Sweep:
             known = own if known is None else known
             if own != known:
                 raise InvalidInputError(
-                    f"chunks of {self.folder} keep different arrays: {own} beside {known}, expected the same; sweep into a new "
-                    "folder"
+                    f"chunks of {self.folder} keep different arrays: {own} beside {known}, expected the same; sweep "
+                    "into a new folder"
                 )
         return {
-            name: np.concatenate([_rows(found, name, shape) for found in self._read]) for name, shape in (known or {}).items()
+            name: np.concatenate([_rows(found, name, shape) for found in self._read])
+            for name, shape in (known or {}).items()
         }
 
     @property

@@ -1,7 +1,8 @@
 """The folder of a sweep: a file for each chunk of members, which is there whole or not at all.
 
-Chunk files and no zarr: a rename makes a chunk appear whole, with all of its arrays at once, for any number of writers without
-locks or a package; in zarr each array of a chunk is a file of its own, and nothing says when the last of them is there.
+Chunk files and no zarr: a rename makes a chunk appear whole, with all of its arrays at once, for any number of writers
+without locks or a package; in zarr each array of a chunk is a file of its own, and nothing says when the last of them
+is there.
 """
 
 import json
@@ -77,15 +78,21 @@ class Store:
             found["result"] = found["words"][found["word"]]
             lengths = {len(found[name]) for name in ("cost", "success", "word", "has")}
             fits = str(found["schema"]) == SCHEMA and found["part"] == part and lengths == {count}
-            fault = "" if fits else f"it has {found['schema']!s:.60}, chunk {found['part']!s:.20}, {sorted(lengths)} members"
+            fault = (
+                ""
+                if fits
+                else f"it has {found['schema']!s:.60}, chunk {found['part']!s:.20}, {sorted(lengths)} members"
+            )
         except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile) as error:
             fault, found = str(error), {}
         if fault:
             raise InvalidInputError(
-                f"{path} is not chunk {part} of the sweep: {fault}; expected a file of {SCHEMA!r} with {count} members; delete "
-                "it, and call sweep again, which solves what is not there"
+                f"{path} is not chunk {part} of the sweep: {fault}; expected a file of {SCHEMA!r} with {count} "
+                "members; delete it, and call sweep again, which solves what is not there"
             )
-        found["kept"] = {name.removeprefix("kept/"): found.pop(name) for name in list(found) if name.startswith("kept/")}
+        found["kept"] = {
+            name.removeprefix("kept/"): found.pop(name) for name in list(found) if name.startswith("kept/")
+        }
         return found
 
 
@@ -111,14 +118,18 @@ def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store
     head, wanted = folder / HEAD, {"schema": SCHEMA, "count": count, "chunk": chunk, **marks}
     if not head.exists():
         if any(not path.match(".*.part") for path in folder.iterdir()):
-            raise InvalidInputError(f"{folder} has other files than those of a sweep; give a new folder, or an empty one")
+            raise InvalidInputError(
+                f"{folder} has other files than those of a sweep; give a new folder, or an empty one"
+            )
         with _finished(head) as file:
             file.write(json.dumps(wanted, indent=1).encode())
     there = _read_head(head)
     others = [name for name, value in wanted.items() if there.get(name) != value]
     if others:
         shown = ", ".join(f"{name} {there.get(name)!s:.12} for {wanted[name]!s:.12}" for name in others)
-        raise InvalidInputError(f"{folder} has another sweep: {shown}; expected the same one, which goes on; give another folder")
+        raise InvalidInputError(
+            f"{folder} has another sweep: {shown}; expected the same one, which goes on; give another folder"
+        )
     return Store(folder, count, chunk)
 
 
@@ -136,5 +147,7 @@ def _read_head(path: Path) -> dict[str, Any]:
     except (OSError, ValueError, KeyError, TypeError) as error:
         fault, there = str(error), {}
     if fault:
-        raise InvalidInputError(f"{path.parent} is not a sweep: {fault}; expected a file {HEAD} of {SCHEMA!r}, from sweep")
+        raise InvalidInputError(
+            f"{path.parent} is not a sweep: {fault}; expected a file {HEAD} of {SCHEMA!r}, from sweep"
+        )
     return there

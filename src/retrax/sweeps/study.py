@@ -13,7 +13,8 @@ from ..integrators.free import is_free
 from ..integrators.results import sentence
 from ..manifolds import InvalidInputError, RetraxError
 
-BATCH = 100  # members that are solved at once: more need more memory than is near to the processor, and take longer each
+# Members that are solved at once: more need more memory than is near to the processor, and take longer each.
+BATCH = 100
 ASKED = "starts", "ends", "horizons", "guesses", "parameters", "tolerance", "max_iterations"
 
 
@@ -22,11 +23,11 @@ ASKED = "starts", "ends", "horizons", "guesses", "parameters", "tolerance", "max
 class Study:
     """What a sweep solves: a solver, its cases, and what is kept of each solution. Each worker makes its own.
 
-    ``cases``: a function of the numbers of B members, an array of shape ``(B,)``, that returns arguments of ``solver.solve_many``
-    for them in a dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``, ``tolerance``,
-    ``max_iterations``. A member's case may depend on its number alone, not on the others: draw it with
-    ``np.random.default_rng([seed, number])``. ``keep``: a function of the ``Solutions`` of B members that returns arrays of real
-    numbers, of shape ``(B, ...)``, by their names; they are stored beside cost, success and result.
+    ``cases``: a function of the numbers of B members, an array of shape ``(B,)``, that returns arguments of
+    ``solver.solve_many`` for them in a dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``,
+    ``tolerance``, ``max_iterations``. A member's case may depend on its number alone, not on the others: draw it with
+    ``np.random.default_rng([seed, number])``. ``keep``: a function of the ``Solutions`` of B members that returns
+    arrays of real numbers, of shape ``(B, ...)``, by their names; they are stored beside cost, success and result.
 
     Raises ``InvalidInputError`` for anything else.
     """
@@ -36,7 +37,9 @@ class Study:
     keep: Callable[[Solutions], dict[str, Any]] | None = None
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.solver, Solver) and callable(self.cases) and (self.keep is None or callable(self.keep))):
+        if not (
+            isinstance(self.solver, Solver) and callable(self.cases) and (self.keep is None or callable(self.keep))
+        ):
             raise InvalidInputError(
                 "Study takes a Solver, a function of the numbers of members, and a function of Solutions or None, got "
                 f"{self.solver!r:.60}, {self.cases!r:.60} and {self.keep!r:.60}; try Study(Solver(...), cases)"
@@ -47,7 +50,9 @@ def made(build: Callable[[], Any]) -> Study:
     """The study that a function returns; raises if it returns something else."""
     study = build()
     if not isinstance(study, Study):
-        raise InvalidInputError(f"build returned {study!r:.80}, expected a Study(solver, cases); try: return Study(...)")
+        raise InvalidInputError(
+            f"build returned {study!r:.80}, expected a Study(solver, cases); try: return Study(...)"
+        )
     return study
 
 
@@ -57,16 +62,18 @@ def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
     if not isinstance(given, dict) or not {"starts", "ends", "horizons"} <= set(given) <= set(ASKED):
         came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
         raise InvalidInputError(
-            f"cases returned {came}, expected a dictionary with starts, ends and horizons, and what else solve_many takes: "
-            f"{', '.join(ASKED[3:])}"
+            f"cases returned {came}, expected a dictionary with starts, ends and horizons, and what else solve_many "
+            f"takes: {', '.join(ASKED[3:])}"
         )
     return given
 
 
 def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
-    """Cost, success, result and what is kept of some members; those that the solver refuses have its reason as their result.
+    """Cost, success, result and what is kept of some members; those that the solver refuses have its reason as their
+    result.
 
-    ``kept`` arrays have rows for the others, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration was stopped.
+    ``kept`` arrays have rows for the others, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration was
+    stopped.
     """
     return _joined([_tried(study, members[first : first + BATCH]) for first in range(0, len(members), BATCH)])
 
@@ -80,7 +87,13 @@ def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:
             half = len(members) // 2
             return _joined([_tried(study, members[:half]), _tried(study, members[half:])])
         no = np.zeros(1, bool)
-        return {"cost": np.full(1, np.nan), "success": no, "has": no, "result": [f"{type(error).__name__}: {error}"], "kept": {}}
+        return {
+            "cost": np.full(1, np.nan),
+            "success": no,
+            "has": no,
+            "result": [f"{type(error).__name__}: {error}"],
+            "kept": {},
+        }
 
 
 def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
@@ -91,7 +104,13 @@ def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
     if any(words.startswith(sentence("stopped")) for words in result):
         raise KeyboardInterrupt
     kept = _checked(study.keep(solutions), count) if study.keep else {}
-    return {"cost": solutions.cost, "success": solutions.success, "has": np.ones(count, bool), "result": result, "kept": kept}
+    return {
+        "cost": solutions.cost,
+        "success": solutions.success,
+        "has": np.ones(count, bool),
+        "result": result,
+        "kept": kept,
+    }
 
 
 def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
@@ -101,7 +120,9 @@ def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
         isinstance(name, str) and a.shape[:1] == (count,) and a.dtype.kind in "biuf" for name, a in arrays.items()
     ):
         came = {name: f"{a.dtype}{a.shape}" for name, a in arrays.items()} or f"{kept!r:.60}"
-        raise TypeError(f"keep returned {came}, expected a dictionary of arrays of real numbers with {count} rows, by names")
+        raise TypeError(
+            f"keep returned {came}, expected a dictionary of arrays of real numbers with {count} rows, by names"
+        )
     return {name: a.astype(float) for name, a in arrays.items()}
 
 
@@ -114,14 +135,22 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def marks(study: Study, count: int) -> dict[str, str]:
-    """Digests by which a sweep that goes on is known to be the same: of the problem with its method, and of its cases."""
+    """Digests by which a sweep that goes on is known to be the same: of the problem with its method, and of its
+    cases."""
     cases = [asked(study, np.array([k])) for k in (0, count - 1)]
     solver = study.solver
-    bound = solver.problem.with_parameters(jax.tree.map(_first, cases[0].get("parameters"), is_leaf=is_free)).at_time(0.0)
+    bound = solver.problem.with_parameters(jax.tree.map(_first, cases[0].get("parameters"), is_leaf=is_free)).at_time(
+        0.0
+    )
     method = f"{solver.problem.manifold!r} {solver.method!r} {solver.fractions.tolist()}"
     given = [{name: value for name, value in case.items() if name != "guesses"} for case in cases]
-    numbers = jax.tree.map(lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given, is_leaf=is_free)
-    return {"problem": _digest((bound.digest() or b"unknown") + method.encode()), "cases": _digest(repr(numbers).encode())}
+    numbers = jax.tree.map(
+        lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given, is_leaf=is_free
+    )
+    return {
+        "problem": _digest((bound.digest() or b"unknown") + method.encode()),
+        "cases": _digest(repr(numbers).encode()),
+    }
 
 
 def _first(leaf: Any) -> Any:

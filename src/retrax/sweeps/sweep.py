@@ -35,22 +35,22 @@ def sweep(
 ) -> Sweep:
     """Solve ``count`` cases of a problem in chunks, on any executor, into a folder; go on where an earlier call ended.
 
-    ``build``: a function without arguments that returns a ``Study``. It is called here, to look at the problem, and once in each
-    worker (in each thread, if workers are threads); only its name travels to them, so it stands at the top level of a module.
-    ``executor``: any ``concurrent.futures.Executor``, such as a ``ProcessPoolExecutor`` that spawns, ``client.get_executor()`` of
-    ``dask.distributed``, or ``mpi4py.futures.MPIPoolExecutor``; None solves here, on all processors. Workers of an executor use
-    one processor each for problems on the tape; functions that XLA compiled use threads of its own. ``folder``: where the
-    results are written, by the workers themselves: all must see it. ``chunk``: members that are written together;
-    ``solver.solve_many`` solves at most 100 at once. ``verbose`` shows the progress: a bar in a terminal where tqdm is
-    installed, else lines of the logger ``retrax``.
+    ``build``: a function without arguments that returns a ``Study``. It is called here, to look at the problem, and
+    once in each worker (in each thread, if workers are threads); only its name travels to them, so it stands at the top
+    level of a module. ``executor``: any ``concurrent.futures.Executor``, such as a ``ProcessPoolExecutor`` that spawns,
+    ``client.get_executor()`` of ``dask.distributed``, or ``mpi4py.futures.MPIPoolExecutor``; None solves here, on all
+    processors. Workers of an executor use one processor each for problems on the tape; functions that XLA compiled use
+    threads of its own. ``folder``: where the results are written, by the workers themselves: all must see it.
+    ``chunk``: members that are written together; ``solver.solve_many`` solves at most 100 at once. ``verbose`` shows
+    the progress: a bar in a terminal where tqdm is installed, else lines of the logger ``retrax``.
 
-    A chunk is in the folder whole or not at all, and one that is there is not solved again: after a crash, or Ctrl-C, call
-    ``sweep`` with the same arguments. A member that is not solved, or is refused by the solver, has its reason as its
-    ``result``, and the others do not suffer. Any other error in a function of the study ends the sweep, and is raised, as is the
-    end of an executor: what is finished is kept.
+    A chunk is in the folder whole or not at all, and one that is there is not solved again: after a crash, or Ctrl-C,
+    call ``sweep`` with the same arguments. A member that is not solved, or is refused by the solver, has its reason as
+    its ``result``, and the others do not suffer. Any other error in a function of the study ends the sweep, and is
+    raised, as is the end of an executor: what is finished is kept.
 
-    Raises ``InvalidInputError`` for other arguments, a folder of another sweep, and workers in another precision; Ctrl-C is the
-    usual ``KeyboardInterrupt``, whose one argument is the ``Sweep`` until then.
+    Raises ``InvalidInputError`` for other arguments, a folder of another sweep, and workers in another precision;
+    Ctrl-C is the usual ``KeyboardInterrupt``, whose one argument is the ``Sweep`` until then.
     """
     _check(build, count, executor, chunk)
     study, where = made(build), Path(folder).absolute()
@@ -62,7 +62,10 @@ def sweep(
     done = sum(len(store.members(part)) for part in there)
     log.info("%d of %d members are in %s", done, count, where)
     missing = sorted(set(range(store.parts)) - set(there))
-    with progress("sweep", count, "members", verbose, done) as advance, closing(_finished(job, missing, executor)) as finished:
+    with (
+        progress("sweep", count, "members", verbose, done) as advance,
+        closing(_finished(job, missing, executor)) as finished,
+    ):
         try:
             failed = 0
             for some in finished:
@@ -73,21 +76,25 @@ def sweep(
             raise
         except Exception as error:
             kept = len(Sweep(store))
-            error.add_note(f"{kept} of {count} members are in {where}; call sweep again with the same arguments to go on")
+            error.add_note(
+                f"{kept} of {count} members are in {where}; call sweep again with the same arguments to go on"
+            )
             raise
     return _whole(Sweep(store))
 
 
 def _check(build: Any, count: Any, executor: Any, chunk: Any) -> None:
     if not callable(build):
-        raise InvalidInputError(f"build must be a function that returns a Study, got {build!r:.80}; try a function of a module")
+        raise InvalidInputError(
+            f"build must be a function that returns a Study, got {build!r:.80}; try a function of a module"
+        )
     for name, value in (("count", count), ("chunk", chunk)):
         if not is_count(value):
             raise InvalidInputError(f"{name} must be a whole number of at least 1, got {value!r:.80}")
     if not (executor is None or callable(getattr(executor, "submit", None))):
         raise InvalidInputError(
-            f"executor must be a concurrent.futures.Executor or None, got {executor!r:.80}; try ProcessPoolExecutor(), and "
-            "client.get_executor() for a client of Dask"
+            f"executor must be a concurrent.futures.Executor or None, got {executor!r:.80}; try ProcessPoolExecutor(), "
+            "and client.get_executor() for a client of Dask"
         )
 
 
@@ -117,8 +124,8 @@ def _whole(found: Sweep) -> Sweep:
     """The sweep; raises if the workers wrote to other folders of the same name."""
     if not found.complete:
         raise RetraxError(
-            f"the workers have finished, and {len(found)} of {found.count} members are in {found.folder}; expected all of them: "
-            "give a folder that every worker sees under this name"
+            f"the workers have finished, and {len(found)} of {found.count} members are in {found.folder}; expected all "
+            "of them: give a folder that every worker sees under this name"
         )
     log.info("all %d members are in %s", found.count, found.folder)
     return found

@@ -58,7 +58,8 @@ def _study(job: Job) -> Study:
         if here != job.precision:
             raise InvalidInputError(
                 f"a worker computes in {here}, and the process that began the sweep in {job.precision}; "
-                'try jax.config.update("jax_enable_x64", True) inside of build, or JAX_ENABLE_X64=1 in the environment of workers'
+                'try jax.config.update("jax_enable_x64", True) inside of build, or JAX_ENABLE_X64=1 in the '
+                "environment of workers"
             )
         with _making:
             _own.study = made(job.build)

@@ -1,7 +1,7 @@
 """Arrays whose entries are scalars of a CasADi graph.
 
-In a trace an array is a NumPy array where its entries are known, ``Scalars`` where they depend on the input, and a ``Complex``
-pair of these two where it is complex and depends on the input.
+In a trace an array is a NumPy array where its entries are known, ``Scalars`` where they depend on the input, and a
+``Complex`` pair of these two where it is complex and depends on the input.
 """
 
 import math
@@ -20,15 +20,16 @@ class NotTraceableError(RetraxError, TypeError):
 
     def __init__(self, primitive: str, reason: str) -> None:
         super().__init__(
-            f"the function cannot be traced to scalars: it calls {primitive}, {reason}; compute it with XLA instead, or write it "
-            "with the operations that docs/tape.md lists"
+            f"the function cannot be traced to scalars: it calls {primitive}, {reason}; compute it with XLA instead, "
+            "or write it with the operations that docs/tape.md lists"
         )
         self.primitive = primitive
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scalars:
-    """A real array: a dense column of scalars in C order, and its shape. Truth values are 0 and 1, whole numbers are floats."""
+    """A real array: a dense column of scalars in C order, and its shape. Truth values are 0 and 1, whole numbers are
+    floats."""
 
     values: ca.SX
     shape: tuple[int, ...]
@@ -106,9 +107,13 @@ def moved(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:
 
 
 def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
-    """Arrays in their common shape, and that shape; those with one entry stay as they are, for it meets every scalar."""
+    """Arrays in their common shape, and that shape; those with one entry stay as they are, for it meets every
+    scalar."""
     shape = np.broadcast_shapes(*(a.shape for a in arrays))
-    alike = [a if a.shape == shape or math.prod(a.shape) == 1 else moved(a, lambda b: np.broadcast_to(b, shape)) for a in arrays]
+    alike = [
+        a if a.shape == shape or math.prod(a.shape) == 1 else moved(a, lambda b: np.broadcast_to(b, shape))
+        for a in arrays
+    ]
     return alike, shape
 
 

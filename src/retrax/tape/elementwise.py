@@ -228,7 +228,9 @@ def _convert(params: dict[str, Any], x: Entries) -> Entries:
 def _paired(*halves: Any) -> Complex:
     """A complex array from its parts, of which one may be a single number."""
     shape = np.broadcast_shapes(*(half.shape for half in halves))
-    return Complex(*(half if half.shape == shape else moved(half, lambda a: np.broadcast_to(a, shape)) for half in halves))
+    return Complex(
+        *(half if half.shape == shape else moved(half, lambda a: np.broadcast_to(a, shape)) for half in halves)
+    )
 
 
 def _round(params: dict[str, Any], x: Entries) -> Entries:

@@ -15,8 +15,9 @@ def _none() -> ca.SX:
 class Mark:
     """Scalars with a derivative of their own: symbols that stand for ``value``.
 
-    ``d symbols = slope d arguments``; with no arguments they are constant to every derivative. ``value`` and ``arguments``
-    contain earlier marks only. The slope is made when a derivative first asks for it, and may bring new marks.
+    ``d symbols = slope d arguments``; with no arguments they are constant to every derivative. ``value`` and
+    ``arguments`` contain earlier marks only. The slope is made when a derivative first asks for it, and may bring new
+    marks.
     """
 
     symbols: ca.SX

@@ -1,4 +1,5 @@
-"""JAX's primitives on arrays whose entries are all known, by NumPy where that is simple: XLA would compile each of them."""
+"""JAX's primitives on arrays whose entries are all known, by NumPy where that is simple: XLA would compile each of
+them."""
 
 from typing import Any
 
@@ -52,7 +53,9 @@ def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
         return [arrays[0].astype(out.dtype)]
     if name == "integer_pow":
         with np.errstate(all="ignore"):
-            return [np.asarray(arrays[0] ** params["y"] if params["y"] >= 0 else 1 / arrays[0] ** -params["y"], out.dtype)]
+            return [
+                np.asarray(arrays[0] ** params["y"] if params["y"] >= 0 else 1 / arrays[0] ** -params["y"], out.dtype)
+            ]
     if name == "select_n":
         return [np.asarray(np.choose(arrays[0].astype(int), arrays[1:]), out.dtype)]
     if name in _UFUNCS and (name not in _LOGICAL or out.dtype == np.bool_):

@@ -14,7 +14,9 @@ from .elementwise import larger, select, smaller
 LARGEST_FACTOR = 16  # rows of a matrix that is factorised entry by entry: beyond LAPACK is the better choice
 
 
-def _operand(a: Entries, batch: tuple[int, ...], contracted: tuple[int, ...], first: bool) -> tuple[Entries, tuple[int, ...]]:
+def _operand(
+    a: Entries, batch: tuple[int, ...], contracted: tuple[int, ...], first: bool
+) -> tuple[Entries, tuple[int, ...]]:
     """The array with axes in the order batch, free, contracted, as matrices; and the sizes of its free axes."""
     free = [axis for axis in range(len(a.shape)) if axis not in batch and axis not in contracted]
     order = [*batch, *free, *contracted] if first else [*batch, *contracted, *free]
@@ -109,7 +111,9 @@ def batch(found: list[ca.SX], outer: tuple[int, ...]) -> Scalars:
 
 def _require(name: str, rows: int, *arrays: Entries) -> None:
     if rows > LARGEST_FACTOR:
-        raise NotTraceableError(name, f"here of a matrix of {rows} rows, where at most {LARGEST_FACTOR} are written out")
+        raise NotTraceableError(
+            name, f"here of a matrix of {rows} rows, where at most {LARGEST_FACTOR} are written out"
+        )
     if any(is_complex(a) for a in arrays):
         raise NotTraceableError(name, "here of complex numbers")
 

@@ -18,7 +18,8 @@ def opened(jaxpr: Any) -> Any:
 
 
 def needed(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], list[bool]]], set[Any]]:
-    """Equations in order, each with the outputs that are wanted of it and the inputs that it needs, and the live variables."""
+    """Equations in order, each with the outputs that are wanted of it and the inputs that it needs, and the live
+    variables."""
     live = {v for v, want in zip(jaxpr.outvars, wanted, strict=True) if want and not isinstance(v, Literal)}
     found = []
     for eqn in reversed(jaxpr.eqns):

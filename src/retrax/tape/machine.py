@@ -19,8 +19,8 @@ LANES = 64  # points that an instruction acts on at once where nobody says how m
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
-    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT,
-    IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT,
+    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT,
+    OUTPUT, IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT,
     NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN,
     SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH, LOG1P, EXPM1,
 ) = range(len(NAMES))  # fmt: skip
@@ -60,7 +60,8 @@ def _of_llvm(name: str) -> Callable:
     return emit
 
 
-# Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the constant.
+# Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
+# constant.
 _EMITTED: dict[int, Callable] = {
     MUL: lambda b, x, y, z, v: b.fmul(x(), y()),
     MUL_ADD: lambda b, x, y, z, v: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
@@ -90,7 +91,8 @@ _EMITTED: dict[int, Callable] = {
 
 @_intrinsic
 def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-    """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is one.
+    """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is
+    one.
 
     One table of jumps, where Numba would need a loop for each instruction.
     """
@@ -125,13 +127,16 @@ def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: An
 
 @_intrinsic
 def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any) -> Any:
-    """``run(codes, registers, values, w, k)``: run the instructions from ``k`` on that are the same on one point; the next one.
+    """``run(codes, registers, values, w, k)``: run the instructions from ``k`` on that are the same on one point; the
+    next one.
 
     That is ``k`` itself where the instruction is none of these.
     """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = [context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)]
+        arrays = [
+            context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)
+        ]
         codes, registers, values, w = (array.data for array in arrays)
         first, count = arguments[4], builder.extract_value(arrays[0].shape, 0)
         at, after = cgutils.alloca_once_value(builder, first), builder.append_basic_block("after")
@@ -153,7 +158,9 @@ def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any
             builder.store(following, at)
             builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
             builder.position_at_end(more)
-            same = builder.icmp_unsigned("==", builder.load(builder.gep(codes, [following])), ir.Constant(code.type, number))
+            same = builder.icmp_unsigned(
+                "==", builder.load(builder.gep(codes, [following])), ir.Constant(code.type, number)
+            )
             builder.cbranch(same, again, after)
         builder.branch(after)
         builder.position_at_end(after)
@@ -248,11 +255,14 @@ def _other(c: int, x: float, y: float) -> float:
 
 
 @_compiled
-def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, first: int, last: int) -> None:
+def run(
+    codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, first: int, last: int
+) -> None:
     """Run a program on the points ``first`` to ``last``, as many at once as there are lanes.
 
-    ``ends``: numbers that are read, and for each input where that of the first point stands and how far the next is; numbers
-    that are written, and the same for each output; ``w``: registers, shape ``(size, lanes)``, lanes in whole vectors.
+    ``ends``: numbers that are read, and for each input where that of the first point stands and how far the next is;
+    numbers that are written, and the same for each output; ``w``: registers, shape ``(size, lanes)``, lanes in whole
+    vectors.
     """
     inputs, sources, outputs, targets = ends
     lanes = w.shape[1]
@@ -278,7 +288,8 @@ def run(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tupl
 
 @_compiled
 def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
-    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``: registers.
+    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``:
+    registers.
 
     The same instructions after each other take least time.
     """

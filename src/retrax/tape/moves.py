@@ -139,7 +139,9 @@ def _entry(indices: Entries, at: tuple[int, ...], k: int) -> Any:
     return taken(indices, np.array(flat))
 
 
-def _starts(numbers: Any, indices: Entries, at: tuple[int, ...], rank: int, batching: tuple[tuple[int, int], ...]) -> list[Any]:
+def _starts(
+    numbers: Any, indices: Entries, at: tuple[int, ...], rank: int, batching: tuple[tuple[int, int], ...]
+) -> list[Any]:
     """Where the window of one batch position begins."""
     starts: list[Any] = [0] * rank
     for k, axis in enumerate(numbers):
@@ -248,5 +250,8 @@ MOVES: dict[str, Rule] = {
     "tile": lambda params, x: moved(x, lambda a: np.tile(a, params["reps"])),
     "transpose": lambda params, x: moved(x, lambda a: np.transpose(a, params["permutation"])),
     "unstack": _unstack,
-    **{name: partial(_scatter, name) for name in ("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max")},
+    **{
+        name: partial(_scatter, name)
+        for name in ("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max")
+    },
 }

@@ -10,11 +10,11 @@ from ..errors import RetraxError
 
 # Instructions with the names of CasADi's, and those that stand for two or more of them.
 NAMES = (
-    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT",
-    "CONST", "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
-    "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS", "SIGN",
-    "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH",
-    "LOG1P", "EXPM1",
+    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV",
+    "SELECT", "CONST", "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
+    "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR",
+    "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
+    "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
 FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
@@ -36,7 +36,8 @@ class _Instruction:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """Instructions ``(code, destination, operands)`` over registers, and how many inputs, outputs and registers they use."""
+    """Instructions ``(code, destination, operands)`` over registers, and how many inputs, outputs and registers they
+    use."""
 
     codes: np.ndarray
     registers: np.ndarray  # destination and three operands, shape (instructions, 4)
@@ -91,7 +92,8 @@ def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
 
 
 def _read(function: ca.Function) -> list[_Instruction]:
-    """CasADi's instructions, whose operands are named by the instructions that made them; divisors are inverted, each once."""
+    """CasADi's instructions, whose operands are named by the instructions that made them; divisors are inverted, each
+    once."""
     found: list[_Instruction] = []
     made: dict[int, int] = {}
     inverses: dict[int, int] = {}
@@ -126,7 +128,9 @@ def _count(instructions: list[_Instruction]) -> None:
             instructions[k].uses += 1
 
 
-def _replace(instructions: list[_Instruction], instruction: _Instruction, name: str, inputs: list[int], value: float) -> None:
+def _replace(
+    instructions: list[_Instruction], instruction: _Instruction, name: str, inputs: list[int], value: float
+) -> None:
     """Give an instruction other operands; what it no longer needs is released, down to what that needed."""
     for k in inputs:
         instructions[k].uses += 1
@@ -187,7 +191,8 @@ def _multiplied(instructions: list[_Instruction], k: int) -> None:
 
 
 def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
-    """Registers for the values, the lowest free one first; never that of an operand, so that loops over lanes are vectors."""
+    """Registers for the values, the lowest free one first; never that of an operand, so that loops over lanes are
+    vectors."""
     last = {i: k for k in kept for i in instructions[k].inputs}
     where: dict[int, int] = {}
     free: list[int] = []

@@ -44,9 +44,9 @@ class Leaf:
 class Tape:
     """A function of arrays as a list of scalar instructions, with exact derivatives.
 
-    ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all numbers
-    are double precision. A tape is called with the arrays of many points, the axis of the points last. Nothing is compiled
-    for it: a new function runs some milliseconds after it was written.
+    ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all
+    numbers are double precision. A tape is called with the arrays of many points, the axis of the points last. Nothing
+    is compiled for it: a new function runs some milliseconds after it was written.
     """
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
@@ -74,7 +74,8 @@ class Tape:
         return cls(graph, values, (kinds, structure), function.result)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Values at many points: each array has the shape of its example and one more axis, that of the points, last."""
+        """Values at many points: each array has the shape of its example and one more axis, that of the points,
+        last."""
         inputs = self._packed(arguments)
         rows = np.empty((sum(leaf.rows for leaf in self._results), inputs.shape[1]))
         ends = inputs.ravel(), _rows(*inputs.shape), rows.reshape(-1), _rows(*rows.shape)
@@ -102,15 +103,19 @@ class Tape:
         return assembled(self.inputs, self.graph.unmarked([self.outputs])[0])
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
-        """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a tape."""
+        """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a
+        tape."""
         matrix = self.graph.jacobian(self.outputs, self._by(argnums))
         return self._of((matrix, matrix.shape))
 
     def push(self, argnum: int) -> "Tape":
-        """Derivatives of all values by one argument along a direction, flat; the direction is one more argument, the last."""
+        """Derivatives of all values by one argument along a direction, flat; the direction is one more argument, the
+        last."""
         by, leaves = self._by(argnum), [leaf for leaf in self._leaves if leaf.argument == argnum]
         if len(leaves) != 1 or leaves[0].complex:
-            raise ValueError(f"a direction is that of one real array, argument {argnum} has {len(leaves)} arrays or is complex")
+            raise ValueError(
+                f"a direction is that of one real array, argument {argnum} has {len(leaves)} arrays or is complex"
+            )
         direction = ca.SX.sym("direction", by.shape[0])
         column = self.graph.push(self.outputs, by, direction)
         graph = Graph([*self.graph.inputs, direction], self.graph.marks)
@@ -130,7 +135,8 @@ class Tape:
         return self._of((matrix, matrix.shape))
 
     def second_order(self, argnums: Argnums = None) -> "Tape":
-        """The one value of a function, its gradient and its Hessian by arguments, as one tape: they share what they compute."""
+        """The one value of a function, its gradient and its Hessian by arguments, as one tape: they share what they
+        compute."""
         value, by = self._only(), self._by(argnums)
         slope, curvature = self.graph.gradient(value, by), self.graph.hessian(value, by)
         return self._of((value, ()), (slope, slope.shape[:1]), (curvature, curvature.shape))
@@ -138,14 +144,17 @@ class Tape:
     def expansion(self) -> "Tape":
         """The expansion at zero of a function of real arrays in its first argument, which the tape no longer has.
 
-        The function has the values ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them; the tape has
-        the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
+        The function has the values ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them;
+        the tape has the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
         """
         d, (first, vectors, *others) = self.graph.inputs[0], jax.tree.unflatten(self.structure, self._values)
         several, width = [column(v) for v in jax.tree.leaves(vectors)], d.numel()
         slope, directions = self.graph.gradient(column(first), d), ca.DM.eye(width)
-        # Both along the same directions, in forward mode, so that they share what they compute; each second derivative once.
-        curvature, jacobian = (self.graph.push(of, d, ca.SX(directions)) for of in (slope, ca.vertcat(ca.SX(0, 1), *several)))
+        # Both along the same directions, in forward mode, so that they share what they compute; each second derivative
+        # once.
+        curvature, jacobian = (
+            self.graph.push(of, d, ca.SX(directions)) for of in (slope, ca.vertcat(ca.SX(0, 1), *several))
+        )
         curvature = ca.tril2symm(ca.tril(curvature))
         cuts = [0, *itertools.accumulate(v.numel() for v in several)]
         rows = [jacobian[a:b, :] for a, b in itertools.pairwise(cuts)]
@@ -165,7 +174,8 @@ class Tape:
         return [leaf.shape for leaf in self._results]
 
     def to_casadi(self, name: str = "f") -> ca.Function:
-        """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column each."""
+        """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column
+        each."""
         outputs = [column(half) for v in self._values for half in _halves(v)]
         return ca.Function(name, self.graph.inputs, self.graph.unmarked(outputs), {"cse": True})
 
@@ -184,10 +194,16 @@ class Tape:
     def _by(self, argnums: Argnums) -> ca.SX:
         """The symbols of some arguments, one column."""
         wanted = (
-            {argnums} if isinstance(argnums, int) else {leaf.argument for leaf in self._leaves} if argnums is None else {*argnums}
+            {argnums}
+            if isinstance(argnums, int)
+            else {leaf.argument for leaf in self._leaves}
+            if argnums is None
+            else {*argnums}
         )
         owners = [leaf.argument for leaf in self._leaves for _ in range(1 + leaf.complex)]
-        return ca.vertcat(*(symbols for symbols, owner in zip(self.graph.inputs, owners, strict=True) if owner in wanted))
+        return ca.vertcat(
+            *(symbols for symbols, owner in zip(self.graph.inputs, owners, strict=True) if owner in wanted)
+        )
 
     def _only(self) -> ca.SX:
         if self.outputs.numel() != 1:
@@ -223,8 +239,9 @@ class Tape:
     def run(self, count: int, ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
         """Write all values at ``count`` points.
 
-        ``ends``: numbers that are read, and for each real number of the arguments, in C order, where that of the first point
-        stands and how far the next is, shape ``(rows, 2)``; numbers that are written, and the same for the values.
+        ``ends``: numbers that are read, and for each real number of the arguments, in C order, where that of the first
+        point stands and how far the next is, shape ``(rows, 2)``; numbers that are written, and the same for the
+        values.
         """
         machine = _machine()
         if machine is None:
@@ -240,7 +257,9 @@ class Tape:
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
 
-    def _run_slowly(self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray) -> None:
+    def _run_slowly(
+        self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray
+    ) -> None:
         points = np.arange(count)
         read, write = (places[:, :1] + places[:, 1:] * points for places in (sources, targets))
         outputs[write] = np.array(self._casadi(inputs[read])).reshape(write.shape)

@@ -72,7 +72,10 @@ class Tracer:
             out = self.closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
             carry, rows[k] = out[: len(carry)], out[len(carry) :]
         empty = [np.zeros(v.aval.shape) for v in eqn.outvars[len(carry) :]]
-        return [*carry, *([stacked([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty)]
+        return [
+            *carry,
+            *([stacked([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty),
+        ]
 
     def _while(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         params = eqn.params
@@ -112,7 +115,8 @@ class Tracer:
         counts, matvec = eqn.params["const_lengths"], eqn.params["jaxprs"].matvec
         fixed, right = arrays[: counts.matvec], arrays[sum(counts) :]
         leaves = [
-            (v.aval.shape, is_complex(b) or np.dtype(v.aval.dtype).kind == "c") for v, b in zip(eqn.outvars, right, strict=True)
+            (v.aval.shape, is_complex(b) or np.dtype(v.aval.dtype).kind == "c")
+            for v, b in zip(eqn.outvars, right, strict=True)
         ]
         side = _flat(right, leaves)
         unknown = ca.SX.sym("x", side.shape[0])
@@ -244,7 +248,8 @@ _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
 
 
 class Flat(NamedTuple):
-    """A function of pytrees of arrays as a jaxpr of their leaves: its closed jaxpr, examples, and the structure of its values."""
+    """A function of pytrees of arrays as a jaxpr of their leaves: its closed jaxpr, examples, and the structure of its
+    values."""
 
     jaxpr: Any
     examples: tuple[Any, ...]
@@ -272,8 +277,8 @@ def flat(function: Callable[..., Any], *examples: Any) -> Flat:
 def trace(function: Flat) -> tuple[Graph, list[Entries]]:
     """The graph of a function, and its values leaf by leaf.
 
-    Inputs are the leaves of its examples: real ones a column each, complex ones two. Raises ``NotTraceableError`` for what
-    cannot be written as a graph of scalars.
+    Inputs are the leaves of its examples: real ones a column each, complex ones two. Raises ``NotTraceableError`` for
+    what cannot be written as a graph of scalars.
     """
     inputs: list[ca.SX] = []
     arrays: list[Entries] = []

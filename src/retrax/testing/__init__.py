@@ -1,7 +1,8 @@
-"""The conformance kit: what manifolds, groups, metrics, retractions, discretization maps and cotangent lifts must be, measured.
+"""The conformance kit: what manifolds, groups, metrics, retractions, discretization maps and cotangent lifts must be,
+measured.
 
-By hand, ``print(check_retraction(R))``; from pytest, ``parametrize_with_checks``. ``retrax.testing.strategies`` has hypothesis
-strategies for points, tangent vectors and covectors.
+By hand, ``print(check_retraction(R))``; from pytest, ``parametrize_with_checks``. ``retrax.testing.strategies`` has
+hypothesis strategies for points, tangent vectors and covectors.
 """
 
 from .checks import (

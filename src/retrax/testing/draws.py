@@ -19,7 +19,8 @@ RUNGS = 16  # multiples of a vector, evenly up to the longest, among which the f
 
 
 def direction(rng: np.random.Generator, basis: np.ndarray) -> np.ndarray:
-    """Unit vector in a random direction of the span of an orthonormal ``basis``, given by rows; zero if there is none."""
+    """Unit vector in a random direction of the span of an orthonormal ``basis``, given by rows; zero if there is
+    none."""
     c = rng.standard_normal(basis.shape[0])
     return (c / max(float(np.linalg.norm(c)), 1e-300)) @ basis
 
@@ -77,9 +78,9 @@ class Sampler:
 class DomainEdge:
     """How far a retraction's domain reaches from a point in a direction without a gap.
 
-    ``margin`` is how near its edge, relatively, the domain is to be trusted: ``sqrt(eps)``, and 1e-2 where it is derived from
-    a round trip, as there rounding decides whether Newton's method ends. A gap between two of 16 multiples is not seen:
-    domains that lack isolated multiples of a vector are taken to hold them.
+    ``margin`` is how near its edge, relatively, the domain is to be trusted: ``sqrt(eps)``, and 1e-2 where it is
+    derived from a round trip, as there rounding decides whether Newton's method ends. A gap between two of 16 multiples
+    is not seen: domains that lack isolated multiples of a vector are taken to hold them.
     """
 
     def __init__(self, retraction: Retraction) -> None:

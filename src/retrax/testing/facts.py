@@ -23,11 +23,12 @@ Sample = dict[str, Any]  # names of flat arrays and numbers
 
 
 class Facts(ABC):
-    """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads it.
+    """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads
+    it.
 
-    It is run at a random point for each seed, at points where formulas often fail, as the identity, and at the ``points`` given.
-    ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +`` their size; default: 4500
-    times the machine epsilon of the precision that JAX is set to.
+    It is run at a random point for each seed, at points where formulas often fail, as the identity, and at the
+    ``points`` given. ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +``
+    their size; default: 4500 times the machine epsilon of the precision that JAX is set to.
     """
 
     kind: type
@@ -36,12 +37,16 @@ class Facts(ABC):
 
     def __init__(self, subject: Any, seeds: Iterable[int], points: Iterable[Ambient], tolerance: float | None) -> None:
         if not isinstance(subject, self.kind):
-            raise InvalidInputError(f"these are the checks of a {self.kind.__name__}, got {subject!r}; see list_checks(object)")
+            raise InvalidInputError(
+                f"these are the checks of a {self.kind.__name__}, got {subject!r}; see list_checks(object)"
+            )
         self.subject = subject
         self.manifold = manifold = subject if isinstance(subject, Manifold) else subject.manifold
         self.seeds, self.tolerance = tuple(seeds), precision().tolerance if tolerance is None else tolerance
         if not self.seeds:
-            raise InvalidInputError("the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)")
+            raise InvalidInputError(
+                "the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)"
+            )
         if not all(hasattr(leaf, "shape") and hasattr(leaf, "dtype") for leaf in jax.tree.leaves(manifold.ambient)):
             raise InvalidInputError(
                 f"the ambient of {manifold} must consist of arrays without entries, got {manifold.ambient!r}; "
@@ -77,7 +82,8 @@ class Facts(ABC):
         return self._samples[kind]
 
     def measure(self, kernel: Callable[..., dict], *kinds: str) -> Batch:
-        """Values of ``kernel(subject, sample)`` at the samples of some kinds, with the samples; the first axis counts them."""
+        """Values of ``kernel(subject, sample)`` at the samples of some kinds, with the samples; the first axis counts
+        them."""
         found = [self._measure_kind(kernel, kind) for kind in kinds]
         return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
 
@@ -122,11 +128,15 @@ class Facts(ABC):
         size = 1 + largest_entries(expected)
 
         def words(k: int) -> str:
-            return "; ".join(filter(None, (multiple(got[k], expected[k], *names, precision().half), hint(k) if hint else "")))
+            return "; ".join(
+                filter(None, (multiple(got[k], expected[k], *names, precision().half), hint(k) if hint else ""))
+            )
 
         return self.bound(what, at, largest_entries(got - expected) / size, limit, hint=words)
 
-    def compare_slopes(self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float) -> Comparison:
+    def compare_slopes(
+        self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float
+    ) -> Comparison:
         """Derivatives against differences of ``values`` by ``along``, which are as good as the coarser ones say."""
         longest = np.broadcast_to(step, len(exact))
         chosen = [_best_differences(v, h) for v, h in zip(values, longest, strict=True)]
@@ -137,7 +147,13 @@ class Facts(ABC):
         return replace(found, hidden=hidden, because="where differences of both orders agree they are rounding")
 
     def bound(
-        self, what: str, at: Batch, measured: Any, limit: float | np.ndarray, side: str = "at most", hint: Hint | None = None
+        self,
+        what: str,
+        at: Batch,
+        measured: Any,
+        limit: float | np.ndarray,
+        side: str = "at most",
+        hint: Hint | None = None,
     ) -> Comparison:
         """A measured number at each sample, with what it is expected to be ``at most`` or ``at least``."""
         measured = np.asarray(measured, float)
@@ -145,7 +161,8 @@ class Facts(ABC):
 
 
 def _best_differences(values: np.ndarray, step: float) -> tuple[np.ndarray, float, float, float]:
-    """Differences of order 6 at the longest step at which those of order 4 agree; their distance, the step, size of values."""
+    """Differences of order 6 at the longest step at which those of order 4 agree; their distance, the step, size of
+    values."""
     found = []
     for part, scale in zip(values, SCALES, strict=False):
         fine, coarse = (d(part, scale * step) for d in (differences, coarse_differences))
@@ -184,4 +201,6 @@ def refuse_unknown(names: Iterable[str], checks: Sequence[Check]) -> None:
     known = [check.name for check in checks]
     unknown = [name for name in names if name not in known]
     if unknown:
-        raise InvalidInputError(f"no check is named {', '.join(map(repr, unknown))}; the checks here are {', '.join(known)}")
+        raise InvalidInputError(
+            f"no check is named {', '.join(map(repr, unknown))}; the checks here are {', '.join(known)}"
+        )

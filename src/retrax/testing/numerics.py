@@ -72,7 +72,8 @@ def unflat(manifold: Manifold) -> Callable[[Vector], Ambient]:
 
 
 def violation_kernel(manifold: Manifold) -> Callable[[np.ndarray], np.ndarray]:
-    """The largest violation of a manifold's equations at a flat point, 0 where there are none, and the largest absolute value."""
+    """The largest violation of a manifold's equations at a flat point, 0 where there are none, and the largest absolute
+    value."""
     back = unflat(manifold)
 
     def violation(y: Vector) -> jax.Array:

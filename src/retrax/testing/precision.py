@@ -1,4 +1,5 @@
-"""The precision that JAX is set to, and what rounding lets the checks say in it: all of it in powers of its machine epsilon."""
+"""The precision that JAX is set to, and what rounding lets the checks say in it: all of it in powers of its machine
+epsilon."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -35,7 +36,8 @@ class Precision:
 
     @property
     def step(self) -> float:
-        """Spacing of differences of functions of length scale 1: errors of order 4 are as large as rounding divided by it."""
+        """Spacing of differences of functions of length scale 1: errors of order 4 are as large as rounding divided by
+        it."""
         return self.eps**0.2
 
     @property
@@ -55,7 +57,8 @@ class Precision:
 
     @property
     def floor(self) -> float:
-        """Rounding of a few operations: errors above it have the logarithm that they would have without it, to a percent."""
+        """Rounding of a few operations: errors above it have the logarithm that they would have without it, to a
+        percent."""
         return 64 * self.eps
 
 

@@ -1,4 +1,5 @@
-"""Searches for what a manifold leaves out: a normal direction that its equations miss, a tangent one that its points miss."""
+"""Searches for what a manifold leaves out: a normal direction that its equations miss, a tangent one that its points
+miss."""
 
 from collections.abc import Callable
 
@@ -11,19 +12,23 @@ LONG = 2.0**7  # the longer of two displacements over the shorter: curvature is 
 NEIGHBOURHOODS = 8
 
 
-def least_seen(violation: Callable[[np.ndarray], np.ndarray], x: np.ndarray, basis: np.ndarray) -> tuple[float, np.ndarray]:
-    """How much the equations see of the normal displacement that they see least of, and the unit normal vector along it.
+def least_seen(
+    violation: Callable[[np.ndarray], np.ndarray], x: np.ndarray, basis: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """How much the equations see of the normal displacement that they see least of, and the unit normal vector along
+    it.
 
-    About 1 where the violations grow in proportion to the displacement, about ``1 / LONG`` where they grow as its square.
-    The violations are to first order a convex, homogeneous function of the displacement. It is 0 along one that all its slopes
-    found so far are normal to, or its slope there is a new one: as many slopes as there are normals are enough.
+    About 1 where the violations grow in proportion to the displacement, about ``1 / LONG`` where they grow as its
+    square. The violations are to first order a convex, homogeneous function of the displacement. It is 0 along one that
+    all its slopes found so far are normal to, or its slope there is a new one: as many slopes as there are normals are
+    enough.
     """
     if not np.all(np.isfinite(basis)):
         return np.nan, basis[0]
     normals = np.linalg.svd(basis, full_matrices=True)[2][basis.shape[0] :]
     count, size = len(normals), 1 + np.max(np.abs(x))
-    # A direction is turned by this to see the slope of the violations, and rates are compared with this fraction of the largest:
-    # where nothing grows at all there is rounding alone.
+    # A direction is turned by this to see the slope of the violations, and rates are compared with this fraction of the
+    # largest: where nothing grows at all there is rounding alone.
     short, bend = precision().displacement, precision().quarter
     long = LONG * short
     bends = np.concatenate([np.zeros((1, count)), np.eye(count)])
@@ -47,8 +52,8 @@ def least_seen(violation: Callable[[np.ndarray], np.ndarray], x: np.ndarray, bas
 def least_spread(sampler: Sampler, dimension: int) -> float:
     """Mean square of the rarest tangent direction from a random point to its neighbours, times the dimension.
 
-    The median over some points; about 1 where points are spread evenly, 0 where they lie on a smaller manifold, as large as its
-    curvature makes it over their distances. Lengths are measured in units of the points' own spread.
+    The median over some points; about 1 where points are spread evenly, 0 where they lie on a smaller manifold, as
+    large as its curvature makes it over their distances. Lengths are measured in units of the points' own spread.
     """
     cloud = np.stack([sampler.random(seed) for seed in range(1000, 1000 + 40 * (dimension + 2))])
     _, s, axes = np.linalg.svd(cloud - cloud.mean(axis=0), full_matrices=False)
@@ -64,6 +69,7 @@ def least_spread(sampler: Sampler, dimension: int) -> float:
         _, sizes, tangent = np.linalg.svd(np.nan_to_num(sampler.at(x, seed)[1] @ scaled.T), full_matrices=False)
         along = steps[near] @ tangent.T
         along = along / np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-300)
-        reached = sizes[-1] > precision().half * sizes[0]  # else no point lies off the plane that a tangent vector leads out of
+        # Else no point lies off the plane that a tangent vector leads out of.
+        reached = sizes[-1] > precision().half * sizes[0]
         found.append(reached * dimension * np.linalg.eigvalsh(along.T @ along / len(along))[0])
     return float(np.median(found))

@@ -14,7 +14,9 @@ from ..manifolds.numerics.errors import TRACEABLE
 from .precision import precision
 
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
-DOUBTFUL = "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
+DOUBTFUL = (
+    "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
+)
 THE_VALUE = "the value"
 # Folders of files that errors pass through on their way from what is checked.
 _INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
@@ -33,7 +35,8 @@ class ConformanceError(RetraxError):
 
 @dataclass(frozen=True)
 class Comparison:
-    """A quantity ``what``, ``measured`` at each sample of ``at``, with its ``limit`` there, ``at most`` or ``at least``.
+    """A quantity ``what``, ``measured`` at each sample of ``at``, with its ``limit`` there, ``at most`` or ``at
+    least``.
 
     At samples that are ``hidden`` it says nothing in this precision, ``because`` of something.
     """
@@ -60,7 +63,8 @@ class Comparison:
 
     @property
     def worst(self) -> int:
-        """The sample to show: one where the limit is not kept if there is one, and of these one whose value is farthest off.
+        """The sample to show: one where the limit is not kept if there is one, and of these one whose value is farthest
+        off.
 
         A point that may be none of the manifold is shown only if it is kept at all others.
         """
@@ -125,7 +129,8 @@ class Report:
             for status in ("fails", "holds", "not decided", "skipped", "not applicable")
         }
         lines = [
-            f"{' '.join(self.subject.split())}: " + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
+            f"{' '.join(self.subject.split())}: "
+            + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         ]
         again = [outcome.check.name for outcome in outcomes if outcome.same_as]
         for outcome in outcomes:
@@ -174,7 +179,8 @@ def number(value: float) -> str:
 
 def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str, rounding: float) -> str:
     """Words where what came is a multiple of what was expected by another factor than 1; empty where it is none."""
-    square = np.sum(expected * expected) if expected.size > 1 or name != THE_VALUE else 0.0  # any two numbers are multiples
+    # Any two numbers are multiples.
+    square = np.sum(expected * expected) if expected.size > 1 or name != THE_VALUE else 0.0
     factor = np.sum(got * expected) / square if square > 0 else np.nan
     if np.max(np.abs(got - factor * expected), initial=0.0) <= rounding * np.sqrt(square) and abs(factor - 1) > 5e-4:
         return f"{name} is {factor:.3f} times {other}"
@@ -182,7 +188,8 @@ def multiple(got: np.ndarray, expected: np.ndarray, name: str, other: str, round
 
 
 def _in_words(error: Exception, check: Check, facts: Any) -> tuple[str, str]:
-    """An error with its first line and the place that it comes from, and the check that met the same one before, if any did."""
+    """An error with its first line and the place that it comes from, and the check that met the same one before, if any
+    did."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not any(part in f.filename for part in _INNER)]
     where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
     line = next(iter(str(error).strip().splitlines()), "no message")

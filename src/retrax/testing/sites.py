@@ -50,7 +50,8 @@ def special_sites(manifold: Manifold, violation: Violation) -> list[Site]:
 
 
 def special_points(manifold: Manifold, violation: Violation | None = None) -> Iterator[Ambient]:
-    """Points with zeros, ones and equal entries, where angles, roots, singular values and their derivatives are not defined.
+    """Points with zeros, ones and equal entries, where angles, roots, singular values and their derivatives are not
+    defined.
 
     The identity, zero, poles, barycentres: those of a few arrays that satisfy the manifold's equations.
     """
@@ -73,7 +74,8 @@ def special_points(manifold: Manifold, violation: Violation | None = None) -> It
 
 
 def _is_inside(x: np.ndarray, violation: Violation) -> bool:
-    """Whether a flat point satisfies the equations, and is not on the edge of an inequality: beside it they are nearly satisfied.
+    """Whether a flat point satisfies the equations, and is not on the edge of an inequality: beside it they are nearly
+    satisfied.
 
     A violation without its absolute value is negative inside: such a point is not one either.
     """
@@ -83,14 +85,16 @@ def _is_inside(x: np.ndarray, violation: Violation) -> bool:
 
 
 def _candidates(manifold: Manifold) -> Iterator[Any]:
-    """Zero, the identity, unit vectors, diagonal projectors, and vectors of equal entries, where points are single arrays."""
+    """Zero, the identity, unit vectors, diagonal projectors, and vectors of equal entries, where points are single
+    arrays."""
     leaf, *others = jax.tree.leaves(manifold.ambient)
     if others:
         return
     zero = np.zeros(leaf.shape)
     units = np.eye(*leaf.shape) if leaf.ndim == 2 else np.eye(leaf.size, 1)
     arrays = [
-        np.where(np.arange(units.shape[1]) < rank, units, 0.0).reshape(leaf.shape) for rank in range(1, 1 + min(units.shape))
+        np.where(np.arange(units.shape[1]) < rank, units, 0.0).reshape(leaf.shape)
+        for rank in range(1, 1 + min(units.shape))
     ]
     arrays += [a.reshape(-1)[::-1].reshape(leaf.shape) for a in arrays[:1]]
     arrays += [zero + 1 / max(leaf.size, 1)] * (leaf.ndim == 1 and leaf.size > 0)

@@ -41,8 +41,8 @@ def tangent_vectors_near_the_edge(retraction: Retraction, longest: float = 10.0)
     """Pairs ``(x, v)`` with ``v`` in the domain of a retraction, a relative ``sqrt(eps)`` to 1e-1 from its edge.
 
     For a domain that is derived from a round trip it is 1e-2 to 1e-1. The edge is the first one in the direction of
-    ``v``, as the domain need not be star-shaped: it may begin again behind it. Where it reaches farther than ``longest``, that is
-    taken for the edge.
+    ``v``, as the domain need not be star-shaped: it may begin again behind it. Where it reaches farther than
+    ``longest``, that is taken for the edge.
     """
     sampler, edge = Sampler(retraction.manifold), DomainEdge(retraction)
 

@@ -38,7 +38,8 @@ def suite_for(subject: Any) -> Suite:
 
 
 def list_checks(subject: Any) -> tuple[Check, ...]:
-    """The checks for an object, in the order in which they run; each has a ``name`` and a ``fact``, and prints as both."""
+    """The checks for an object, in the order in which they run; each has a ``name`` and a ``fact``, and prints as
+    both."""
     return suite_for(subject).checks
 
 
@@ -49,8 +50,9 @@ def parametrize_with_checks(subjects: dict[str, Any], skip: dict[str, str] | Non
         def test_conforms(check):
             check()
 
-    Calling ``check`` raises ``ConformanceError`` if the fact does not hold, and skips the test if ``skip`` has a reason for
-    that. ``options`` are those of ``check_manifold``, ``check_retraction``, ... The checks of one object share what was measured.
+    Calling ``check`` raises ``ConformanceError`` if the fact does not hold, and skips the test if ``skip`` has a reason
+    for that. ``options`` are those of ``check_manifold``, ``check_retraction``, ... The checks of one object share what
+    was measured.
     """
     import pytest
 

@@ -18,7 +18,8 @@ def random_system(seed: int, sizes=(3, 4, 3, 5, 2), free=(0, 0), convex: bool = 
 
 
 def dense(system: BlockSystem, m: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Hessian and constraints of member m, the diagonal of the free coordinates' equations ``-c = 0``, the right-hand side."""
+    """Hessian and constraints of member m, the diagonal of the free coordinates' equations ``-c = 0``, the right-hand
+    side."""
     _, count, n, z = system.left.shape
     hessian, constraints = np.zeros((count * z, count * z)), np.zeros(((count + 1) * n, count * z))
     for k in range(count):

@@ -1,4 +1,5 @@
-"""Slacks of inequalities: their stiffness, and which members of a batch get a lower barrier or a higher price of excesses."""
+"""Slacks of inequalities: their stiffness, and which members of a batch get a lower barrier or a higher price of
+excesses."""
 
 import numpy as np
 import pytest
@@ -17,7 +18,8 @@ def held(values: np.ndarray) -> Held:
 
 @pytest.mark.parametrize("price", [0.01, 1.0, 10.0, np.inf])
 def test_the_stiffness_is_what_a_multiplier_changes_by(price):
-    """Of central slacks the multiplier is a function of the value alone, from where it holds to where it is violated."""
+    """Of central slacks the multiplier is a function of the value alone, from where it holds to where it is
+    violated."""
     values = VALUES[VALUES < -0.01] if np.isinf(price) else VALUES
     step = 1e-6
     ahead, behind = (central(held(values + d), MU, np.full((1, 1, values.size, 1), price)) for d in (step, -step))
@@ -41,7 +43,8 @@ def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_thei
 
 @pytest.mark.parametrize("share", [1e-4, 0.1, 0.99, 1.01, 3.0])
 def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
-    """All multipliers and the barrier grow with the price: the error that counts as solved is relative, and does not."""
+    """All multipliers and the barrier grow with the price: the error that counts as solved is relative, and does
+    not."""
     barrier, given = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([0.5]))
     for factor in 3.0 ** np.arange(11):
         for error in (0.9, 1.1):

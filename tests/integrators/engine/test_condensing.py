@@ -32,13 +32,19 @@ def random_steps(seed: int, s: int, convex: bool = False) -> tuple[Points, Ends,
     constraints[..., 2 * NODE : 3 * NODE] += np.eye(NODE)
     points = symmetric(*shape, POINT, POINT), constraints, rng.standard_normal((*shape, POINT, COLUMNS))
     left, right = 0.3 * rng.standard_normal((2, BATCH, COUNT, NODE, 2 * NODE)) + np.eye(NODE, 2 * NODE)
-    ends = symmetric(BATCH, COUNT, 2 * NODE, 2 * NODE), left, right, rng.standard_normal((BATCH, COUNT, 2 * NODE, COLUMNS))
+    ends = (
+        symmetric(BATCH, COUNT, 2 * NODE, 2 * NODE),
+        left,
+        right,
+        rng.standard_normal((BATCH, COUNT, 2 * NODE, COLUMNS)),
+    )
     h = 0.5 + rng.random((BATCH, COUNT))
     return Points(*points, rng.standard_normal((*shape, NODE, COLUMNS))), Ends(*ends), h
 
 
 def maps(h: float, tableau: Tableau) -> tuple[np.ndarray, np.ndarray]:
-    """What the unknowns ``(dx, dnu, du)`` of a step make of ``(dx, dxi, dnu, du)`` at each point, and of ``(dx, deta)``."""
+    """What the unknowns ``(dx, dnu, du)`` of a step make of ``(dx, dxi, dnu, du)`` at each point, and of ``(dx,
+    deta)``."""
     s, eye = len(tableau.weights), np.eye(NODE)
     x, nu, u = np.split(np.eye(NODE + s * (NODE + CONTROLS)), [NODE, NODE + s * NODE])
     points = []
@@ -49,7 +55,8 @@ def maps(h: float, tableau: Tableau) -> tuple[np.ndarray, np.ndarray]:
 
 
 def dense(points: Points, ends: Ends, h: np.ndarray, tableau: Tableau, gap: np.ndarray, fixed: np.ndarray, b: int):
-    """KKT matrix and right-hand side of member b, with the slopes of its steps; each step has its unknowns and multipliers."""
+    """KKT matrix and right-hand side of member b, with the slopes of its steps; each step has its unknowns and
+    multipliers."""
     s = len(tableau.weights)
     size = NODE + s * (2 * NODE + CONTROLS)
     own = size - s * NODE
@@ -57,12 +64,19 @@ def dense(points: Points, ends: Ends, h: np.ndarray, tableau: Tableau, gap: np.n
     matrix, side, slopes = np.zeros((total, total)), np.zeros((total, COLUMNS)), []
     for k in range(COUNT):
         each, both = maps(h[b, k], tableau)
-        hessian = sum(t.T @ p @ t for t, p in zip(each, points.hessian[b, k], strict=True)) + both.T @ ends.hessian[b, k] @ both
+        hessian = (
+            sum(t.T @ p @ t for t, p in zip(each, points.hessian[b, k], strict=True))
+            + both.T @ ends.hessian[b, k] @ both
+        )
         slope = sum(t.T @ g for t, g in zip(each, points.slope[b, k], strict=True)) + both.T @ ends.slope[b, k]
         equations = np.concatenate([c @ t for t, c in zip(each, points.constraints[b, k], strict=True)])
         first = k * size
         unknowns, lambdas = slice(first, first + own), slice(first + own, first + size)
-        matrix[unknowns, unknowns], matrix[lambdas, unknowns], matrix[unknowns, lambdas] = hessian, equations, equations.T
+        matrix[unknowns, unknowns], matrix[lambdas, unknowns], matrix[unknowns, lambdas] = (
+            hessian,
+            equations,
+            equations.T,
+        )
         side[unknowns], side[lambdas] = -slope, -points.defect[b, k].reshape(s * NODE, COLUMNS)
         node = COUNT * size + k * NODE
         across = np.concatenate([ends.left[b, k] @ both, -ends.right[b, k] @ both])
@@ -92,7 +106,9 @@ def test_the_condensed_system_has_the_step_the_multipliers_and_the_inertia_of_th
         matrix, side, slope = dense(points, ends, h, tableau, gap, fixed, b)
         expected = np.linalg.solve(matrix, side)
         flat = [a[b].reshape(COUNT, -1, COLUMNS) for a in (full.dx, full.dnu, full.du, full.dlambda)]
-        found = np.concatenate([np.concatenate(flat, axis=1).reshape(-1, COLUMNS), solution.multipliers[b].reshape(-1, COLUMNS)])
+        found = np.concatenate(
+            [np.concatenate(flat, axis=1).reshape(-1, COLUMNS), solution.multipliers[b].reshape(-1, COLUMNS)]
+        )
         rounding = 1e-12 * np.linalg.cond(matrix) * np.max(np.abs(expected))
         assert np.max(np.abs(found - expected)) < rounding
         np.testing.assert_allclose(slopes[b], slope, rtol=1e-12, atol=1e-12)

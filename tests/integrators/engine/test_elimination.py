@@ -180,7 +180,8 @@ def test_the_inertia_of_a_trajectory_whose_length_goes_through_a_conjugate_point
 
 @pytest.mark.parametrize("off", [0.0, 1e-15, -1e-12, 1e-9, -1e-6, 1e-3])
 def test_focal_points_inside_a_trajectory_cost_no_digits(off):
-    """An oscillator is a quarter of its period from the start at a node: the problem up to it, with a free end, is singular.
+    """An oscillator is a quarter of its period from the start at a node: the problem up to it, with a free end, is
+    singular.
 
     Midpoint steps turn by 2 atan(h / 2); three of them by a quarter.
     """

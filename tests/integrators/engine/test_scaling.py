@@ -24,7 +24,10 @@ def test_they_change_with_the_units_of_the_problem(power):
     d = np.array([1.0, 10.0**power, 1.0, 1.0, 10.0 ** (power / 2)])
     node = d[:NODE, None]
     written = system._replace(
-        hessian=system.hessian / np.outer(d, d), left=system.left / d * node, right=system.right / d * node, gap=system.gap * node
+        hessian=system.hessian / np.outer(d, d),
+        left=system.left / d * node,
+        right=system.right / d * node,
+        gap=system.gap * node,
     )
     units = natural_units(written, gradient / d, states * d[:NODE], controls * d[NODE:])
     np.testing.assert_allclose(units.unknowns, own.unknowns * d, rtol=1e-9)

@@ -8,7 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import Composition, OptimalControlProblem, Result, Solution, classify, integrate, load_solution, solve
+from retrax.integrators import (
+    Composition,
+    OptimalControlProblem,
+    Result,
+    Solution,
+    classify,
+    integrate,
+    load_solution,
+    solve,
+)
 from retrax.integrators.boundary_value.shooting.legendre import second_order
 from retrax.integrators.controls import resting_control
 from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
@@ -180,7 +189,8 @@ def test_the_example_of_the_paper_in_closed_form(rate, target):
 
 @pytest.mark.slow
 def test_gauge_controls_have_the_least_norm_that_meets_the_ends():
-    """``p_y' = -p_y + u2`` from 0 to -1, the slope of the terminal cost: ``u2 = -e^t / sinh 1``, or its discrete counterpart."""
+    """``p_y' = -p_y + u2`` from 0 to -1, the slope of the terminal cost: ``u2 = -e^t / sinh 1``, or its discrete
+    counterpart."""
     solution, h = solve_academic(0.0, (0.7 * ONE, None), (None, None)), 1 / 12
     assert "of least norm that meet the ends" in " ".join(solution.singular.strategy.split())
     reach = h / (1 + h / 2) * ((1 - h / 2) / (1 + h / 2)) ** np.arange(11, -1, -1)
@@ -245,7 +255,8 @@ def test_the_ends_of_an_integrated_trajectory_on_the_sphere_lead_back_to_it():
     assert norm(solution.controls - path.controls) < 1e-9
     assert solution.singular.independent == 2  # of four: the two on the state at either end repeat each other on P_f
     beside = solve(PROBLEM, LIFT.discretization, path.q[0], np.array([1.0, 0, 0]), 0.6, steps, throw=False, **options)
-    assert beside.result == Result[Result.no_improvement]  # another end contradicts the start, and the iteration sees it
+    # Another end contradicts the start, and the iteration sees it.
+    assert beside.result == Result[Result.no_improvement]
     assert beside.statistics.iterations < 60
 
 
@@ -269,17 +280,22 @@ def test_constraints_at_the_stages_lead_from_end_to_end_of_an_integrated_traject
     path = integrate(problem, method, c.manifold.nearby((np.array([0.3, 0.2]), np.array([-0.1, 0.15]))), 0.1, 6)
     options = {"classification": c, "integrator": method}
     solution = solve(problem, discretization, np.asarray(path.q[0]), np.asarray(path.q[-1]), 0.6, 6, **options)
-    for found, integrated in ((solution.states, path.q), (solution.costates, path.p), (solution.controls, path.controls)):
+    for found, integrated in (
+        (solution.states, path.q),
+        (solution.costates, path.p),
+        (solution.controls, path.controls),
+    ):
         assert norm(found - integrated) < 1e-12
     assert solution.singular.independent == 2  # P_f has no room for the other two
 
 
 @pytest.mark.slow
 def test_a_rigid_body_with_a_cost_free_torque_is_turned():
-    """Rates free at both ends. ``int |w|^2`` is at least the square of the angle; a constant rate, held by torques, costs more.
+    """Rates free at both ends. ``int |w|^2`` is at least the square of the angle; a constant rate, held by torques,
+    costs more.
 
-    The spatial angular costate is a momentum of the symmetry of the problem, and kept; on ``P_f`` ``p_w3 = 0`` repeats a
-    condition at either end.
+    The spatial angular costate is a momentum of the symmetry of the problem, and kept; on ``P_f`` ``p_w3 = 0`` repeats
+    a condition at either end.
     """
     problem, vector, steps = SINGULAR["free actuator"]().problem, np.array([0.4, -0.3, 0.5]), 8
     discretization = Midpoint(Cayley(problem.manifold))
@@ -317,12 +333,19 @@ def test_an_integrator_is_for_singular_problems_and_their_discretization():
 @pytest.mark.parametrize("name", ["academic", "aly-chan", "sphere", "free actuator", "brown", "dummy control"])
 def test_singular_problems_are_recognised(name):
     problem = SINGULAR[name]().problem
-    assert not problem.is_regular_at(problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls))
+    assert not problem.is_regular_at(
+        problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls)
+    )
 
 
 @pytest.mark.parametrize(
     "cost",
-    [lambda u: 1e-9 * u @ u, lambda u: 1e9 * u[0] ** 2 + u[1] ** 2, lambda u: jnp.sum(u**4), lambda u: jnp.sum(jnp.cosh(u))],
+    [
+        lambda u: 1e-9 * u @ u,
+        lambda u: 1e9 * u[0] ** 2 + u[1] ** 2,
+        lambda u: jnp.sum(u**4),
+        lambda u: jnp.sum(jnp.cosh(u)),
+    ],
     ids=["weak", "unequal", "quartic", "not quadratic"],
 )
 def test_regular_problems_are_recognised_at_every_scale(cost):
@@ -356,6 +379,8 @@ def test_an_extremal_that_is_a_point_rests():
 def test_an_iterate_that_overflows_leaves_no_warning():
     """``log(cosh(100 u))`` is infinite from ``u = 8`` on, and flat before that."""
     plane = Euclidean(2)
-    problem = OptimalControlProblem(plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: jnp.log(jnp.cosh(100 * u[0])), 1)
+    problem = OptimalControlProblem(
+        plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: jnp.log(jnp.cosh(100 * u[0])), 1
+    )
     ends = np.zeros(2), np.array([1.0, 0.0])
     assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success

@@ -112,7 +112,9 @@ def test_steps_compose_to_rounding_or_not_at_all_and_the_choice_flips_once():
     assert choices == ["direct"] * composing + ["rattle"] * (len(bends) - composing)
     assert 1e-14 < bends[composing] < 1e-10
     for size in SCALES:
-        assert [chosen(classify(bent(bend, size))) for bend in (0.0, 1e-14, 1e-9, 0.1)] == ["direct"] * 2 + ["rattle"] * 2
+        assert [chosen(classify(bent(bend, size))) for bend in (0.0, 1e-14, 1e-9, 0.1)] == ["direct"] * 2 + [
+            "rattle"
+        ] * 2
 
 
 @pytest.mark.slow
@@ -227,7 +229,10 @@ def test_all_verdicts_stay_through_units_and_small_costs():
 def test_functions_with_a_domain_are_looked_at_where_they_are_finite():
     """``x' = log y``, ``y' = u``: half of all random states are outside of the domain."""
     problem = OptimalControlProblem(
-        PLANE, lambda q, u: jnp.stack([jnp.log(q[1]), u[0]]), lambda q, u: (q[0] - jnp.sqrt(q[1])) ** 2 / 2 + q[1] ** 2, 1
+        PLANE,
+        lambda q, u: jnp.stack([jnp.log(q[1]), u[0]]),
+        lambda q, u: (q[0] - jnp.sqrt(q[1])) ** 2 / 2 + q[1] ** 2,
+        1,
     )
     near = jnp.array([0.3, 1.2]), jnp.array([0.2, 0.0])
     found = classify(problem, near=near)

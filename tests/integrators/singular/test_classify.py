@@ -153,7 +153,8 @@ def test_irregular_equations_are_flagged(seeds):
 
 
 def test_nothing_is_built_on_equations_that_are_irregular():
-    """``x1' = x2``, ``x2' = u``, cost ``x1^4/4``: the conditions are ``x1^3 = 0`` and its derivatives, and ``P_f`` is a point."""
+    """``x1' = x2``, ``x2' = u``, cost ``x1^4/4``: the conditions are ``x1^3 = 0`` and its derivatives, and ``P_f`` is a
+    point."""
     space = Euclidean(2)
     problem = OptimalControlProblem(space, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[0] ** 4 / 4, 1)
     c, midpoint = classify(problem), Midpoint(Addition(space))
@@ -170,9 +171,14 @@ def test_nothing_is_built_on_equations_that_are_irregular():
 
 @pytest.mark.slow
 def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
-    """``x' = u1``, ``y' = x u2``, cost ``u1^2/2``: ``p2 x = 0``, of which the piece ``p2 = 0`` is primary from most starts."""
-    problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), lambda q, u: u[0] ** 2 / 2, 2)
-    found = [[(s.signature, s.k_f, s.equations.names) for s in classify(problem, seed=seed).strata] for seed in range(3)]
+    """``x' = u1``, ``y' = x u2``, cost ``u1^2/2``: ``p2 x = 0``, of which the piece ``p2 = 0`` is primary from most
+    starts."""
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), lambda q, u: u[0] ** 2 / 2, 2
+    )
+    found = [
+        [(s.signature, s.k_f, s.equations.names) for s in classify(problem, seed=seed).strata] for seed in range(3)
+    ]
     assert found[0] == found[1] == found[2]
     assert (0, ("primary",)) in [piece[1:] for piece in found[0]]
 
@@ -180,12 +186,15 @@ def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
 def test_functions_that_are_finite_nowhere_are_refused():
     """``log(-1 - x^2)`` has finite derivatives."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: jnp.log(-1 - q[0] ** 2), 1)
-    with pytest.raises(InvalidInputError, match=r"not finite at any of 20 points of level 0, as at q = .* running cost nan"):
+    with pytest.raises(
+        InvalidInputError, match=r"not finite at any of 20 points of level 0, as at q = .* running cost nan"
+    ):
         classify(problem)
 
 
 def test_conditions_that_are_only_approached_are_not_called_contradictory():
-    """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain; ``e^u = 0`` where ``u`` is infinite."""
+    """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain; ``e^u = 0`` where ``u`` is
+    infinite."""
     edge = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.log(q) + u, lambda q, u: q @ q / 2, 1)
     infinity = OptimalControlProblem(Euclidean(1), lambda q, u: 0 * u + 1, lambda q, u: jnp.exp(u[0]) + q[0], 1)
     for problem in (edge, infinity):
@@ -308,7 +317,9 @@ def test_components_of_a_control_that_is_no_vector_are_not_called_its_entries():
     c = classify(OptimalControlProblem(Euclidean(1), lambda q, u: u[0, :1], lambda q, u: 0 * q[0], Euclidean((1, 2))))
     names = "coordinate 0, coordinate 1"
     assert c.gauge_components == (0, 1)
-    assert f"parametrised by {names}); coordinates in the retraction chart of U around u = [[" in " ".join(str(c).split())
+    assert f"parametrised by {names}); coordinates in the retraction chart of U around u = [[" in " ".join(
+        str(c).split()
+    )
     with pytest.raises(
         InvalidInputError, match=rf"the gauge controls {names}, shape \(2,\); coordinates in the retraction chart"
     ):
@@ -317,7 +328,8 @@ def test_components_of_a_control_that_is_no_vector_are_not_called_its_entries():
 
 @pytest.mark.slow
 def test_components_of_a_control_on_a_sphere_are_coordinates_of_it():
-    """``x1' = x2``, ``x2' = u1``, ``u`` in ``S^2``: ``u1 = -x1`` on the arc, and one coordinate in a chart of ``S^2`` is free."""
+    """``x1' = x2``, ``x2' = u1``, ``u`` in ``S^2``: ``u1 = -x1`` on the arc, and one coordinate in a chart of ``S^2``
+    is free."""
     problem = OptimalControlProblem(
         Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: (q[1] ** 2 - q[0] ** 2) / 2, Sphere(2)
     )
@@ -337,7 +349,10 @@ def test_components_of_a_control_on_a_sphere_are_coordinates_of_it():
         ({"problem": None}, "classify takes an OptimalControlProblem"),
         ({"starts": 0}, "starts must be a positive number"),
         ({"near": (jnp.zeros(2), jnp.zeros(2)), "symbolic": True}, "leave near out"),
-        ({"problem": OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0], 0)}, "the problem has no controls"),
+        (
+            {"problem": OptimalControlProblem(Euclidean(1), lambda q, u: q, lambda q, u: q[0], 0)},
+            "the problem has no controls",
+        ),
     ],
 )
 def test_wrong_input_is_refused_in_words(arguments, message):
@@ -351,7 +366,9 @@ def test_under_a_transformation_it_says_that_it_runs_outside():
     with pytest.raises(InvalidInputError, match=r"classify runs outside jit"):
         jax.jit(lambda cost: classify(scaled(made, (1.0, cost, 1.0))).stratum.q)(1.0)
     with pytest.raises(InvalidInputError, match=r"singular_integrator runs outside jit"):
-        jax.grad(lambda k: singular_integrator(classified("academic"), midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta)(1.0)
+        jax.grad(
+            lambda k: singular_integrator(classified("academic"), midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta
+        )(1.0)
 
 
 def test_starts_near_what_is_no_state_are_refused():

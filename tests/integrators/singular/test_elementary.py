@@ -1,4 +1,5 @@
-"""Elementary functions in exact algebra: what is treated is right, by derivatives of JAX, the rest is refused in words."""
+"""Elementary functions in exact algebra: what is treated is right, by derivatives of JAX, the rest is refused in
+words."""
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,8 @@ from tests.integrators.singular.test_symbolic import signatures
 
 
 def assert_invariant(exact: SymbolicClassification) -> None:
-    """At points of the pieces ``dH/du = 0``, the equations hold and so do their rates along ``X_H``: derivatives by JAX."""
+    """At points of the pieces ``dH/du = 0``, the equations hold and so do their rates along ``X_H``: derivatives by
+    JAX."""
     problem, phase = exact.problem, exact.phase
     states, n = (*phase.q, *phase.p), len(phase.q)
 
@@ -57,7 +59,8 @@ def test_the_thrust_of_goddard_s_arc_keeps_the_switching_function_zero():
     exact = rocket()
     piece, at = exact.stratum, dict(zip((*exact.phase.q, exact.phase.p[2]), (1.01, 0.06, 0.8, 0.1), strict=True))
     q, p, u = (
-        jnp.array([float(piece.reduce(s).subs(at)) for s in part]) for part in (exact.phase.q, exact.phase.p, exact.phase.u)
+        jnp.array([float(piece.reduce(s).subs(at)) for s in part])
+        for part in (exact.phase.q, exact.phase.p, exact.phase.u)
     )
 
     def switching(z):
@@ -75,7 +78,8 @@ def test_the_thrust_of_goddard_s_arc_keeps_the_switching_function_zero():
 
 
 def planar(f):
-    """``x' = f(x, y)``, ``y' = u``, cost ``(x^2 + y^2) / 2``: ``P_f`` is symplectic of dimension 2 where ``df/dy != 0``."""
+    """``x' = f(x, y)``, ``y' = u``, cost ``(x^2 + y^2) / 2``: ``P_f`` is symplectic of dimension 2 where ``df/dy !=
+    0``."""
     return OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([f(*q), u[0]]), lambda q, u: q @ q / 2, 1)
 
 
@@ -100,7 +104,9 @@ ELEMENTARY = {
 QUICK = ("exp", "sin of the unknown", "log", "power", "an identity")
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in ELEMENTARY])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in ELEMENTARY]
+)
 def test_elementary_functions_are_treated(name):
     exact = classify(planar(ELEMENTARY[name]), symbolic=True)
     assert signatures(exact) == [(2, 0, 2)]
@@ -156,7 +162,12 @@ def predators(q, u):
         pytest.param(3, dubins, lambda q, u: jnp.ones(()), [(2, 0, 4), (3, 1, 0)], id="Dubins", marks=pytest.mark.slow),
         # Washed out without biomass, with the substrate of the feed or a worthless one.
         pytest.param(
-            3, chemostat, lambda q, u: -q[0] * u[0], [(2, 0, 4), (2, 1, 2), (2, 1, 2)], id="chemostat", marks=pytest.mark.slow
+            3,
+            chemostat,
+            lambda q, u: -q[0] * u[0],
+            [(2, 0, 4), (2, 1, 2), (2, 1, 2)],
+            id="chemostat",
+            marks=pytest.mark.slow,
         ),
         pytest.param(2, predators, lambda q, u: (q - 1) @ (q - 1) / 2, [(2, 0, 2), (2, 1, 0)], id="predators"),
     ],
@@ -173,7 +184,9 @@ def test_an_exponential_that_cannot_be_one_is_a_contradiction():
         return jnp.stack([1 - q[0] - reaction, 1 - q[1] + reaction - 2 * (q[1] - q[2]), u[0] - q[2]])
 
     # The concentration 1/2 that costs nothing is not kept at any finite temperature.
-    assert classify(OptimalControlProblem(Euclidean(3), reactor, lambda q, u: (q[0] - 0.5) ** 2, 1), symbolic=True).empty
+    assert classify(
+        OptimalControlProblem(Euclidean(3), reactor, lambda q, u: (q[0] - 0.5) ** 2, 1), symbolic=True
+    ).empty
     held = OptimalControlProblem(Euclidean(3), reactor, lambda q, u: (q[0] - 0.75) ** 2, 1)
     exact = classify(held, symbolic=True)
     assert exact.dimension == 0

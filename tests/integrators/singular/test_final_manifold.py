@@ -103,7 +103,9 @@ def test_the_necessary_conditions_are_lagrangian(name, made):
 def test_what_is_no_extremal_is_not_certified(made):
     submanifold = made(known("academic").problem)
     z, u = (jnp.ones(2), jnp.ones(2)), jnp.zeros(2)  # dH/du = (p_x - x - u1, -y) = (0, -1)
-    with pytest.raises(NotOnManifoldError, match=r"(?s)y is not a point .* max \|equation / its gradient\| is 1, expected"):
+    with pytest.raises(
+        NotOnManifoldError, match=r"(?s)y is not a point .* max \|equation / its gradient\| is 1, expected"
+    ):
         is_lagrangian(submanifold, (z, u))
     with pytest.raises(InvalidInputError, match="expected an OptimalControlProblem, got None"):
         made(None)

@@ -11,7 +11,8 @@ from retrax.manifolds import Euclidean
 
 @pytest.mark.slow
 def test_pieces_of_equal_ranks_that_cross_are_told_apart():
-    """``x' = u1``, ``y' = u2``, cost ``x y u3``: ``p = 0`` and ``x y = 0``; ``u2`` is free on ``x = 0``, ``u1`` on ``y = 0``."""
+    """``x' = u1``, ``y' = u2``, cost ``x y u3``: ``p = 0`` and ``x y = 0``; ``u2`` is free on ``x = 0``, ``u1`` on ``y
+    = 0``."""
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: u[:2], lambda q, u: q[0] * q[1] * u[2], 3)
     seen = set()
     for seed in (0, 1, 4):
@@ -73,7 +74,8 @@ def test_curved_pieces_are_told_apart_by_directions_that_they_have_in_common():
 
 @pytest.mark.slow
 def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
-    """``q' = u``, cost ``x^2 y^2/2``: ``x = 0`` and ``y = 0``, of equal ranks; and ``x^2 y^3/2``, irregular on ``y = 0``."""
+    """``q' = u``, cost ``x^2 y^2/2``: ``x = 0`` and ``y = 0``, of equal ranks; and ``x^2 y^3/2``, irregular on ``y =
+    0``."""
     problem, half = (OptimalControlProblem(Euclidean(2), lambda q, u: u, Crossing(jnp.array(a)), 2) for a in (0.0, 1.0))
     for seed in range(3):
         c = classify(problem, seed=seed)

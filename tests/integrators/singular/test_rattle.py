@@ -32,7 +32,9 @@ AXIS = jnp.array([0.0, 0.0, 1.0])
 
 def turned(q: Array, u: Array) -> Array:
     """A drift, and a control that turns the sphere about the vertical."""
-    return SPHERE.projection(q, jnp.array([0.1 * q[2], 0.15 * q[0] * q[1], q[1] + 0.1 * q[0]])) + u[0] * jnp.cross(AXIS, q)
+    return SPHERE.projection(q, jnp.array([0.1 * q[2], 0.15 * q[0] * q[1], q[1] + 0.1 * q[0]])) + u[0] * jnp.cross(
+        AXIS, q
+    )
 
 
 def height_cost(q: Array, u: Array) -> Array:
@@ -125,21 +127,23 @@ def test_bad_input_is_refused_with_the_reason():
 @pytest.mark.parametrize("h", [0.1, 0.025])
 def test_where_an_arc_ends_the_error_says_so(h):
     """``x' = y``, ``y' = u``, cost ``y^3 / 6 - x / 2``: ``{phi, psi} = y`` and ``u = -1/(2 y)``, so ``y^2 = 1 - t``."""
-    problem = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1)
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1
+    )
     method = Composition(RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,)), (1.0,))
     arc = integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60, throw=False)
     failed = int(arc.failed_step)
     assert abs(failed * h - 1) < 2 * h
-    words = (
-        rf"step {failed}, from t = {failed * h:.6g}: .*leaves the regular part of P_f.*value is 1 at first, 0\.[0-3].* at last"
-    )
+    where = rf"step {failed}, from t = {failed * h:.6g}"
+    words = rf"{where}: .*leaves the regular part of P_f.*value is 1 at first, 0\.[0-3].* at last"
     with pytest.raises(ConvergenceError, match=words):
         integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60)
 
 
 @pytest.mark.slow
 def test_moves_along_leaves_that_are_too_long_for_their_flow_are_no_steps():
-    """At ``t = 1.22`` the bracket vanishes, and beyond it Newton's method finds a control of -91, whose flow leaves SO(3)."""
+    """At ``t = 1.22`` the bracket vanishes, and beyond it Newton's method finds a control of -91, whose flow leaves
+    SO(3)."""
     problem = OptimalControlProblem(
         SO3,
         lambda q, u: q @ hat(jnp.stack([u[0], u[1], q[2, 0] / 2])),
@@ -161,7 +165,8 @@ def test_moves_along_leaves_that_are_too_long_for_their_flow_are_no_steps():
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [1e-3, 1e3])
 def test_what_is_zero_is_judged_in_the_units_of_the_problem(size):
-    """Costs ``size`` times as large make costates so, and the control may be in other units: the verdicts are the same."""
+    """Costs ``size`` times as large make costates so, and the control may be in other units: the verdicts are the
+    same."""
     q, p = start()
     for control in (1.0, size):
         larger, costly = (scaled(problem, (1.0, size, control)) for problem in (PROBLEM, COSTLY))

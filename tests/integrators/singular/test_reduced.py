@@ -45,7 +45,8 @@ def curved_problem(rate: float) -> OptimalControlProblem:
 
 
 def nested_problem() -> OptimalControlProblem:
-    """On (S^2 x R^2) x R^(1x2), two singular controls that mix the Euclidean factors, their cost a gradient along them."""
+    """On (S^2 x R^2) x R^(1x2), two singular controls that mix the Euclidean factors, their cost a gradient along
+    them."""
     fields = jnp.array([[1.0, 0.2], [0.0, 1.0], [0.5, 0.0], [0.0, -0.3]])
 
     def potential(n: Array, x: Array) -> Array:
@@ -87,7 +88,10 @@ PROBLEMS = {
     "free actuator": (lambda: SINGULAR["free actuator"]().problem, (2,), 1),
     "aly-chan": (lambda: SINGULAR["aly-chan"]().problem, (0,), 1),
 }
-LARGE = [pytest.param(name, marks=pytest.mark.slow) for name in ("curved", "costly", "nested", "second order", "free actuator")]
+LARGE = [
+    pytest.param(name, marks=pytest.mark.slow)
+    for name in ("curved", "costly", "nested", "second order", "free actuator")
+]
 
 
 @cache
@@ -159,9 +163,14 @@ def test_the_final_manifold_is_a_cotangent_bundle_in_the_reduced_coordinates(nam
 
 @cache
 def kernel(name: str) -> Callable:
-    """Image of a step from a point of ``P_f``, the form before and after on a basis of its tangent space, and the constraints."""
+    """Image of a step from a point of ``P_f``, the form before and after on a basis of its tangent space, and the
+    constraints."""
     chain, integrator = chain_of(name), integrator_of(name)
-    problem, below, above = chain.problem, CotangentBundle(chain.reduced.manifold), CotangentBundle(chain.problem.manifold)
+    problem, below, above = (
+        chain.problem,
+        CotangentBundle(chain.reduced.manifold),
+        CotangentBundle(chain.problem.manifold),
+    )
     split, rest = ControlAffineSplitting(problem, PROBLEMS[name][1]), jnp.zeros(chain.problem.controls.dimension)
 
     def facts(h: Array, y: tuple) -> tuple:
@@ -214,7 +223,11 @@ def start_of(name: str) -> tuple:
 @pytest.mark.parametrize("order", [2, 4])
 def test_order(order):
     step = integrator_of("curved")
-    run, start, counts = runner(step if order == 2 else Composition(step)), start_of("curved"), np.array([10, 20, 40, 160])
+    run, start, counts = (
+        runner(step if order == 2 else Composition(step)),
+        start_of("curved"),
+        np.array([10, 20, 40, 160]),
+    )
     ends = [np.asarray(run(start, 1.0 / n, n)) for n in counts]
     errors = np.array([np.max(np.abs(end - ends[-1])) for end in ends[:-1]])
     assert slope(1 / counts[:-1], errors, 1e-13) == pytest.approx(order, abs=0.06)
@@ -287,7 +300,9 @@ def test_derivatives_by_the_data_of_the_problem_and_batches():
     def end(weight: Array) -> Array:
         cost = Weighted(weight)
         system = OptimalControlProblem(problem.manifold, problem.dynamics, cost, problem.controls)
-        return integrate(system, integrator_of("aly-chan"), (jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0])), h, n).q[-1, 0]
+        return integrate(system, integrator_of("aly-chan"), (jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0])), h, n).q[
+            -1, 0
+        ]
 
     def exact(weight: Array) -> Array:
         frequency = jnp.sqrt(weight)

@@ -24,7 +24,8 @@ def last(q):
 
 
 class Rocket(eqx.Module):
-    """Goddard's: ``h' = v``, ``v' = (3.5 u - 310 v^2 exp(-k (h - 1))) / m - 1/h^2``, ``m' = -7 u``, in units of h, v, m, t."""
+    """Goddard's: ``h' = v``, ``v' = (3.5 u - 310 v^2 exp(-k (h - 1))) / m - 1/h^2``, ``m' = -7 u``, in units of h, v,
+    m, t."""
 
     steepness: Array
     units: Array
@@ -82,7 +83,11 @@ def brackets(dynamics, q, p, u):
         values = [f(q, p) / terms(f, q, p) for f in (control, second)]
         singular, determining = third(q, p), by_control(q, p)
         sizes = terms(third, q, p), terms(by_control, q, p)
-        return jnp.stack(values), (singular + u[0] * determining) / (sizes[0] + jnp.abs(u[0]) * sizes[1]), determining / sizes[1]
+        return (
+            jnp.stack(values),
+            (singular + u[0] * determining) / (sizes[0] + jnp.abs(u[0]) * sizes[1]),
+            determining / sizes[1],
+        )
 
     return jax.vmap(at)(q, p, u)
 
@@ -99,8 +104,15 @@ def certify(c):
     assert abs(singular[0]) < 1e-9
 
 
-UNITS = [(1e6, 1e6, 1.0, 1.0), (1e-6, 1e-6, 1.0, 1.0), (1.0, 1e-6, 1.0, 1e6), (1.0, 1e6, 1.0, 1e-6), (1.0, 1.0, 1e6, 1.0),
-         (1.0, 1.0, 1e-6, 1.0), (6.4e6, 7.9e3, 1e5, 8.1e2)]  # fmt: skip
+UNITS = [
+    (1e6, 1e6, 1.0, 1.0),
+    (1e-6, 1e-6, 1.0, 1.0),
+    (1.0, 1e-6, 1.0, 1e6),
+    (1.0, 1e6, 1.0, 1e-6),
+    (1.0, 1.0, 1e6, 1.0),
+    (1.0, 1.0, 1e-6, 1.0),
+    (6.4e6, 7.9e3, 1e5, 8.1e2),
+]
 
 
 @pytest.mark.parametrize(
@@ -110,7 +122,11 @@ def test_the_singular_arc_of_goddard_s_rocket_for_all_exponents_and_units(expone
     """``P_f``: ``H1 = {H0, H1} = 0``, symplectic, and ``u`` is determined at level 2."""
     for steepness, units in [(k, (1.0, 1.0, 1.0, 1.0)) for k in exponents] + [(500.0, units) for units in scales]:
         c = classify(rocket(steepness, units), near=near(units))
-        assert (c.dimension, c.rank, c.gauge_controls, c.k_f, c.stratified) == (4, 4, 0, 2, False), (steepness, units, str(c))
+        assert (c.dimension, c.rank, c.gauge_controls, c.k_f, c.stratified) == (4, 4, 0, 2, False), (
+            steepness,
+            units,
+            str(c),
+        )
         assert c.reliable
         certify(c)
 
@@ -134,7 +150,8 @@ def decided(c):
 
 
 class Flat(eqx.Module):
-    """A rocket over a plane: ``v' = (3.5 u - 310 v^2 exp(-k h)) / m - 1``; without drag ``h`` and ``v`` do not enter ``H``."""
+    """A rocket over a plane: ``v' = (3.5 u - 310 v^2 exp(-k h)) / m - 1``; without drag ``h`` and ``v`` do not enter
+    ``H``."""
 
     steepness: Array
 
@@ -146,7 +163,8 @@ class Flat(eqx.Module):
 @pytest.mark.slow
 @pytest.mark.parametrize(("height", "exponents"), [(0.1, (20.0, 290.0, 500.0)), (0.08, np.geomspace(1.0, 500.0, 12))])
 def test_where_drag_drowns_in_rounding_nothing_is_decided(height, exponents):
-    """Drag is from ``exp(-1/10)`` to ``exp(-50)`` of the rest: ranks are those of the problem with drag, or not decided."""
+    """Drag is from ``exp(-1/10)`` to ``exp(-50)`` of the rest: ranks are those of the problem with drag, or not
+    decided."""
     p, answers = near()[1], []
     for k in exponents:
         problem = OptimalControlProblem(Euclidean(3), Flat(jnp.array(k)), free, 1, terminal_cost=last)
@@ -160,7 +178,8 @@ def test_where_drag_drowns_in_rounding_nothing_is_decided(height, exponents):
 @SLOW
 @pytest.mark.parametrize("exponents", [(1.0, 500.0), np.geomspace(1.0, 500.0, 12)], ids=["few", "many"])
 def test_where_drag_drowns_beside_gravity_nothing_is_decided(exponents):
-    """Goddard's rocket at ``h = 1.05``, where drag is ``exp(-k/20)``, from where it counts to where it is part of no sum."""
+    """Goddard's rocket at ``h = 1.05``, where drag is ``exp(-k/20)``, from where it counts to where it is part of no
+    sum."""
     q, p = near()
     answers = []
     for k in exponents:
@@ -181,9 +200,12 @@ class Arrhenius(eqx.Module):
         return jnp.stack([-self.rate * jnp.exp(-self.energy / q[1]) * q[0], u[0]])
 
 
-@pytest.mark.parametrize("energies", [(1.0, 8750.0), pytest.param(np.geomspace(1.0, 1e4, 16), marks=SLOW)], ids=["few", "many"])
+@pytest.mark.parametrize(
+    "energies", [(1.0, 8750.0), pytest.param(np.geomspace(1.0, 1e4, 16), marks=SLOW)], ids=["few", "many"]
+)
 def test_a_reaction_that_underflows_is_not_taken_for_none(energies):
-    """``p_T = 0`` and ``p_x x = 0``, two pieces of dimension 2 with ``p = 0`` excluded; a reaction that is zero leaves 3."""
+    """``p_T = 0`` and ``p_x x = 0``, two pieces of dimension 2 with ``p = 0`` excluded; a reaction that is zero leaves
+    3."""
     answers = []
     for energy in energies:
         problem = OptimalControlProblem(
@@ -275,7 +297,9 @@ class Quadratic(eqx.Module):
 def totally_singular(seed, bilinear):
     """A problem in the plane with two controls that cost nothing and small whole numbers for data."""
     draw = np.random.default_rng(seed)
-    drift, constant, linear, weights = (draw.integers(-2, 3, s).astype(float) for s in ((2, 2), (2, 2), (2, 2, 2), (2, 2)))
+    drift, constant, linear, weights = (
+        draw.integers(-2, 3, s).astype(float) for s in ((2, 2), (2, 2), (2, 2, 2), (2, 2))
+    )
     arrays = [jnp.array(a) for a in (drift, constant, linear * bilinear, weights + weights.T)]
     return OptimalControlProblem(Euclidean(2), Bilinear(*arrays[:3]), Quadratic(arrays[3]), 2), constant, linear
 

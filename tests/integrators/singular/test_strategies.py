@@ -34,7 +34,9 @@ def chosen(name: str, strategy: str | None = None, discretization: Discretizatio
 
 
 def start(name: str):
-    return classified(name).manifold.nearby(jax.tree.map(jnp.asarray, STARTS[name], is_leaf=lambda a: isinstance(a, list)))
+    return classified(name).manifold.nearby(
+        jax.tree.map(jnp.asarray, STARTS[name], is_leaf=lambda a: isinstance(a, list))
+    )
 
 
 @eqx.filter_jit
@@ -163,7 +165,8 @@ def test_rattle_is_of_order_two_through_another_retraction():
 
 @pytest.mark.slow
 def test_steps_of_the_paper_s_definition_do_not_compose_on_a_curved_final_manifold():
-    """``(z, z') = R_d^{T*}(h V)`` with ``V`` in ``S_f``: its ends leave ``P_f`` by ``O(h^2)``, and no step begins at ``z'``.
+    """``(z, z') = R_d^{T*}(h V)`` with ``V`` in ``S_f``: its ends leave ``P_f`` by ``O(h^2)``, and no step begins at
+    ``z'``.
 
     The nearest beginning of one is ``O(h^3)`` away.
     """
@@ -225,7 +228,11 @@ def test_without_a_gauge_the_control_has_least_norm():
 @pytest.mark.parametrize(
     ("gauge", "message"),
     [
-        (1.0, r"gauge must be a function gauge\(t, q, p\) that returns the gauge control u\[1\], shape \(1,\), got 1.0; try"),
+        (
+            1.0,
+            r"gauge must be a function gauge\(t, q, p\) that returns the gauge control u\[1\], shape \(1,\), got 1.0; "
+            r"try",
+        ),
         (lambda t: t, r"it fails with .* takes 1 positional argument but 3 were given; try"),
         (lambda t, q, p: jnp.zeros(2), r"shape \(1,\); it returns 2 numbers"),
         (lambda t, q, p: 1 / t, r"at t = 0, q = .* it returns \[inf\], expected finite numbers"),

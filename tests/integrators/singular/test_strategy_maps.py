@@ -28,7 +28,8 @@ TURNED, CYLINDER = SPHERE * Euclidean(2), Sphere(1) * Euclidean(1)
 
 
 def turned(name: str) -> OptimalControlProblem:
-    """A known problem in the plane whose second state (the first, of the paper's example) turns a sphere, at a cost of height."""
+    """A known problem in the plane whose second state (the first, of the paper's example) turns a sphere, at a cost of
+    height."""
     plane, turning = known(name).problem, 0 if name == "academic" else 1
     return OptimalControlProblem(
         TURNED,
@@ -98,7 +99,8 @@ def start_of(strategy: str) -> tuple:
 
 @partial(eqx.filter_jit, compiler_options=compiler_options())
 def facts(method: SingularIntegrator, problem, z: tuple, w: tuple) -> tuple[Array, ...]:
-    """The end after two steps as a function of offsets of the start along ``w`` and of the cost: values, slopes in both modes."""
+    """The end after two steps as a function of offsets of the start along ``w`` and of the cost: values, slopes in both
+    modes."""
 
     def end(offset: Array) -> Array:
         data = scaled(problem, (1.0, 1 + offset[1], 1.0))

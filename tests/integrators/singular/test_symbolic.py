@@ -32,7 +32,8 @@ def symbolic(name: str) -> SymbolicClassification:
 
 
 def assert_same(exact, piece, numeric, stratum, accuracy=1e-8):
-    """The same facts of a piece; the numeric point satisfies the exact equations, and has the exact controls and kernel."""
+    """The same facts of a piece; the numeric point satisfies the exact equations, and has the exact controls and
+    kernel."""
     for fact in ("k_f", "k_f_base", "signature"):
         assert getattr(piece, fact) == getattr(stratum, fact), fact
     coordinates = np.concatenate([stratum.q, stratum.p, stratum.u])
@@ -85,7 +86,10 @@ def test_exact_and_numeric_pieces_agree(bend):
 
 def test_both_reports_print_the_same_facts():
     lines = [str(record).splitlines() for record in (symbolic("brown"), classified("brown"))]
-    facts = [{line for line in text if line.split()[0] in ("problem", "P_f", "k_f", "omega_f", "constraints")} for text in lines]
+    facts = [
+        {line for line in text if line.split()[0] in ("problem", "P_f", "k_f", "omega_f", "constraints")}
+        for text in lines
+    ]
     assert len(facts[0]) == 5
     assert facts[0] == facts[1]
     levels = [[line.split("[")[0].strip() for line in text if line.startswith("P^")] for text in lines]
@@ -101,7 +105,9 @@ def test_chains_of_integrators_end_at_the_origin(n):
     assert (exact.k_f, exact.k_f_base, exact.dimension) == (2 * n, 2 * n - 1, 0)
 
 
-@pytest.mark.parametrize(("name", "contradiction"), [("linear cost", "1 = 0 at level 1"), ("unpaid control", "at level 0")])
+@pytest.mark.parametrize(
+    ("name", "contradiction"), [("linear cost", "1 = 0 at level 1"), ("unpaid control", "at level 0")]
+)
 def test_contradictions_are_printed(name, contradiction):
     exact = symbolic(name)
     assert exact.empty
@@ -118,7 +124,9 @@ def test_the_paper_s_example_in_closed_form():
 
 def test_a_power_in_one_condition_is_regular_where_another_has_a_simple_zero():
     """``q' = u``, cost ``x^2 y^2/2``: ``x y^2 = 0`` and ``x^2 y = 0`` are regular on both lines off the origin."""
-    exact = classify(OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: (q[0] * q[1]) ** 2 / 2, 2), symbolic=True)
+    exact = classify(
+        OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: (q[0] * q[1]) ** 2 / 2, 2), symbolic=True
+    )
     assert signatures(exact) == [(3, 1, 0), (3, 1, 0)]
     assert not any(piece.irregular for piece in exact.strata)
     assert "irregular" not in str(exact)
@@ -127,7 +135,10 @@ def test_a_power_in_one_condition_is_regular_where_another_has_a_simple_zero():
 def test_strata_where_a_factor_vanishes():
     problem = known("aly-chan, Mayer").problem
     exact = classify(problem, symbolic=True, exclude_zero_costate=False)
-    assert {(piece.codimension, len(piece.coordinates) - len(piece.kernel)) for piece in exact.strata} == {(2, 4), (3, 0)}
+    assert {(piece.codimension, len(piece.coordinates) - len(piece.kernel)) for piece in exact.strata} == {
+        (2, 4),
+        (3, 0),
+    }
     assert all(exact.strata[1].reduce(p) == 0 for p in exact.phase.p)
 
 
@@ -171,7 +182,9 @@ def test_a_rank_drops_behind_a_pivot_that_vanishes_there():
 
 
 def test_a_coefficient_that_vanishes_beside_a_control_that_is_not_linear():
-    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: u[0] - q[0] * u[0] * u[1] - u[0] ** 3 / 3, 2)
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: u, lambda q, u: u[0] - q[0] * u[0] * u[1] - u[0] ** 3 / 3, 2
+    )
     exact = classify(problem, symbolic=True)
     # q1 = u1 = 0 where all coefficients vanish; u1 = +-sqrt(1 - p1) where q1 = 0 is not followed, and said.
     assert signatures(exact) == [(0, 0, 4), (3, 1, 0)]
@@ -184,7 +197,9 @@ def test_branches_too_long_to_follow_are_said():
     exact = symbolic("curved arc")
     assert len(exact.strata) == 1
     assert exact.stratum.levels == {exact.phase.u[0]: 2}
-    assert any(level == 2 and expression.free_symbols <= set(exact.stratum.coordinates) for expression, level in exact.unsolved)
+    assert any(
+        level == 2 and expression.free_symbols <= set(exact.stratum.coordinates) for expression, level in exact.unsolved
+    )
     assert "no short closed form" in " ".join(str(exact).split())
 
 
@@ -193,7 +208,9 @@ def test_a_traced_function_has_the_values_of_the_function():
 
     def function(x):
         y = jnp.concatenate([x[1:], x[:1] ** 3])
-        return jnp.sum(jnp.sin(matrix @ y) * jnp.exp(x[:2]) / (1 + jnp.sqrt(x[0]) ** 2)) + jnp.stack([y[2], x[0]]) @ x[1:]
+        return (
+            jnp.sum(jnp.sin(matrix @ y) * jnp.exp(x[:2]) / (1 + jnp.sqrt(x[0]) ** 2)) + jnp.stack([y[2], x[0]]) @ x[1:]
+        )
 
     symbols = np.array(sympy.symbols("x1:4"), dtype=object)
     point = np.array([0.3, 0.7, 0.2])
@@ -203,7 +220,15 @@ def test_a_traced_function_has_the_values_of_the_function():
 
 @pytest.mark.parametrize(
     ("number", "meant"),
-    [(0.1, "1/10"), (1e-20, "1e-20"), (1 / 3, "1/3"), (-2 / 7, "-2/7"), (1e22, "1e22"), (np.float32(0.1), "1/10"), (0.0, "0")],
+    [
+        (0.1, "1/10"),
+        (1e-20, "1e-20"),
+        (1 / 3, "1/3"),
+        (-2 / 7, "-2/7"),
+        (1e22, "1e22"),
+        (np.float32(0.1), "1/10"),
+        (0.0, "0"),
+    ],
 )
 def test_constants_become_the_numbers_that_were_meant(number, meant):
     number = np.asarray(number)[()]
@@ -245,7 +270,9 @@ def test_what_has_no_exact_form_is_refused_in_words():
     with pytest.raises(InvalidInputError, match="needs a problem on Euclidean spaces"):
         symbolic("sphere")
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.abs(u), lambda q, u: u @ u, 1)
-    with pytest.raises(InvalidInputError, match=r"use the operation abs; exact algebra treats .* without symbolic=True"):
+    with pytest.raises(
+        InvalidInputError, match=r"use the operation abs; exact algebra treats .* without symbolic=True"
+    ):
         classify(problem, symbolic=True)
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: jnp.exp(u[0]) + u[0] ** 2, 1)
     with pytest.raises(InvalidInputError, match="no branch ends in closed form"):

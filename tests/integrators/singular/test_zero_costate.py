@@ -1,4 +1,5 @@
-"""Extremals with ``p = 0`` are left out only where Pontryagin's principle excludes them, whatever the unit of the cost."""
+"""Extremals with ``p = 0`` are left out only where Pontryagin's principle excludes them, whatever the unit of the
+cost."""
 
 import re
 from itertools import product
@@ -56,7 +57,8 @@ def answer(given: OptimalControlProblem, end: np.ndarray | None = None) -> tuple
 
 @pytest.mark.slow
 def test_a_target_that_costs_nothing_is_reached_down_to_no_running_cost():
-    """``x' = u``, cost ``c u^2/2 + (x - 1)^2/2``: ``x(1) = 1/(1 + c)`` at the cost ``c/(1 + c)/2``, with ``p = -c/(1 + c)``."""
+    """``x' = u``, cost ``c u^2/2 + (x - 1)^2/2``: ``x(1) = 1/(1 + c)`` at the cost ``c/(1 + c)/2``, with ``p = -c/(1 +
+    c)``."""
     for c, unit in product((1.0, 1e-3, 1e-6, 1e-12, 0.0), (1e-12, 1.0, 1e12)):
         success, cost, end = answer(problem(price=c * unit, unit=unit))
         assert success, (c, unit)
@@ -69,7 +71,9 @@ def test_a_constant_running_cost_is_part_of_no_condition():
         success, cost, end = answer(problem(rate=rate))
         assert success, rate
         np.testing.assert_allclose([end, cost], [1, rate], rtol=1e-12, atol=1e-15)
-        assert answer(problem(rate=rate, tilt=1.0, bend=0.0)).startswith("the problem is singular, and no point of P_f, on which")
+        assert answer(problem(rate=rate, tilt=1.0, bend=0.0)).startswith(
+            "the problem is singular, and no point of P_f, on which"
+        )
 
 
 @pytest.mark.slow
@@ -82,7 +86,10 @@ def test_no_extremal_has_a_vanishing_costate_where_the_terminal_cost_is_steep_ev
         if c.empty:
             text = " ".join(answer(given).split())
             assert "p = 0 is excluded (exclude_zero_costate=False admits it)" in text
-            assert "empty: the conditions up to level 0 contradict each other at every point tried; extremals with p = 0" in text
+            assert (
+                "empty: the conditions up to level 0 contradict each other at every point tried; extremals with p = 0"
+                in text
+            )
             assert not classify(given, exclude_zero_costate=False).empty
         else:
             success, _, end = answer(given)
@@ -95,7 +102,9 @@ def test_a_total_derivative_tells_no_curve_from_another():
     """It was solved: all curves from start to end cost the same. Whatever else there is of the cost counts."""
     for pull in (0.0, 1e-20):
         words = answer(problem(turn=1.0, pull=pull), np.ones(1))
-        assert words.startswith("the control is free on P_f, of dimension 1: every curve from start to end is an extremal")
+        assert words.startswith(
+            "the control is free on P_f, of dimension 1: every curve from start to end is an extremal"
+        )
     for pull in (1e-6, 1.0):
         assert "the boundary data admit no extremal" in answer(problem(turn=1.0, pull=pull), np.ones(1))
 

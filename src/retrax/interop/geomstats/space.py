@@ -114,7 +114,9 @@ class RetraxMetric(RiemannianMetric):
     ) -> np.ndarray:
         """Parallel transport along the geodesic to ``end_point``, or in ``direction``, on symmetric spaces."""
         if not self._space.geometry.is_symmetric:
-            raise NotImplementedError(f"parallel transport is known on symmetric spaces, not on {self._space.geometry.manifold}")
+            raise NotImplementedError(
+                f"parallel transport is known on symmetric spaces, not on {self._space.geometry.manifold}"
+            )
         if end_point is None:
             end_point = self.exp(_given(direction), base_point)
         return self._space.host("transport", base_point, end_point, tangent_vec)

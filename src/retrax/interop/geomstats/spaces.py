@@ -47,13 +47,16 @@ from .space import RetraxSpace
 
 
 def counterpart(space: Any) -> Counterpart:
-    """Our manifold for a geomstats space: a native one if the space has the metric that geomstats gives it, else wrapped."""
+    """Our manifold for a geomstats space: a native one if the space has the metric that geomstats gives it, else
+    wrapped."""
     return _wrapped(space) if _has_another_metric(space) else _counterpart(space)
 
 
 def _has_another_metric(space: Any) -> bool:
     has = hasattr(space, "metric") and not isinstance(space, RetraxSpace) and hasattr(space, "default_metric")
-    return has and (type(space.metric) is not space.default_metric() or getattr(space.metric, "scales", None) is not None)
+    return has and (
+        type(space.metric) is not space.default_metric() or getattr(space.metric, "scales", None) is not None
+    )
 
 
 def _wrapped(space: GeomstatsManifold) -> Counterpart:
@@ -69,7 +72,9 @@ def _counterpart(space: Any) -> Counterpart:
 @_counterpart.register
 def _(space: GeomstatsManifold) -> Counterpart:
     if not hasattr(space, "metric"):
-        raise InvalidInputError(f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()")
+        raise InvalidInputError(
+            f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()"
+        )
     return _wrapped(space)
 
 
@@ -121,7 +126,9 @@ def _(space: Grassmannian) -> Counterpart:
 @_counterpart.register
 def _(space: Hyperboloid) -> Counterpart:
     if space.intrinsic:
-        raise InvalidInputError(f"{_name(space)} is in intrinsic coordinates, which are not an embedding; use intrinsic=False")
+        raise InvalidInputError(
+            f"{_name(space)} is in intrinsic coordinates, which are not an embedding; use intrinsic=False"
+        )
     return _native(Hyperbolic(space.dim))
 
 
@@ -131,7 +138,9 @@ def _(space: NFoldManifold) -> Counterpart:
         return _wrapped(space)
     base = counterpart(space.base_manifold)
     manifold, k = Power(base.manifold, space.n_copies), space.n_copies
-    return Counterpart(manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions))
+    return Counterpart(
+        manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions)
+    )
 
 
 @_counterpart.register

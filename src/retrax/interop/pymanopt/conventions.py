@@ -18,8 +18,8 @@ from ..conventions import Conventions, Listed, Representatives, Same, SkewFactor
 class Factored(Conventions):
     """pymanopt's matrices of rank ``r``: a point is its singular value decomposition ``(u, s, vt)``.
 
-    A tangent vector ``u M vt + Up vt + u Vp'`` is written ``(Up, M, Vp)``, with ``u'Up = 0`` and ``vt Vp = 0``. A vector of
-    the space around the points is a matrix ``z``, or ``(U, S, V)`` with ``z = U S V'``.
+    A tangent vector ``u M vt + Up vt + u Vp'`` is written ``(Up, M, Vp)``, with ``u'Up = 0`` and ``vt Vp = 0``. A
+    vector of the space around the points is a matrix ``z``, or ``(U, S, V)`` with ``z = U S V'``.
     """
 
     r: int = eqx.field(static=True)
@@ -56,7 +56,8 @@ class Factored(Conventions):
 def _factors(q: Array, r: int) -> tuple[Array, Array, Array]:
     """Singular value decomposition ``u, s, vt`` of a matrix of rank ``r``, its derivative that among such matrices.
 
-    It exists where the singular values are different [Townsend, "Differentiating the singular value decomposition", 2016].
+    It exists where the singular values are different [Townsend, "Differentiating the singular value decomposition",
+    2016].
     """
     u, s, vt = jnp.linalg.svd(q, full_matrices=False)
     return u[:, :r], s[:r], vt[:r]

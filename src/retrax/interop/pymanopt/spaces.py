@@ -57,8 +57,9 @@ def counterpart(space: Any) -> Counterpart:
 def _(space: PymanoptManifold) -> Counterpart:
     if space.point_layout != 1:
         raise InvalidInputError(
-            f"{space} cannot be used: its points are made of {space.num_values} arrays whose tangent vectors are written in "
-            "coordinates of their own; this door takes manifolds whose points are one array, and products of them"
+            f"{space} cannot be used: its points are made of {space.num_values} arrays whose tangent vectors are "
+            "written in coordinates of their own; this door takes manifolds whose points are one array, and products "
+            "of them"
         )
     manifold, retraction = wrap(PymanoptHost(space), str(space))
     return _with_natural_metric(manifold, retraction, Same())
@@ -124,7 +125,9 @@ def _(space: theirs.Grassmann) -> Counterpart:
 @counterpart.register
 def _(space: theirs.Product) -> Counterpart:
     manifolds, retractions, metrics, conventions = zip(*map(counterpart, space.manifolds), strict=True)
-    return Counterpart(Product(*manifolds), ProductRetraction(*retractions), ProductMetric(*metrics), Listed(conventions))
+    return Counterpart(
+        Product(*manifolds), ProductRetraction(*retractions), ProductMetric(*metrics), Listed(conventions)
+    )
 
 
 def _copies(

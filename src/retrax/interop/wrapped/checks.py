@@ -17,7 +17,8 @@ def wrap(host: HostSpace, name: str) -> tuple[WrappedManifold, WrappedRetraction
             wrong = _describe_point(host, seed) or _describe_geometry(host, seed)
         except Exception as reason:
             raise InvalidInputError(
-                f"{name} cannot be used: its own functions fail at its random points: {reason}; try the same space by matrices"
+                f"{name} cannot be used: its own functions fail at its random points: {reason}; try the same space by "
+                "matrices"
             ) from reason
         if wrong:
             raise InvalidInputError(f"{name} cannot be used: {wrong}")
@@ -37,8 +38,8 @@ def _describe_point(host: HostSpace, seed: int) -> str:
     rank = int(np.linalg.matrix_rank(images, tol=_TOLERANCE))
     if rank != host.dimension:
         return (
-            f"its tangent vectors at a point span {rank} dimensions where it says {host.dimension}: its arrays are not those "
-            "of an embedded manifold"
+            f"its tangent vectors at a point span {rank} dimensions where it says {host.dimension}: its arrays are not "
+            "those of an embedded manifold"
         )
     distance = float(np.max(np.abs(host.restore(x[None]) - x)))
     if not distance <= _ROUNDING:
@@ -57,8 +58,9 @@ def _describe_geometry(host: HostSpace, seed: int) -> str:
         return f"the derivative of R(x, v) at v = 0 is not the identity, by {slope:.1g}; it is not a retraction"
     if not twist <= _TOLERANCE:
         return (
-            f"its tangent spaces are not those of a surface (their second fundamental form is not symmetric, by {twist:.1g}): "
-            "its points stand for classes of arrays. Use a description of the quotient by matrices, such as projectors"
+            "its tangent spaces are not those of a surface (their second fundamental form is not symmetric, by "
+            f"{twist:.1g}): its points stand for classes of arrays. Use a description of the quotient by matrices, "
+            "such as projectors"
         )
     return ""
 

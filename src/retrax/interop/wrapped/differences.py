@@ -1,10 +1,10 @@
 """Functions that run on the host, with derivatives of every order by differences along curves.
 
 A function of another library cannot be traced. Its derivative is taken here from its values on curves that stay on the
-manifold, so that it is never asked for a value elsewhere: along ``s -> curve(x, s d)`` for each vector ``d`` of a basis, by the
-central difference of order 8. It is compared with that of order 6, and at the points where the two differ the step is shortened.
-From steps of 1e-2 the first differs from the second by about 1e-14 of the seventh derivative; rounding of the function's values
-is magnified by the inverse of the step for each order of the derivative.
+manifold, so that it is never asked for a value elsewhere: along ``s -> curve(x, s d)`` for each vector ``d`` of a
+basis, by the central difference of order 8. It is compared with that of order 6, and at the points where the two differ
+the step is shortened. From steps of 1e-2 the first differs from the second by about 1e-14 of the seventh derivative;
+rounding of the function's values is magnified by the inverse of the step for each order of the derivative.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Array
 
 STEP, SHORTER, SHORTENINGS = 1e-2, 0.25, 6
-ENOUGH = 1e-11  # relative difference at which a first derivative is not made better; for each order more, LOSS times as much
+# Relative difference at which a first derivative is not made better; for each order more, LOSS times as much.
+ENOUGH = 1e-11
 LOSS = 1e2
 LIMIT = 1e-7  # relative difference above which a derivative of any order is taken for unknown
 NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
@@ -30,9 +31,9 @@ def host_function(values: Host, moved: Moved, shape: tuple[int, ...], order: int
     """A JAX function from one on the host.
 
     ``values`` takes points in a batch, shape ``(batch, k)``, to values ``(batch, *shape)``; it is a derivative of this
-    ``order``. ``moved`` takes the same points and a step to points around them, shape ``(batch, k, 8, k)``: the nodes of the
-    difference along each of the ``k`` coordinates. Derivatives of every order, in every mode; their entries are NaN at points
-    where no step gives them.
+    ``order``. ``moved`` takes the same points and a step to points around them, shape ``(batch, k, 8, k)``: the nodes
+    of the difference along each of the ``k`` coordinates. Derivatives of every order, in every mode; their entries are
+    NaN at points where no step gives them.
     """
 
     @jax.custom_jvp
@@ -50,7 +51,8 @@ def host_function(values: Host, moved: Moved, shape: tuple[int, ...], order: int
 
 
 def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -> Host:
-    """The derivative along each coordinate, shape ``(batch, *shape, k)``, of a function that is a derivative of ``order``."""
+    """The derivative along each coordinate, shape ``(batch, *shape, k)``, of a function that is a derivative of
+    ``order``."""
     enough = min(ENOUGH * LOSS**order, LIMIT)
 
     def slopes(x: np.ndarray) -> np.ndarray:
@@ -70,7 +72,9 @@ def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -
     return slopes
 
 
-def _difference(values: Host, moved: Moved, shape: tuple[int, ...], x: np.ndarray, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _difference(
+    values: Host, moved: Moved, shape: tuple[int, ...], x: np.ndarray, step: float
+) -> tuple[np.ndarray, np.ndarray]:
     """The derivative of order 8, and by how much that of order 6 differs, relative to the larger of it and 1."""
     batch, k = x.shape
     with np.errstate(all="ignore"):  # a long step may end where the library's functions overflow

@@ -115,7 +115,8 @@ class WrappedRetraction(Retraction):
         return host_function(values, moved, host.shape)(point)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
-        """Where the inverse comes back, and the library takes the value for a point: far out it may be rounded to the edge."""
+        """Where the inverse comes back, and the library takes the value for a point: far out it may be rounded to the
+        edge."""
         violations = jnp.stack(list(self.manifold.violations(self(x, v)).values()))
         return super().domain(x, v) & (jnp.max(violations) <= default_tolerance())
 

@@ -17,19 +17,26 @@ def _closed_forms(retraction: Retraction, sample: Sample) -> dict:
     x = back(sample["x"])
     pair = retraction.both_ways(x, back(v))
     return {
-        "values": jnp.stack([flat(retraction(x, back(v))), flat(retraction(x, back(v))), flat(retraction(x, back(-v)))]),
-        "closed": jnp.stack([flat(retraction.chart(x, retraction.frame(x), sample["frame"] @ v)), flat(pair[1]), flat(pair[0])]),
+        "values": jnp.stack(
+            [flat(retraction(x, back(v))), flat(retraction(x, back(v))), flat(retraction(x, back(-v)))]
+        ),
+        "closed": jnp.stack(
+            [flat(retraction.chart(x, retraction.frame(x), sample["frame"] @ v)), flat(pair[1]), flat(pair[0])]
+        ),
     }
 
 
 @fact
 def closed_forms_are_the_retraction_itself(facts: Facts) -> Comparison | Inapplicable:
-    """``chart(x, frame(x), c) = R(x, sum_k c_k E_k)`` and ``both_ways(x, v) = (R(x, -v), R(x, v))``, which integrators call."""
+    """``chart(x, frame(x), c) = R(x, sum_k c_k E_k)`` and ``both_ways(x, v) = (R(x, -v), R(x, v))``, which integrators
+    call."""
     kind = type(facts.subject)
     if kind.chart is Retraction.chart and kind.both_ways is Retraction.both_ways:
         return Inapplicable("chart and both_ways are derived from the values")
     f = facts.measure(_closed_forms, "inside")
-    return facts.compare("the difference of a closed form from the values", f, f["closed"], f["values"], facts.tolerance)
+    return facts.compare(
+        "the difference of a closed form from the values", f, f["closed"], f["values"], facts.tolerance
+    )
 
 
 @fact

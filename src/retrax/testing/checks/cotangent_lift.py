@@ -95,7 +95,9 @@ def ends_lie_over_those_of_the_map(facts: CotangentLiftFacts) -> Comparison | In
         return Inapplicable("the map that is lifted is not known")
     f, base = facts.measure(maps.both_ends, "inside"), facts.measure(_base_ends, "inside")
     q0, _, q1, _ = np.split(f["value"], 4, axis=1)
-    return facts.compare("|(q0, q1) - R_d(q, qdot)|", f, np.concatenate([q0, q1], axis=1), base["base"], facts.tolerance)
+    return facts.compare(
+        "|(q0, q1) - R_d(q, qdot)|", f, np.concatenate([q0, q1], axis=1), base["base"], facts.tolerance
+    )
 
 
 @fact
@@ -135,10 +137,10 @@ def check_cotangent_lift(
 ) -> Report:
     """Measure whether a discretization map of a cotangent bundle is one, and symplectic.
 
-    ``equivariant``: whether the map on the base is claimed to commute with the group that acts there, so that momenta are
-    conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``points``, ``tolerance``, ``only``,
-    ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold,
-    unless ``throw`` is false.
+    ``equivariant``: whether the map on the base is claimed to commute with the group that acts there, so that momenta
+    are conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``points``, ``tolerance``,
+    ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact
+    does not hold, unless ``throw`` is false.
 
     ``points``: points of ``T*Q``, pairs, of the shape of the manifold's ``ambient``.
     """

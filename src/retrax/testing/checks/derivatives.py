@@ -22,7 +22,9 @@ def first_derivatives(retraction: Retraction, sample: Sample) -> dict:
     """First derivatives along the ambient direction ``d`` and the basis, and values along ``d``."""
     move, z, d = flat_retraction(retraction), jnp.stack([sample["x"], sample["v"]]), sample["d"]
     in_fibre = jnp.stack([0 * sample["frame"], sample["frame"]], axis=1)
-    forward, *push = jax.vmap(lambda d: jax.jvp(lambda z: move(*z), (z,), (d,))[1])(jnp.concatenate([d[None], in_fibre]))
+    forward, *push = jax.vmap(lambda d: jax.jvp(lambda z: move(*z), (z,), (d,))[1])(
+        jnp.concatenate([d[None], in_fibre])
+    )
     return {
         "forward": forward,
         "push": jnp.stack(push) if push else in_fibre[:, 0],
@@ -82,8 +84,12 @@ def reverse_mode_is_the_transpose_of_forward_mode(facts: Facts) -> Comparison:
 
 @fact
 def second_derivatives_agree_in_every_mode(facts: Facts) -> Comparison:
-    """Forward-over-forward, forward-over-reverse and reverse-over-reverse agree, at ``v = 0``, near it and elsewhere."""
-    f, twice = facts.measure(_second, "zero", "short", "inside"), facts.measure(_reverse_twice, "zero", "short", "inside")
+    """Forward-over-forward, forward-over-reverse and reverse-over-reverse agree, at ``v = 0``, near it and
+    elsewhere."""
+    f, twice = (
+        facts.measure(_second, "zero", "short", "inside"),
+        facts.measure(_reverse_twice, "zero", "short", "inside"),
+    )
     curved = np.einsum("ki,ki->k", f["c"], f["forward forward"])
     got = np.stack([_along(hessian, f["e"]) for hessian in (f["forward reverse"], twice["reverse reverse"])], axis=1)
     return facts.compare("the largest difference of two modes", f, got, curved[:, None], 10 * facts.tolerance)
@@ -91,7 +97,8 @@ def second_derivatives_agree_in_every_mode(facts: Facts) -> Comparison:
 
 @fact
 def second_derivatives_are_those_of_differences_of_gradients(facts: Facts) -> Comparison:
-    """Second derivatives along ambient directions agree with differences of gradients, at ``v = 0``, near it and elsewhere."""
+    """Second derivatives along ambient directions agree with differences of gradients, at ``v = 0``, near it and
+    elsewhere."""
     f = facts.measure(_second, "zero", "short", "inside")
     return facts.compare_slopes("|D2<c, R> d - differences|", f, f["forward reverse"], f["gradients"], f["step"])
 
@@ -114,7 +121,9 @@ def adjoint_pairs_as_the_derivative_does(facts: Facts) -> Comparison | Inapplica
     tangential = np.einsum("ki,kji,kjl->kl", f["adjoint"], f["frame"], f["frame"])
     pulled = np.concatenate([_along(f["w"], f["adjoint"])[:, None], f["adjoint"]], axis=1)
     expected = np.concatenate([_along(pushed, f["c"])[:, None], tangential], axis=1)
-    return facts.compare("|<w, DR*[c]> - <DR[w], c>|, or the normal part of DR*[c],", f, pulled, expected, facts.tolerance)
+    return facts.compare(
+        "|<w, DR*[c]> - <DR[w], c>|, or the normal part of DR*[c],", f, pulled, expected, facts.tolerance
+    )
 
 
 def _pushed(facts: Facts) -> np.ndarray:

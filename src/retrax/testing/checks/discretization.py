@@ -44,7 +44,8 @@ class DiscretizationFacts(Facts):
         self.symmetric, self.reach = symmetric, reach
 
     def draw(self, kind: str, site: Site) -> Sample:
-        """``x`` and ``v``, a frame of ``T(TM)`` there, two points ``ends`` near ``x``, an ambient direction ``d`` of ``TM``."""
+        """``x`` and ``v``, a frame of ``T(TM)`` there, two points ``ends`` near ``x``, an ambient direction ``d`` of
+        ``TM``."""
         x, (_, basis) = site.x, self.sampler.at(site.x, site.seed)
         rng = np.random.default_rng(site.seed)
         v = (0.0 if kind == "zero" else self.fraction(site) * self.reach) * direction(rng, basis)
@@ -98,7 +99,8 @@ def _slopes(discretization: DiscretizationMap, sample: Sample) -> dict:
 
 
 def push_of_the_fibre(f: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The tangent vectors ``e_i`` and the derivatives of both ends along ``(0, e_i)``, each of shape ``(samples, n, N)``."""
+    """The tangent vectors ``e_i`` and the derivatives of both ends along ``(0, e_i)``, each of shape ``(samples, n,
+    N)``."""
     fibre = f["frame"].shape[1] // 2
     first, second = np.split(f["push"][:, fibre:], 2, axis=2)
     return np.split(f["frame"][:, fibre:], 2, axis=2)[1], first, second
@@ -165,7 +167,8 @@ def map_inverts_its_inverse(facts: DiscretizationFacts) -> Comparison:
 
 @fact
 def derivatives_of_the_ends_are_those_of_differences(facts: DiscretizationFacts) -> Comparison:
-    """Automatic differentiation along ambient directions agrees with differences of values, at ``v = 0`` and elsewhere."""
+    """Automatic differentiation along ambient directions agrees with differences of values, at ``v = 0`` and
+    elsewhere."""
     f = facts.measure(_slopes, "zero", "inside")
     return facts.compare_slopes("|D R_d - differences|", f, f["slope"], f["values"], precision().step)
 
@@ -196,11 +199,13 @@ def check_discretization_map(
 ) -> Report:
     """Measure whether an object is a discretization map with the inverse and the ``theta`` that it says it has.
 
-    ``symmetric``: whether it is claimed to be its own adjoint, hence of order 2. ``reach``: the longest tangent vector that is
-    used. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
-    ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    ``symmetric``: whether it is claimed to be its own adjoint, hence of order 2. ``reach``: the longest tangent vector
+    that is used. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns
+    the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
 
     ``points``: points of the shape of the manifold's ``ambient``.
     """
-    facts = DiscretizationFacts(discretization, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance)
+    facts = DiscretizationFacts(
+        discretization, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance
+    )
     return examine(facts, DISCRETIZATION_CHECKS, only, skip, throw)

@@ -17,7 +17,8 @@ from .manifold import MANIFOLD_CHECKS, ManifoldFacts, max_violation
 
 
 class LieGroupFacts(ManifoldFacts):
-    """What is measured of a matrix Lie group, at random elements and elements of its algebra, beside the facts of manifolds."""
+    """What is measured of a matrix Lie group, at random elements and elements of its algebra, beside the facts of
+    manifolds."""
 
     kind = MatrixLieGroup
     subject: MatrixLieGroup
@@ -33,7 +34,8 @@ class LieGroupFacts(ManifoldFacts):
         super().__init__(group, seeds=seeds, points=points, tolerance=tolerance)
 
     def draw(self, kind: str, site: Site) -> Sample:
-        """Elements ``x``, ``y``, ``z``, a covector ``p`` at ``x``, coordinates ``b``, ``c`` of elements of the algebra."""
+        """Elements ``x``, ``y``, ``z``, a covector ``p`` at ``x``, coordinates ``b``, ``c`` of elements of the
+        algebra."""
         rng = np.random.default_rng(site.seed)
         y, z = (self.sampler.random(int(other)) for other in rng.integers(2**31, size=2))
         b, c = rng.standard_normal((2, self.manifold.dimension)) / np.sqrt(max(self.manifold.dimension, 1))
@@ -119,7 +121,9 @@ def identity_is_neutral(facts: LieGroupFacts) -> Comparison:
 def inverse_undoes_an_element(facts: LieGroupFacts) -> Comparison:
     """``x x^-1 = x^-1 x = e``."""
     f = facts.measure(_products, "points")
-    return facts.compare("|x x^-1 - e| or |x^-1 x - e|", f, f["with inverse"], f["identity"][:, None], 10 * facts.tolerance)
+    return facts.compare(
+        "|x x^-1 - e| or |x^-1 x - e|", f, f["with inverse"], f["identity"][:, None], 10 * facts.tolerance
+    )
 
 
 @fact
@@ -155,7 +159,8 @@ def Ad_is_a_homomorphism(facts: LieGroupFacts) -> Comparison:
 
 @fact
 def ad_is_the_commutator_and_the_derivative_of_Ad(facts: LieGroupFacts) -> Comparison:
-    """``hat(ad(b) c) = [hat(b), hat(c)]``, and ``ad(b)`` is the derivative of ``Ad`` at the identity along ``hat(b)``."""
+    """``hat(ad(b) c) = [hat(b), hat(c)]``, and ``ad(b)`` is the derivative of ``Ad`` at the identity along
+    ``hat(b)``."""
     f = facts.measure(_actions, "points")
     got = np.stack([f["ad"], f["slope of Ad"]], axis=1)
     return facts.compare("the largest difference of the three", f, got, f["bracket"][:, None], 10 * facts.tolerance)
@@ -165,7 +170,9 @@ def ad_is_the_commutator_and_the_derivative_of_Ad(facts: LieGroupFacts) -> Compa
 def ad_satisfies_the_Jacobi_identity(facts: LieGroupFacts) -> Comparison:
     """``ad([b, c]) = ad(b) ad(c) - ad(c) ad(b)``."""
     f = facts.measure(_actions, "points")
-    return facts.compare("|ad([b, c]) - [ad(b), ad(c)]|", f, f["ad of bracket"], f["bracket of ad"], 10 * facts.tolerance)
+    return facts.compare(
+        "|ad([b, c]) - [ad(b), ad(c)]|", f, f["ad of bracket"], f["bracket of ad"], 10 * facts.tolerance
+    )
 
 
 @fact
@@ -222,9 +229,11 @@ def check_lie_group(
 ) -> Report:
     """Measure whether an object keeps the promises of ``MatrixLieGroup``, those of ``Manifold`` among them.
 
-    ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
-    ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report;
+    raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
 
     ``points``: points of the shape of the manifold's ``ambient``.
     """
-    return examine(LieGroupFacts(group, seeds=seeds, points=points, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw)
+    return examine(
+        LieGroupFacts(group, seeds=seeds, points=points, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw
+    )

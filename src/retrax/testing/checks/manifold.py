@@ -18,8 +18,9 @@ from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, num
 from ..sites import Site
 
 CURVATURE = 100.0  # the largest second derivative that is taken for one
-# Of an equation that is left out a displacement off the manifold shows 1e-2 or less in these units, of one that is there about 1;
-# of random directions the rarest has 0.1 or more, of those along a smaller manifold rounding or its curvature.
+# Of an equation that is left out a displacement off the manifold shows 1e-2 or less in these units, of one that is
+# there about 1; of random directions the rarest has 0.1 or more, of those along a smaller manifold rounding or its
+# curvature.
 SEEN, SPREAD = 0.05, 0.02
 
 
@@ -104,7 +105,9 @@ def _generators(manifold: HomogeneousSpace, sample: Sample) -> dict:
 def random_points_are_on_the_manifold(facts: ManifoldFacts) -> Comparison:
     """Random points satisfy the manifold's equations."""
     f = facts.measure(_equations, "points")
-    return facts.bound("the largest violation of the equations", f, f["on"], facts.tolerance * (1 + largest_entries(f["x"])))
+    return facts.bound(
+        "the largest violation of the equations", f, f["on"], facts.tolerance * (1 + largest_entries(f["x"]))
+    )
 
 
 @fact
@@ -115,7 +118,9 @@ def random_points_differ(facts: ManifoldFacts) -> Comparison | Inapplicable:
         return Inapplicable("there is one point")
     gaps = np.max(np.abs(f["x"][:, None] - f["x"][None]), axis=2)
     others = gaps[~np.eye(len(gaps), dtype=bool)].reshape(len(gaps), -1)
-    return facts.bound("the distance to the nearest other point", f, np.min(others, axis=1), precision().tiny, "at least")
+    return facts.bound(
+        "the distance to the nearest other point", f, np.min(others, axis=1), precision().tiny, "at least"
+    )
 
 
 @fact
@@ -132,7 +137,8 @@ def random_points_spread_in_every_direction(facts: ManifoldFacts) -> Comparison 
         SPREAD,
         "at least",
         lambda _: (
-            "random points lie on a smaller manifold than this one; try to draw as many random numbers as it has dimensions"
+            "random points lie on a smaller manifold than this one; try to draw as many random numbers as it has "
+            "dimensions"
         ),
     )
 
@@ -163,7 +169,8 @@ def projection_is_symmetric(facts: ManifoldFacts) -> Comparison:
         if not np.allclose(p @ p, p, atol=precision().half):
             return ""
         return (
-            "P projects along vectors that are not normal, as one that is orthogonal for another metric does; try that of <a, b>"
+            "P projects along vectors that are not normal, as one that is orthogonal for another metric does; "
+            "try that of <a, b>"
         )
 
     return facts.compare("|P - P'|", f, f["projector"], transposed, facts.tolerance, hint=hint)
@@ -223,8 +230,9 @@ def equations_see_normal_displacements(facts: ManifoldFacts) -> Comparison | Ina
 
     def hint(k: int) -> str:
         return (
-            f"the largest of the violations does not grow with t along the normal vector n = {entries(f['normal'][k])}; "
-            "try violations that have every equation, with its absolute value and not its square"
+            "the largest of the violations does not grow with t along the normal vector n = "
+            f"{entries(f['normal'][k])}; try violations that have every equation, with its absolute value and not its "
+            "square"
         )
 
     what = "the violation at x + t n over t, for a short t relative to a longer one,"
@@ -244,12 +252,15 @@ def restore_makes_errors_second_order(facts: ManifoldFacts) -> Comparison:
     # A bound in place of a slope: along some directions the error changes sign, which no power of the distance does.
     f = facts.measure(_equations, "points")
     rate = np.max((f["after restoring"] - f["on"][:, None]) / precision().distances ** 2, axis=1)
-    return facts.bound("the violation after restoring x + t a over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"])))
+    return facts.bound(
+        "the violation after restoring x + t a over t^2", f, rate, CURVATURE * (1 + largest_entries(f["x"]))
+    )
 
 
 @fact
 def generators_of_the_action_span_the_tangent_spaces(facts: ManifoldFacts) -> Comparison | Inapplicable:
-    """The infinitesimal generators of the group's action are tangent, and every tangent vector is a combination of them."""
+    """The infinitesimal generators of the group's action are tangent, and every tangent vector is a combination of
+    them."""
     if not isinstance(facts.manifold, HomogeneousSpace):
         return Inapplicable("no group is said to act on this manifold")
     f = facts.measure(_generators, "points")
@@ -257,7 +268,9 @@ def generators_of_the_action_span_the_tangent_spaces(facts: ManifoldFacts) -> Co
     normal = largest_entries(f["generators"] - coordinates @ f["basis"])
     reached = np.linalg.pinv(coordinates) @ coordinates
     missed = largest_entries(reached - np.eye(reached.shape[1]))
-    return facts.bound("the larger of normal part and missed directions", f, np.maximum(normal, missed), 10 * facts.tolerance)
+    return facts.bound(
+        "the larger of normal part and missed directions", f, np.maximum(normal, missed), 10 * facts.tolerance
+    )
 
 
 @fact
@@ -300,14 +313,17 @@ def check_manifold(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object keeps the promises of ``Manifold``, at one random point for each seed and at special points.
+    """Measure whether an object keeps the promises of ``Manifold``, at one random point for each seed and at special
+    points.
 
-    Special points are the identity, zero, poles, barycentres, as far as they are points of the manifold; ``points`` are more of
-    them. ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size, by default 4500
-    machine epsilons of the precision that JAX is set to: 1e-12 in double, 5e-4 in single. ``only`` names the checks to run
-    (default: all), ``skip`` maps names of checks to the reasons for leaving them out.
-    Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    Special points are the identity, zero, poles, barycentres, as far as they are points of the manifold; ``points`` are
+    more of them. ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size,
+    by default 4500 machine epsilons of the precision that JAX is set to: 1e-12 in double, 5e-4 in single. ``only``
+    names the checks to run (default: all), ``skip`` maps names of checks to the reasons for leaving them out. Returns
+    the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
 
     ``points``: points of the shape of the manifold's ``ambient``.
     """
-    return examine(ManifoldFacts(manifold, seeds=seeds, points=points, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw)
+    return examine(
+        ManifoldFacts(manifold, seeds=seeds, points=points, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw
+    )

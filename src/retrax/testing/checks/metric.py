@@ -36,7 +36,8 @@ class MetricFacts(Facts):
         self.isometries = dict(isometries or {})
 
     def draw(self, kind: str, site: Site) -> Sample:
-        """The point with the basis there, unit tangent vectors ``v``, ``w``, ``d`` and a unit ambient covector ``p``."""
+        """The point with the basis there, unit tangent vectors ``v``, ``w``, ``d`` and a unit ambient covector
+        ``p``."""
         _, basis = self.sampler.at(site.x, site.seed)
         rng = np.random.default_rng(site.seed)
         v, w, d = (direction(rng, basis) for _ in range(3))
@@ -162,7 +163,9 @@ def energy_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
     """``kinetic_energy(x, p) = kinetic_energy(x, P_x p)`` for any ambient covector ``p``, as integrators give it."""
     f = facts.measure(_products, "points")
     energies = f["energies"] * _scale(f)[:, None]
-    return facts.compare("|K(p) - K(P p)|", f, energies[:, :1], energies[:, 1:], _conditioned(facts, f), ("K(p)", "K(P p)"))
+    return facts.compare(
+        "|K(p) - K(P p)|", f, energies[:, :1], energies[:, 1:], _conditioned(facts, f), ("K(p)", "K(P p)")
+    )
 
 
 @fact
@@ -171,13 +174,17 @@ def vector_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
     f = facts.measure(_products, "points")
     scale = _scale(f)[:, None]
     given, tangential = f["vectors"][:, 0], f["vectors"][:, 1]
-    got, expected = np.concatenate([given, given], axis=1) * scale, np.concatenate([tangential, f["tangent"]], axis=1) * scale
+    got, expected = (
+        np.concatenate([given, given], axis=1) * scale,
+        np.concatenate([tangential, f["tangent"]], axis=1) * scale,
+    )
     return facts.compare("|vector(p) - vector(P p)|", f, got, expected, _conditioned(facts, f))
 
 
 @fact
 def derivatives_of_the_metric_are_those_of_differences(facts: MetricFacts) -> Comparison:
-    """Reverse mode of ``g_x(P_x v, P_x w)`` and ``kinetic_energy(x, p)`` by ``x`` agrees with differences of their values."""
+    """Reverse mode of ``g_x(P_x v, P_x w)`` and ``kinetic_energy(x, p)`` by ``x`` agrees with differences of their
+    values."""
     f = facts.measure(_derivatives, "points")
     scale = np.stack([1 / _scale(g := facts.measure(_products, "points")), _scale(g)], axis=1)
     return facts.compare_slopes(
@@ -205,7 +212,9 @@ def isometries_keep_inner_products(facts: MetricFacts) -> Comparison | Inapplica
     f, g = facts.measure(moved, "points"), facts.measure(_products, "points")
     scale = _scale(g)[:, None]
     got = np.concatenate([f["products"] / scale, f["violations"]], axis=1)
-    expected = np.concatenate([np.repeat(g["product"][:, None] / scale, len(facts.isometries), 1), 0 * f["violations"]], axis=1)
+    expected = np.concatenate(
+        [np.repeat(g["product"][:, None] / scale, len(facts.isometries), 1), 0 * f["violations"]], axis=1
+    )
 
     def hint(k: int) -> str:
         gaps = np.max(np.abs(got - expected)[k].reshape(2, -1), axis=0)
@@ -244,7 +253,8 @@ def check_metric(
 
     ``isometries``: maps of the manifold to itself, by names, that are claimed to leave the metric invariant, as
     ``{"left translation": lambda x: a @ x}``. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in
-    ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is
+    false.
 
     ``points``: points of the shape of the manifold's ``ambient``.
     """

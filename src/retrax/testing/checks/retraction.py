@@ -27,7 +27,8 @@ LENGTHS = 2.0 ** -np.arange(4, 15)  # of which those are read at which the error
 
 
 def _values(retraction: Retraction, sample: Sample) -> dict:
-    """Values at ``(x, v)``, alone and in a batch, and on short multiples of ``u``; violations at the value and off it."""
+    """Values at ``(x, v)``, alone and in a batch, and on short multiples of ``u``; violations at the value and off
+    it."""
     move, x, v = derivatives.flat_retraction(retraction), sample["x"], sample["v"]
     multiples = jnp.concatenate([v[None], 0 * v[None], jnp.asarray(LENGTHS, v.dtype)[:, None] * sample["u"]])
     value, at_zero, *short = jax.vmap(move)(jnp.broadcast_to(x, multiples.shape), multiples)
@@ -59,7 +60,8 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
 
 
 def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
-    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``LENGTHS``, and for each sample what is rounding of it."""
+    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``LENGTHS``, and for each sample what is rounding of
+    it."""
     f = facts.measure(_values, "zero")
     errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
     return errors, precision().floor * (1 + largest_entries(f["x"]))
@@ -67,9 +69,12 @@ def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
 
 @fact
 def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -> Comparison:
-    """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of ``t``."""
+    """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of
+    ``t``."""
     f, (errors, floor) = facts.measure(_values, "zero"), short_errors(facts)
-    slopes = [slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)]
+    slopes = [
+        slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)
+    ]
     hidden = [is_hidden(e, limit) for e, limit in zip(errors, floor, strict=True)]
     found = facts.bound("the slope of log error over log t", f, slopes, 1.8, "at least")
     return replace(found, hidden=np.array(hidden), because="the errors of most lengths are below rounding")
@@ -77,7 +82,8 @@ def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -
 
 @fact
 def values_stay_on_the_manifold(facts: RetractionFacts) -> Comparison:
-    """``R(x, v)`` satisfies the manifold's equations to its rounding, for short vectors and up to the edge of the domain."""
+    """``R(x, v)`` satisfies the manifold's equations to its rounding, for short vectors and up to the edge of the
+    domain."""
     f = facts.measure(_values, "inside", "far", "edge")
     displaced = np.max(np.abs(f["violations nearby"] - f["violation"][:, None]), axis=1)
     # Equations such as det x = 1 magnify the rounding of large values: by as much as they do a larger displacement.

@@ -28,9 +28,9 @@ class RetractionFacts(Facts):
     """What is measured of a retraction, at random, special and given points and tangent vectors of several lengths.
 
     The kinds of samples are ``zero``, ``tiny`` (lengths from ``eps^(3/4)`` to ``eps^(1/2)``), ``short`` (from there to
-    ``eps^(1/5)``), ``inside`` (at most 1 long, and at most half way to the domain's edge), ``far`` (evenly up to the edge) and
-    ``edge`` (``sqrt(eps)`` from the edge, relatively; 1e-2 for a domain that is not a closed form). Where the domain reaches
-    farther than length 10, or than ``reach`` if that is more, this is taken for its edge.
+    ``eps^(1/5)``), ``inside`` (at most 1 long, and at most half way to the domain's edge), ``far`` (evenly up to the
+    edge) and ``edge`` (``sqrt(eps)`` from the edge, relatively; 1e-2 for a domain that is not a closed form). Where the
+    domain reaches farther than length 10, or than ``reach`` if that is more, this is taken for its edge.
     """
 
     kind = Retraction
@@ -131,7 +131,8 @@ class RetractionFacts(Facts):
         return {"slope": self._pull_inverse({**sample, **curve}), "values": np.stack(values)[None, 1:, None]}
 
     def midpoints_nearby(self) -> Batch:
-        """Midpoints of ``x`` and ``y = R(x, v)`` with the way to both, and, as for inverses, a derivative and values."""
+        """Midpoints of ``x`` and ``y = R(x, v)`` with the way to both, and, as for inverses, a derivative and
+        values."""
         return self.measure(self._vary_midpoint, "inside")
 
     def _vary_midpoint(self, sample: Sample) -> Sample:
@@ -141,7 +142,8 @@ class RetractionFacts(Facts):
         return {"slope": slope, "values": (middles[1:] @ sample["c"])[None, :, None], "to x": to_x, "to y": to_y}
 
     def _curve(self, sample: Sample) -> Sample:
-        """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)``, these two first, and their directions."""
+        """Points on curves through ``x`` along ``w`` and through ``y = R(x, v)``, these two first, and their
+        directions."""
         move, x, frame = self._edge.move, sample["x"], sample["frame"]
         b = direction(np.random.default_rng(1), frame)
         times = sample["step"] * np.concatenate([[0.0], NODES])
