@@ -11,6 +11,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ..free import Free, guessed, is_free
+from ..results import sentence
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
@@ -28,7 +29,8 @@ LOST = (
     "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an "
     "upper bound, or a guess of the trajectory."
 )
-FAR, TOO_FAR, AGAIN = 10.0, 1e6, 3  # from the guess: a horizon that is found again, or not believed; and how often
+FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
+MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 
 
 @final
@@ -62,24 +64,42 @@ class Formulated:
     def solve(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
         """The extremal of a single trajectory; ``choice``: of the classification and the integrator of a singular
         one."""
-        return self._in_own_units(asked, self._solved(asked, options, *choice), options, *choice)
+        first = self._in_own_units(asked, self._solved(asked, options, *choice), options, *choice)
+        return self._from_elsewhere(asked, first, options, *choice)
+
+    def _from_elsewhere(self, asked: Asked, first: Solution, options: dict[str, Any], *choice: Any) -> Solution:
+        """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
+        is one."""
+        horizon = asked.horizon
+        if first.success or not is_free(horizon) or first.result == sentence("stopped"):
+            return first
+        effort = first.statistics
+        for factor in MAGNITUDES:
+            guess = factor * horizon.guess
+            if horizon.lower <= guess <= horizon.upper:
+                near = asked._replace(horizon=Free(guess, horizon.lower, horizon.upper))
+                found = self._in_own_units(near, self._solved(near, options, *choice), options, *choice)
+                effort = _sum(effort, found.statistics)
+                if found.success or found.result == sentence("stopped"):
+                    return self._renewed(found, statistics=effort)
+        return self._renewed(first, statistics=effort)
 
     def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any], *choice: Any) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
 
         A horizon that tends to zero takes all conditions with it.
         """
-        horizon, parameters = asked.horizon, asked.parameters
         for _ in range(AGAIN):
+            horizon = asked.horizon
             ratio = solution.horizon / guessed(horizon)
             if not (solution.success and is_free(horizon) and not 1 / FAR < ratio < FAR):
                 return solution
-            if not 1 / TOO_FAR < ratio < TOO_FAR:
+            if not 0 < solution.horizon < np.inf:
                 break
             horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
-            before, near = solution.statistics, self._near(parameters, solution)
-            again = asked._replace(horizon=horizon, guess=solution, parameters=near)
-            solution = self._solved(again, options, *choice)
+            before, near = solution.statistics, self._near(asked.parameters, solution)
+            asked = asked._replace(horizon=horizon, guess=solution, parameters=near)
+            solution = self._solved(asked, options, *choice)
             solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
 
@@ -124,7 +144,8 @@ class Formulated:
         for k, (one, free) in enumerate(zip(found, each, strict=True)):
             solution = self._kept(formulation, solver, one, free[1])
             start, end = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
-            solutions.append(self._in_own_units(Asked(start, end, free[0], None, free[1]), solution, options))
+            own = Asked(start, end, free[0], None, free[1])
+            solutions.append(self._from_elsewhere(own, self._in_own_units(own, solution, options), options))
         return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:

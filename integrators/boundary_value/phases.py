@@ -16,6 +16,7 @@ from ..free import Free, guessed, is_free
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
+from ..results import sentence
 from ..text import many
 from .arguments import Method, Options, check_problem, checked_options
 from .coupled import Own, coupling_of
@@ -23,7 +24,7 @@ from .engine.coupling import Link
 from .engine.joint import JointConditions
 from .engine.newton import Iteration, newton
 from .engine.stopwatch import Stopwatch
-from .formulated import AGAIN, FAR, TOO_FAR
+from .formulated import AGAIN, FAR, MAGNITUDES
 from .independence import equation_words, require_independent
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
@@ -31,6 +32,7 @@ from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
 from .regular_extremals import phase_of
 
 HORIZON = "horizon"
+TOO_FAR = 1e6  # from its guess, without success: a duration that tends to zero or grows without bound
 LOST = (
     "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to "
     "leave the phase out, another guess of its duration, or a lower or an upper bound."
@@ -90,15 +92,7 @@ def solve_phases(
         )
     given = _checked(phases, guess)
     task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints, len(given)))
-    solution = task.solved(guessed_phases(given, task.links), options)
-    for _ in range(AGAIN):
-        lost, far = _strayed(given, solution)
-        if lost:
-            solution = solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))
-        if lost or not (far and solution.success):
-            break
-        given = [_near(phase, own) for phase, own in zip(given, solution.phases, strict=True)]
-        solution = task.solved(given, options)
+    solution = task.settled(guessed_phases(given, task.links), options)
     if throw and not solution.success:
         raise ConvergenceError(f"{solution.result}\n{solution}", solution)
     return solution
@@ -109,6 +103,34 @@ class _Task:
 
     def __init__(self, links: list[Any], horizon: float | None, constraints: dict[str, Any]) -> None:
         self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, TracedPhases()
+
+    def settled(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+        """The extremal, from durations of another magnitude where there is none from those that are guessed."""
+        first = self._in_own_units(phases, options)
+        free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
+        if first.success or not free or first.result == sentence("stopped"):
+            return first
+        for factor in MAGNITUDES:
+            scaled = [_scaled(phase, factor) for phase in phases]
+            if all(scaled):
+                found = self._in_own_units([phase for phase in scaled if phase], options)
+                if found.success or found.result == sentence("stopped"):
+                    return found
+        return first
+
+    def _in_own_units(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+        """The extremal, found again from itself where durations are far from their guesses, in whose units it was
+        judged."""
+        solution = self.solved(phases, options)
+        for _ in range(AGAIN):
+            if not (solution.success and _strayed(phases, solution, FAR)):
+                break
+            phases = [_near(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
+            solution = self.solved(phases, options)
+        lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR)
+        if not lost:
+            return solution
+        return solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))
 
     def solved(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
         """The extremal from guesses of all phases."""
@@ -211,12 +233,20 @@ def _near(phase: Phase, solution: Any) -> Phase:
     return phase._replace(duration=duration, guess=solution)
 
 
-def _strayed(phases: Sequence[Phase], solution: PhasedSolution) -> tuple[list[int], bool]:
-    """The phases whose duration was lost, and whether another is far from its guess."""
+def _strayed(phases: Sequence[Phase], solution: PhasedSolution, far: float) -> list[int]:
+    """The phases whose duration is further than so many times from its guess."""
     free = [k for k, phase in enumerate(phases) if is_free(phase.duration)]
-    ratios = {k: solution.phases[k].horizon / phases[k].duration.guess for k in free}
-    lost = [k for k, ratio in ratios.items() if not 1 / TOO_FAR < ratio < TOO_FAR]
-    return lost, any(not 1 / FAR < ratio < FAR for ratio in ratios.values())
+    return [k for k in free if not 1 / far < solution.phases[k].horizon / phases[k].duration.guess < far]
+
+
+def _scaled(phase: Phase, factor: float) -> Phase | None:
+    """The phase with another guess of its duration, if that is free; None if it is outside its bounds."""
+    duration = phase.duration
+    if not is_free(duration):
+        return phase
+    guess = factor * duration.guess
+    inside = duration.lower <= guess <= duration.upper
+    return phase._replace(duration=Free(guess, duration.lower, duration.upper)) if inside else None
 
 
 def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:

@@ -10,6 +10,7 @@ from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import VALUE, Slacks, moved, turned
+from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
@@ -136,20 +137,10 @@ class Conditions:
             # Where the cost is not curved in the controls, the distances to their bounds measure them.
             n = assembled.gap.shape[2]
             curved = (np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)).sum(axis=1)[:, n:] > 0).all(axis=1)
-            controls = np.where(curved[:, None], controls, np.maximum(controls, self._room(assembled)))
+            controls = np.where(curved[:, None], controls, np.maximum(controls, room(self, iterate, assembled)))
         fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
         spreads = extent.along(extent.spreads)
         return natural_units(self.system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
-
-    def _room(self, assembled: Assembled) -> np.ndarray:
-        """How far the controls can go before an inequality holds them, shape (B, s m)."""
-        held, m = assembled.blocks.inequalities, self.transcription.controls.dimension
-        slopes = np.abs(held.jacobian[..., -m:]) * held.asked[..., None] if m else np.zeros((*held.values.shape, 0))
-        with np.errstate(all="ignore"):
-            way = np.where(slopes > 0, np.abs(held.values)[..., None] / slopes, 0.0)
-        way = way.max(axis=1)
-        room = np.where(way > 0, way, np.inf).min(axis=2, initial=np.inf)
-        return np.where(np.isfinite(room), room, 0.0).reshape(len(room), -1)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
