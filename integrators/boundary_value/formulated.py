@@ -29,6 +29,11 @@ LOST = (
     "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an "
     "upper bound, or a guess of the trajectory."
 )
+UNDETERMINED = (
+    "The horizon tends to {:.3g}, or is hidden by other costs: the Hamiltonian, zero at an extremal, is {:.1e} of its "
+    "parts there; try another guess of it, a lower or an upper bound, or a guess of the trajectory."
+)
+HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 
@@ -92,8 +97,10 @@ class Formulated:
         for _ in range(AGAIN):
             horizon = asked.horizon
             ratio = solution.horizon / guessed(horizon)
-            if not (solution.success and is_free(horizon) and not 1 / FAR < ratio < FAR):
+            if not (solution.success and is_free(horizon)):
                 return solution
+            if 1 / FAR < ratio < FAR:
+                return self._with_its_hamiltonian(asked, solution)
             if not 0 < solution.horizon < np.inf:
                 break
             horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
@@ -102,6 +109,20 @@ class Formulated:
             solution = self._solved(asked, options, *choice)
             solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
+
+    def _with_its_hamiltonian(self, asked: Asked, solution: Solution) -> Solution:
+        """The solution, without success where the Hamiltonian is nowhere zero, as its mean is between the bounds of a
+        free horizon.
+
+        Beside other costs, as those of the ends, it is not seen in the residuals where the horizon is next to nothing.
+        """
+        horizon, size = asked.horizon, solution.checks.hamiltonian_size
+        held = not HELD * horizon.lower < solution.horizon < horizon.upper / HELD
+        values = solution.hamiltonians / (size if size > 0 else 1.0)
+        if held or self.reader.problem.time_dependent or values.min() <= UNMET and values.max() >= -UNMET:
+            return solution
+        words = UNDETERMINED.format(solution.horizon, solution.hamiltonians[0] / size)
+        return self._renewed(solution, success=False, result=words)
 
     def _solved(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
         formulation, solver, own = self.formulated(asked)

@@ -16,6 +16,7 @@ from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
+FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
 FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
@@ -132,15 +133,17 @@ class Conditions:
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""
-        extent, blocks, controls = assembled.extent, assembled.blocks, self._controls(iterate)
+        extent, blocks, controls, curved = assembled.extent, assembled.blocks, self._controls(iterate), True
         if blocks.held is not None:
-            # Where the cost is not curved in the controls, the distances to their bounds measure them.
-            n = assembled.gap.shape[2]
-            curved = (np.abs(np.diagonal(blocks.hessian, axis1=2, axis2=3)).sum(axis=1)[:, n:] > 0).all(axis=1)
-            controls = np.where(curved[:, None], controls, np.maximum(controls, room(self, iterate, assembled)))
+            # Where the cost is not curved in the controls, but for rounding, their way to the bounds measures them.
+            own, ways = extent.curvature[:, assembled.gap.shape[2] :], room(self, iterate, assembled)
+            changes = own * np.where(ways > 0, ways, 1.0) ** 2
+            curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
+            controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
         fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
         spreads = extent.along(extent.spreads)
-        return natural_units(self.system(iterate, assembled), blocks.gradient, spreads, controls, fallback)
+        system = self.system(iterate, assembled)
+        return natural_units(system, blocks.gradient, spreads, controls, fallback, curved)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""

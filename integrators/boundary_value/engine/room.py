@@ -1,7 +1,7 @@
-"""How far the controls of a guess can go before an inequality holds them: a unit of controls whose cost has no curvature.
+"""How far the controls of a guess can go between the inequalities: a unit of controls whose cost has no curvature.
 
-In the middle of a ball, ``u @ u <= r^2`` at rest, an inequality has no slope in the controls; there its curvature says
-how far they can go.
+In a ball, ``u @ u <= r^2``, an inequality has no slope in the controls at rest, or along the sphere that is its bound;
+there its curvature says how far they can go.
 """
 
 from typing import TYPE_CHECKING
@@ -16,27 +16,30 @@ if TYPE_CHECKING:
 
 
 def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
-    """The way of each control of a step to the nearest inequality, zero where there is none, shape (B, s m)."""
+    """Half of the way of each control of a step from one inequality to the other, or that to the only one.
+
+    The largest of all steps, zero where there is none, shape (B, s m).
+    """
     held, m = assembled.blocks.inequalities, conditions.transcription.controls.dimension
     if not m:
         return np.zeros((len(held.values), 0))
-    found = _nearest(np.abs(held.values)[..., None], np.abs(held.jacobian[..., -m:]) * held.asked[..., None])
-    if np.all(found > 0):
-        return found
-    curved = np.stack([_curvature(conditions, iterate, assembled, k) for k in range(held.values.shape[3])], axis=3)
-    return np.where(found > 0, found, np.sqrt(_nearest(2 * np.abs(held.values)[..., None], curved)))
-
-
-def _nearest(values: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """The least of the largest ways in a step, shape (B, s m), from values and slopes (B, N, s, c, m)."""
+    slopes = held.jacobian[..., -m:] * held.asked[..., None]
     with np.errstate(all="ignore"):
-        way = np.where(slopes > 0, values / slopes, 0.0).max(axis=1)
-    way = np.where(way > 0, way, np.inf).min(axis=2, initial=np.inf)
-    return np.where(np.isfinite(way), way, 0.0).reshape(len(way), -1)
+        straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None] / slopes))
+    bounds = sum(map(len, conditions.at_nodes.problem.limits.bounded.values()))  # these are straight
+    curved = (_curved(conditions, iterate, assembled, k) for k in range(bounds, held.values.shape[3]))
+    ball = np.min([np.full((*slopes.shape[:3], m), np.inf), *curved], axis=0)
+    sides = [np.where(side, straight, np.inf).min(axis=3, initial=np.inf) for side in (slopes > 0, slopes < 0)]
+    ways = np.minimum(sides, ball)
+    found = np.where(np.isfinite(ways), ways, 0.0).sum(axis=0) / np.maximum(np.isfinite(ways).sum(axis=0), 1)
+    return found.max(axis=1).reshape(len(found), -1)
 
 
-def _curvature(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k: int) -> np.ndarray:
-    """Second derivatives of one inequality in each control of a point, shape (B, N, s, m)."""
+def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k: int) -> np.ndarray:
+    """How far the controls of a point can go inside an inequality that is curved, shape (B, N, s, m), else infinite.
+
+    For ``g = |u|^2 - r^2`` in whatever units of the controls it is ``|u| + r``.
+    """
     held, n = assembled.blocks.inequalities, assembled.gap.shape[2]
     alone = Slacks.none(held.values.shape)
     alone.slacks.fill(np.inf)  # else it has a stiffness beside its curvature
@@ -44,5 +47,9 @@ def _curvature(conditions: "Conditions", iterate: Iterate, assembled: Assembled,
     around = assembled.nodes, assembled.costates, assembled.terminal, assembled.initial
     pulled = conditions.blocks(iterate._replace(slacks=alone), *around).hessian - assembled.blocks.hessian
     curvature = np.diagonal(pulled, axis1=2, axis2=3)[..., n:].reshape(*held.values.shape[:3], -1)
-    weights = held.weights[..., k, None]
-    return np.where(weights > 0, curvature / np.where(weights > 0, weights, 1.0), 0.0)
+    slope, value = held.jacobian[..., k, -curvature.shape[3] :], np.abs(held.values[..., k, None])
+    with np.errstate(all="ignore"):
+        curvature = curvature / held.weights[..., k, None]
+        own = np.sum(np.where(curvature > 0, slope**2 / curvature, 0.0), axis=3, keepdims=True)
+        way = (np.sqrt(own) + np.sqrt(own + 2 * value)) / np.sqrt(curvature)
+    return np.where((curvature > 0) & np.isfinite(way), way, np.inf)
