@@ -119,7 +119,7 @@ class Formulated:
         horizon, size = asked.horizon, solution.checks.hamiltonian_size
         held = not HELD * horizon.lower < solution.horizon < horizon.upper / HELD
         values = solution.hamiltonians / (size if size > 0 else 1.0)
-        if held or self.reader.problem.time_dependent or values.min() <= UNMET and values.max() >= -UNMET:
+        if held or self.reader.problem.time_dependent or (values.min() <= UNMET and values.max() >= -UNMET):
             return solution
         words = UNDETERMINED.format(solution.horizon, solution.hamiltonians[0] / size)
         return self._renewed(solution, success=False, result=words)
