@@ -164,7 +164,8 @@ class OptimalControlProblem(eqx.Module):
         time."""
         if not self.time_dependent:
             return self
-        return self._changed(lambda f, kind: Bound(f, t) if kind else f, False)
+        time = jnp.asarray(t, float)  # of Python's own numbers the inverse of zero is an error
+        return self._changed(lambda f, kind: Bound(f, time) if kind else f, False)
 
     def _changed(self, change: Callable[[Callable, int], Callable], time_dependent: bool) -> "OptimalControlProblem":
         """The problem with other functions, made of these and their kinds."""
