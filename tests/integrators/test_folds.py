@@ -11,7 +11,7 @@ from retrax.retractions import Addition, Midpoint
 LINE = Euclidean(1)
 APART = ["1e-06", "1e-08", "1e-10", "1e-11", "1e-12", "1e-13", "1e-14", "1e-16", "0.0"]
 APART += ["-1e-16", "-1e-14", "-1e-13", "-1e-12", "-1e-11", "-1e-10", "-1e-08"]
-NEAR = 1e-5  # of the horizon: by so much the tolerance does not decide equations whose solutions merge
+NEAR = 3e-5  # of the horizon: by so much the tolerance does not decide equations whose solutions merge
 
 
 def late(q: jax.Array, t: jax.Array, apart: jax.Array) -> jax.Array:

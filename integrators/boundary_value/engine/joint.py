@@ -141,7 +141,10 @@ class JointConditions:
     @staticmethod
     def _cost(phase: Conditions, assembled: Assembled) -> np.ndarray:
         """The unit of the cost of a whole phase; zero where it costs nothing."""
-        pays = np.any(assembled.blocks.gradient, axis=(1, 2)) | np.any(assembled.blocks.costs, axis=1)
+        # At rest a square has neither a value nor a slope: its curvature is what there is.
+        blocks = assembled.blocks
+        pays = np.any(blocks.gradient, axis=(1, 2)) | np.any(blocks.costs, axis=1)
+        pays |= np.any(blocks.hessian, axis=(1, 2, 3))
         return np.where(pays, phase.measured.cost * phase.data.steps.shape[1], 0.0)
 
     def _coupled(self, iterate: JointIterate) -> tuple[Coupled, list[tuple[Any, Any]]]:

@@ -88,20 +88,29 @@ def newton(
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
     one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
-    cheaper success counts.
+    cheaper success counts. Where inequalities contradict each other near the guess, or the ends, the trajectory that
+    violates them least is a guess once more: its jam may be of the way there.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
-    astray = np.flatnonzero(search.lost)
-    if found.stopped or not astray.size:
+    found = _again(search, found, guess, np.flatnonzero(search.lost))
+    jammed = np.flatnonzero(found.contradictory & ~found.claimed)
+    return _again(search, found, found.iterate, jammed)
+
+
+def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray) -> Found:
+    """What is found where some members begin once more, from guesses as they are, if that is better."""
+    if found.stopped or not members.size:
         return found
-    seen = callback and (lambda iteration: callback(iteration._replace(members=astray[iteration.members])))
-    alone = _Search(conditions.of(astray), tolerance, max_iterations, seen, as_it_is=True)
-    again = alone.ended(taken(guess, astray))
-    again = again._replace(iterations=found.iterations[astray] + again.iterations)
-    claimed, cost = found.claimed[astray], found.assembled.cost[astray]
-    better = np.flatnonzero(np.where(claimed & again.claimed, again.assembled.cost < cost, ~claimed))
-    first, chosen = astray[better], {}
+    callback = search.callback
+    seen = callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
+    alone = _Search(search.conditions.of(members), search.tolerance, search.max_iterations, seen, as_it_is=True)
+    again = alone.ended(taken(guess, members))
+    again = again._replace(iterations=found.iterations[members] + again.iterations)
+    claimed, cost = found.claimed[members], found.assembled.cost[members]
+    known = claimed | found.contradictory[members]  # nothing but a success says more
+    better = np.flatnonzero(np.where(known, again.claimed & ~(claimed & (again.assembled.cost >= cost)), True))
+    first, chosen = members[better], {}
     if better.size:
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, **chosen)
@@ -118,12 +127,8 @@ class _Search:
         callback: Callable[[Iteration], Any] | None,
         as_it_is: bool = False,
     ) -> None:
-        self.conditions, self.tolerance, self.max_iterations, self.callback = (
-            conditions,
-            tolerance,
-            max_iterations,
-            callback,
-        )
+        self.conditions, self.tolerance = conditions, tolerance
+        self.max_iterations, self.callback = max_iterations, callback
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
         self.left: list[tuple[State, int]] = []
@@ -169,16 +174,8 @@ class _Search:
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
                 return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
-        numbers = (
-            np.maximum(merit.infeasibility, 1.0),
-            one,
-            shift,
-            np.full(count, np.inf),
-            np.full(count, np.inf),
-            no,
-            no,
-            no,
-        )
+        far = np.full(count, np.inf)
+        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
         state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
