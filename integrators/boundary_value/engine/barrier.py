@@ -79,12 +79,14 @@ class Barrier(NamedTuple):
         """What the inequalities and their multipliers lack, and what they cost."""
         return surveyed(held, slacks, self.limits)
 
-    def lowered(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> tuple[Slacks, np.ndarray]:
+    def lowered(
+        self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float, dear: np.ndarray
+    ) -> tuple[Slacks, np.ndarray]:
         """The slacks with a lower barrier where its problem is solved, and where excesses are too cheap instead.
 
-        ``error``: the largest residual but for that of ``nu s = mu``.
+        ``error``: the largest residual but for that of ``nu s = mu``; ``dear``: what all multipliers have grown by.
         """
-        cheap, rate = self._is_cheap(slacks), self._dear(slacks)
+        cheap, rate = self._is_cheap(slacks), self.rate * dear
         last = LAST * tolerance * self.rate / rate
         found = self.surveyed(held, slacks)
         solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
@@ -117,10 +119,10 @@ class Barrier(NamedTuple):
         few = SOLVED * barrier
         return (error <= np.maximum(few / rate, tolerance)) & (found.off(barrier) <= few)
 
-    def _dear(self, slacks: Slacks) -> np.ndarray:
-        """The unit of the barrier: where excesses cost more, all multipliers have grown with their price."""
+    def dear(self, slacks: Slacks) -> np.ndarray:
+        """What all multipliers, and the unit of the barrier, have grown by with the price of excesses, shape (B,)."""
         prices = np.where(slacks.elastic, slacks.price, 0.0) / (PRICE * self.price)
-        return self.rate * np.maximum(prices.max(axis=(1, 2, 3), initial=0.0), 1.0)
+        return np.maximum(prices.max(axis=(1, 2, 3), initial=0.0), 1.0)
 
     def _is_cheap(self, slacks: Slacks) -> np.ndarray:
         """Whether multipliers come near to the price of an excess."""

@@ -160,17 +160,24 @@ class Conditions:
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
-        iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance)
+        iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance, self.dear(iterate))
         return (self.dearer(iterate, cheap) if np.any(cheap) else iterate), changed, cheap
 
+    def dear(self, iterate: Iterate) -> np.ndarray:
+        """What all multipliers have grown by with the price of excesses, shape (B,)."""
+        if self.barrier is None or iterate.slacks is None:
+            return np.ones(len(self.data.steps))
+        return self.barrier.dear(iterate.slacks)
+
     def less(
-        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
+        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float, dear: np.ndarray
     ) -> tuple[Iterate, np.ndarray, np.ndarray]:
         """The same before the cost counts less."""
         if self.barrier is None or iterate.slacks is None:
             none = np.zeros(len(residuals.gap), bool)
             return iterate, none, none
-        slacks, cheap = self.barrier.lowered(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
+        held = assembled.blocks.inequalities
+        slacks, cheap = self.barrier.lowered(held, iterate.slacks, residuals.steady, tolerance, dear)
         return iterate._replace(slacks=slacks), slacks.barrier != iterate.slacks.barrier, cheap
 
     def dearer(self, iterate: Iterate, cheap: np.ndarray) -> Iterate:

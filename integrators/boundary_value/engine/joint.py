@@ -195,8 +195,11 @@ class JointConditions:
     ) -> tuple[JointIterate, np.ndarray, np.ndarray]:
         """The iterate with lower barriers where their problem is solved; where that is; and where excesses are too
         cheap."""
+        # The price of one phase has raised the multipliers of all.
+        dear = np.max([phase.dear(part) for phase, part in zip(self.phases, iterate.parts, strict=True)], axis=0)
         each = [
-            phase.less(part, system, residuals, tolerance) for phase, part, system in self._each(iterate, assembled)
+            phase.less(part, system, residuals, tolerance, dear)
+            for phase, part, system in self._each(iterate, assembled)
         ]
         changed, cheap = np.any([own[1] for own in each], axis=0), np.any([own[2] for own in each], axis=0)
         parts, multipliers = [own[0] for own in each], iterate.multipliers
