@@ -11,11 +11,11 @@ from jaxtyping import Array
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
+from ...evaluator import Arrays, Evaluator
+from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
-from .evaluator import Arrays, Evaluator
 from .inequalities import Held, Slacks, raised
-from .layout import Layout, parameter_layout
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
