@@ -199,8 +199,10 @@ class _Search:
         again |= lowered
         residual = state.residuals.largest
         arrived = state.residuals.final <= self.tolerance
-        if not again.any():
-            return state
+        # What Newton's last step leads to is looked at, and not stepped from once more.
+        reached = before.isolated & good & arrived
+        if not (again & ~reached).any():
+            return state._replace(done=reached)
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
         # saddle.
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
