@@ -349,8 +349,7 @@ class _Search:
 
     def contradictory(self, state: State) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
-        own = state.iterate, state.assembled, state.residuals
-        return self.conditions.of(state.member).is_infeasible(*own, self.tolerance)
+        return self.conditions.of(state.member).is_infeasible(state.iterate, state.residuals, self.tolerance)
 
     def report(self, state: State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""
