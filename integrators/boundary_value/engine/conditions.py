@@ -15,6 +15,7 @@ from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
+LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
@@ -268,6 +269,10 @@ class Conditions:
         steps, multipliers, count = found.steps[..., 0], found.multipliers[..., 0], found.multipliers[0].size
         step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
         return self.completed(iterate, assembled, step), found.curvature, found.size
+
+    def least_step(self, iterate: Iterate, assembled: Assembled) -> Step:
+        """The least steps that the linearised constraints ask for, whatever these cost."""
+        return self.eliminate(iterate, assembled, np.full(len(assembled.gap), LEAST))[0]
 
     def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
         """The step with what it is of what was condensed, and of the slacks; and how much of it may be made."""
