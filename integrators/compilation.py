@@ -19,6 +19,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 MOST_COMPILED = 256
+CHUNK = 256  # rows that a program takes at once
 _compiled: dict[Hashable, Any] = {}  # executables by program and settings, oldest first
 
 
@@ -81,6 +82,19 @@ def held(function: Callable[P, R]) -> Callable[P, R]:
         return eqx.combine(jax.tree.unflatten(program.structure, outputs), program.fixed)
 
     return call
+
+
+def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
+    """What a compiled function of rows gives for each of them; one program serves any number of rows.
+
+    The function is called with ``size`` rows at once, the last of them repeated.
+    """
+    count, parts = len(jax.tree.leaves(rows)[-1]), []
+    for begin in range(0, count, size):
+        which = np.minimum(np.arange(begin, begin + size), count - 1)
+        own = jax.tree.map(lambda leaf, which=which: np.asarray(leaf)[which], rows)
+        parts.append(jax.tree.map(np.asarray, function(*own)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 
 def _is_data(leaf: Any) -> bool:
