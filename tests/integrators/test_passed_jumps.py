@@ -116,7 +116,8 @@ def test_of_many_segments_each_is_looked_at():
     starts = np.zeros((400, 1)), np.linspace(0.55, 0.65, 400)[:, None]
     batch = integrate_many(step(0.5), METHOD, starts, 0.05, 20)
     one = integrate(step(0.5), METHOD, (starts[0][-1], starts[1][-1]), 0.05, 20, throw=False)
-    assert np.all(batch.failed_step >= 0) and batch.failed_step[-1] == one.failed_step
+    assert np.all(batch.failed_step >= 0)
+    assert batch.failed_step[-1] == one.failed_step
 
 
 def test_a_time_that_is_a_coordinate_may_switch_the_hamiltonian():

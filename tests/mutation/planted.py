@@ -98,8 +98,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a matrix is singular from ten thousand times the tolerance on": Planted(
         "integrators/probing.py",
-        "tolerance(matrix, SINGULAR_POWER)].T",
-        "tolerance(matrix, SINGULAR_POWER) * 1e4].T",
+        "tolerance(matrix, REGULAR)].T",
+        "tolerance(matrix, REGULAR) * 1e4].T",
         (f"{PARTS}::test_directions_are_flat_through_the_power_of_the_rounding",),
     ),
     # Integrators of initial values.
