@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numba import types
 
-from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
+from ...manifolds.numerics.newton import CURVED, MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
@@ -71,10 +71,11 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
             continue
         step = v[places[LENGTH], j]
         ratio = step / (np.inf if n == 0 else v[places[STEP], j])
-        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-        remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
-        done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
-        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)  # near rounding steps shrink as they like
+        # The rule of manifolds.numerics.newton, but that near rounding, where steps shrink as they like, another one
+        # is cheaper than a Jacobian.
+        shrinks = (CURVED * step if exact else 1.0) if n == 0 else np.sqrt(ratio) if n == 1 else ratio
+        done = step * min(shrinks, 1.0) <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0)
+        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)
         # A step that hardly shrinks is the fault of an old Jacobian, and may lead back.
         v[places[TAKEN], j] = ratio <= STALLED
         v[places[STEP], j], v[places[CHORDS], j] = step, n + 1

@@ -136,6 +136,12 @@ PLANTED: dict[str, Planted] = {
         "v[places[GOOD], j] * (v[places[FINITE], j] != 0)",
         (f"{STEPS}",),
     ),
+    "the first ratio of steps is that of all unknowns": Planted(
+        "integrators/initial_value/kernels.py",
+        "else np.sqrt(ratio) if n == 1 else ratio",
+        "else ratio",
+        (f"{STEPS}::test_a_system_moves_the_same_beside_another_one_whose_steps_are_found_at_once",),
+    ),
     "a Jacobian of lanes is inverted with its smallest pivots": Planted(
         "integrators/initial_value/inverse_kernels.py",
         "if abs(a[i, k, j]) * largest[best, j] > abs(a[best, k, j]) * largest[i, j]:",
