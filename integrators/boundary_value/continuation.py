@@ -18,7 +18,8 @@ from .differentiable import Given, pushed
 from .engine.evaluator import Automatic
 from .engine.layout import Layout
 from .guess import Guess
-from .solution import Solution, Solutions
+from .solution import Solution
+from .solutions import Solutions
 from .solver import Solver
 
 FIRST = 0.1  # of the path

@@ -14,10 +14,11 @@ from ..problem import OptimalControlProblem
 from ..results import sentence
 from ..stopped import TrueDerivatives
 from .arguments import structure_of
+from .checks import RegularChecks
 from .control_curvature import ControlCurvature
 from .end_points import EndReader
 from .qualification import Qualification
-from .solution import RegularChecks, Solution
+from .solution import Solution
 from .state_jumps import Jumps
 
 T = TypeVar("T")

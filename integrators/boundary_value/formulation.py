@@ -19,10 +19,11 @@ from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAME
 from ..free import Free, guessed, is_free
 from ..problem import OptimalControlProblem
 from .arguments import Method
+from .checks import Checks
 from .guess import Guess
 from .interpolation import Interpolant
 from .sensitivity import Derivative, Sensitivity
-from .solution import Checks, Solution
+from .solution import Solution
 
 OWN = "factor 0, "  # how the names of the factors of Q begin in the product with the added states
 

@@ -14,7 +14,7 @@ from ..options import known_options
 from .end_points import EndReader
 from .engine.layout import Layout
 from .guess import Guess, default_guess
-from .solution import Solutions
+from .solutions import Solutions
 from .solver import Solver
 
 WAYPOINTS = 3  # at most

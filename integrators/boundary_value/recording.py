@@ -9,13 +9,14 @@ import numpy as np
 from ...manifolds.numerics import ambient as vec
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
+from .checks import RegularChecks
 from .engine.layout import Layout
 from .engine.newton import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
 from .outcome import outcomes
 from .posed import Posed, Traced
-from .solution import RegularChecks, Solution, Statistics
+from .solution import Solution, Statistics
 
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 
