@@ -74,8 +74,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/conditions.py",
-        "gap, stationarity = self._gap(assembled), self._stationarity(assembled)",
-        "stationarity, gap = self._gap(assembled), self._stationarity(assembled)",
+        "gap, stationarity = gap_of",
+        "stationarity, gap = gap_of",
         (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
     ),
     "a step is not restored to the manifold": Planted(
@@ -401,7 +401,7 @@ PLANTED: dict[str, Planted] = {
         ),
     ),
     "gaps are not asked of the nodes": Planted(
-        f"{ENGINE}/conditions.py",
+        f"{ENGINE}/residuals.py",
         "return np.maximum(gap, missed.max(axis=1))",
         "return gap",
         (f"{PARTS}::test_the_gap_has_the_defects_of_the_points",),
