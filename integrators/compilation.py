@@ -32,7 +32,7 @@ class _Program(NamedTuple):
     fixed: Any
 
 
-def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
+def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
     """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
 
     Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants
@@ -101,7 +101,7 @@ def _is_data(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
 
-def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+def _read(function: Callable[..., Any], structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``, traced if that was not done in this reading."""
     # What is held in the reading keeps its identity.
     fixed = tuple("data" if _is_data(leaf) else repr(leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
@@ -116,7 +116,7 @@ def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Prog
         return known[0]
 
 
-def _traced(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+def _traced(function: Callable[..., Any], structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``."""
     found = []
 
@@ -150,7 +150,7 @@ def _executable(program: _Program, data: list) -> Any:
     return _compiled[key]
 
 
-def digest(function: Callable, *shapes: Any) -> bytes | None:
+def digest(function: Callable[..., Any], *shapes: Any) -> bytes | None:
     """A digest that functions share that compute the same of arrays of these shapes, with the values that they read
     now.
 

@@ -30,6 +30,7 @@ HIDDEN = 1e4  # times eps, of the largest entry: a smaller change may be roundin
 
 
 Given = tuple[Any, Any]  # the parameters of the problem, and what the function takes in addition
+Looked = Callable[["OptimalControlProblem", Ambient, Ambient, Any], Array]  # a function that is looked at
 
 
 class Lines(NamedTuple):
@@ -100,7 +101,7 @@ class Crossings:
     which is ``given`` in each call behind the parameters of the problem. What is traced is traced once.
     """
 
-    def __init__(self, function: Callable, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
+    def __init__(self, function: Looked, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
         self.problem, self.retraction = problem, retraction
         self._seen, self._slopes, self._located = (
             held(partial(kernel, (function, problem, retraction))) for kernel in (_seen, _slopes, _located)

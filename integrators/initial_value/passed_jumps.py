@@ -135,7 +135,7 @@ def _joined(a: np.ndarray) -> np.ndarray:
 
 
 def _along(
-    function: Callable, system: Any, retraction: Retraction, first: Any, last: Any, control: Any
+    function: Callable[..., Any], system: Any, retraction: Retraction, first: Any, last: Any, control: Any
 ) -> tuple[Callable[[Array], Array], Callable[[Array], Any]]:
     """The Hamiltonian along a segment, and the state there."""
     way = retraction.preimage(first[0], last[0])
@@ -148,7 +148,9 @@ def _along(
 
 
 @compiled
-def _ends(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Array, Array, Array]:
+def _ends(
+    function: Callable[..., Any], system: Any, retraction: Retraction, *segments: Any
+) -> tuple[Array, Array, Array]:
     """Values and slopes at both ends, and the size of the terms there: that of the values says nothing, for terms may
     cancel."""
 
@@ -165,7 +167,9 @@ def _ends(function: Callable, system: Any, retraction: Retraction, *segments: An
 
 
 @compiled
-def _closer(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Zoom, Ambient, Array]:
+def _closer(
+    function: Callable[..., Any], system: Any, retraction: Retraction, *segments: Any
+) -> tuple[Zoom, Ambient, Array]:
     """Intervals that close in on where the Hamiltonian changes, of a segment each.
 
     With the points at their lower ends, and what the Hamiltonian changes by with the clocks alone, the coordinates
@@ -184,7 +188,7 @@ def _closer(function: Callable, system: Any, retraction: Retraction, *segments: 
     return jax.vmap(one)(*segments)
 
 
-def _clocked(hamiltonian: Callable, before: Any, after: Any, control: Any) -> Ambient:
+def _clocked(hamiltonian: Callable[[Ambient, Ambient, Any], Array], before: Any, after: Any, control: Any) -> Ambient:
     """The point before, with those coordinates of the one after whose rates ``dH/dp`` depend on nothing."""
     (q, back), (later, _) = (ravel_pytree(z[0]) for z in (before, after))
     if jnp.iscomplexobj(q):
