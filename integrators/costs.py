@@ -100,7 +100,7 @@ def _cost_rates(
     return _evaluated(at, 2, *points, moves[:, None], directions[None])
 
 
-def _evaluated(function: Callable, axes: int, *rows: np.ndarray) -> tuple[np.ndarray, ...]:
+def _evaluated(function: Callable[..., Any], axes: int, *rows: np.ndarray) -> tuple[np.ndarray, ...]:
     """The values of a function of flat vectors at points with some leading axes."""
     found = Automatic().values(function, *(a.shape[-1] for a in rows)).at(axes, *rows)
     return tuple(a.astype(working_precision()) for a in found)
