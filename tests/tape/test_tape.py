@@ -246,6 +246,15 @@ def test_what_is_not_scalars_is_refused_by_the_name_of_the_primitive(name):
     assert caught.value.primitive == primitive
 
 
+def test_a_complex_number_that_becomes_a_real_one_loses_its_imaginary_part():
+    def real(x):
+        return jax.lax.convert_element_type((1 + 2j) * x, float) + x
+
+    with pytest.warns(np.exceptions.ComplexWarning, match="discards the imaginary part"):
+        tape = Tape.trace(real, np.ones(3))
+    np.testing.assert_allclose(tape(np.full((3, 2), 1.5)), 3.0)
+
+
 def test_a_loop_is_written_out_as_long_as_its_length_is_known():
     # The number of iterations of one loop grows from those that are written out to those that are not.
     def powers(count):
