@@ -100,10 +100,12 @@ def _cost_rates(
     return _evaluated(at, 2, *points, moves[:, None], directions[None])
 
 
-def _evaluated(function: Callable[..., Any], axes: int, *rows: np.ndarray) -> tuple[np.ndarray, ...]:
-    """The values of a function of flat vectors at points with some leading axes."""
-    found = Automatic().values(function, *(a.shape[-1] for a in rows)).at(axes, *rows)
-    return tuple(a.astype(working_precision()) for a in found)
+def _evaluated(
+    function: Callable[..., tuple[Array, Array]], axes: int, *rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """The two values of a function of flat vectors at points with some leading axes."""
+    first, second = Automatic().values(function, *(a.shape[-1] for a in rows)).at(axes, *rows)
+    return first.astype(working_precision()), second.astype(working_precision())
 
 
 def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:

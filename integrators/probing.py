@@ -75,10 +75,12 @@ def probe(
     found = made.at(2, np.array([[[1.0]], [[0.0]]]), *(a[None, None] for a in points), coordinates[None], each[None])
     curvatures, slopes, *others = (a.astype(working_precision()) for a in found)
     count = len(problem.limits.names)
-    limits = (tuple(a[0, 0] for a in others[k : k + count]) for k in (count, 0))
+    slope, value = (tuple(a[0, 0] for a in others[k : k + count]) for k in (0, count))
     sizes, costs, controls = (a[0] for a in others[2 * count :])
-    values = controls, *sizes.T, tuple(costs[0]), slopes.swapaxes(0, 1), curvatures.swapaxes(0, 1), tuple(limits)
-    return Probed(control.points(values[0]), *values[1:])
+    slopes, curvatures = (a.swapaxes(0, 1) for a in (slopes, curvatures))
+    (normals, lengths), (running, final) = sizes.T, costs[0]
+    there = control.points(controls)
+    return Probed(there, normals, lengths, (running, final), slopes, curvatures, (value, slope))
 
 
 def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
