@@ -9,6 +9,7 @@ from zlib import crc32
 import jax
 import pytest
 from hypothesis import HealthCheck, settings
+from retrax.reading import one_reading
 
 jax.config.update("jax_enable_x64", True)
 # Most of the time of these tests is compilation: in one piece a kernel takes an eighth less, of all processors
@@ -80,6 +81,13 @@ def few_memory_maps():
     yield
     if MEMORY_MAPS.exists() and MEMORY_MAPS.read_bytes().count(b"\n") > MOST_MEMORY_MAPS:
         jax.clear_caches()
+
+
+@pytest.fixture(scope="module")
+def traced_once():
+    """For modules whose functions do not change: what one call traces of them is not traced again by the next."""
+    with one_reading():
+        yield
 
 
 # A property's first example compiles its kernel, so examples are few, their time is unlimited and slow ones are no
