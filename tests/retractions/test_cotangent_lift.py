@@ -39,7 +39,13 @@ def marked(name: str):
 
 @pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])
 @pytest.mark.long(
-    "theta=0.3, polar-SO3", "theta=0.3, projection-H2", "theta=0.3, softmax-simplex3", "theta=0.5, exponential-S2"
+    "theta=0.3, polar-SO3",
+    "theta=0.3, projection-H2",
+    "theta=0.3, softmax-simplex3",
+    "theta=0.3, quadratic-SPD2",
+    "theta=0.5, exponential-S2",
+    "theta=0.0, addition-R2x3",
+    "theta=1.0, addition-R2x3",
 )
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
