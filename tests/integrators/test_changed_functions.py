@@ -17,6 +17,8 @@ from retrax.tape import Tape
 
 from tests.support.changing import WAYS, held
 
+pytestmark = pytest.mark.reads_anew
+
 LINE = Euclidean(1)
 FEW = "attribute of a class", "slots", "jitted helper"  # the others are traced in the same way
 SOME = [way if way in FEW else pytest.param(way, marks=pytest.mark.slow) for way in WAYS]

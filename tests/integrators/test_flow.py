@@ -14,6 +14,8 @@ from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoi
 
 from .problems import ENERGIES, KINEMATIC, SO3, SPHERE, pendulum_energy
 
+pytestmark = pytest.mark.reads_anew
+
 KEYS = jax.random.split(jax.random.key(5), 4)
 LINE = Euclidean(1)
 
