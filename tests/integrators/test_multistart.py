@@ -19,6 +19,7 @@ END = np.asarray(default_retraction(SO(3))(np.eye(3), hat(jnp.array([0.0, 0.0, A
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.usual("0")
 def test_extremals_are_the_geodesics_in_the_order_of_their_costs(seed):
     found = multistart(SOLVER, START, END, 1.0, count=16, seed=seed, parameters=2.0)
     assert len(found) == 16

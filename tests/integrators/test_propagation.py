@@ -286,7 +286,7 @@ def test_distances_of_factors() -> None:
         np.testing.assert_allclose(list(found.values()), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("stages", [1, 3])
+@pytest.mark.parametrize("stages", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int) -> None:
     rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
     ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)

@@ -221,7 +221,12 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         ("dummy control", (0, 0), (), (0, None)),
     ],
 )
-@pytest.mark.long("sphere-classes8-names8-determined_at8")
+@pytest.mark.long(
+    "sphere-classes8-names8-determined_at8",
+    "aly-chan-classes2-names2-determined_at2",
+    "curved arc-classes7-names7-determined_at7",
+    "massless particle-classes5-names5-determined_at5",
+)
 def test_classes_levels_and_controls(name, classes, names, determined_at):
     c = classified(name)
     assert (c.first_class, c.second_class) == classes

@@ -340,6 +340,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("reason", REFUSED)
+@pytest.mark.long("singular in combinations", "rough", "not Euclidean")
 def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
     *problem, singular = REFUSED[reason]
     with pytest.raises(InvalidInputError, match=reason):
