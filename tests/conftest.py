@@ -43,7 +43,6 @@ def pytest_configure(config):
         "markers", "usual(*cases): of the cases of this test these are run by default, the others are slow"
     )
     config.addinivalue_line("markers", "long(*cases): of the cases of this test these are slow")
-    config.addinivalue_line("markers", "reads_anew: functions change here, and each call reads them again")
 
 
 @pytest.hookimpl(wrapper=True)

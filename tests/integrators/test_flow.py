@@ -14,8 +14,6 @@ from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoi
 
 from .problems import ENERGIES, KINEMATIC, SO3, SPHERE, pendulum_energy
 
-pytestmark = pytest.mark.reads_anew
-
 KEYS = jax.random.split(jax.random.key(5), 4)
 LINE = Euclidean(1)
 
@@ -33,6 +31,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.long("Gauss")
 def test_a_flow_has_the_trajectories_of_integrate(name):
     """From any start, with any step size, one or many."""
     system, method, evaluator = CASES[name]

@@ -11,8 +11,6 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.reading import one_reading, reads_once
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
-pytestmark = pytest.mark.reads_anew
-
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Exponential(LINE))
 THREE = jnp.arange(3.0)

@@ -34,8 +34,6 @@ from retrax.retractions import CotangentLift, Exponential, Midpoint
 
 from tests.support.numerics import norm
 
-pytestmark = pytest.mark.reads_anew
-
 PLANE = Euclidean(2)
 LIFT = CotangentLift(Midpoint(Exponential(PLANE)))
 MIDPOINT = SymplecticIntegrator(LIFT)

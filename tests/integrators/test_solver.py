@@ -14,8 +14,6 @@ from tests.support.changing import WAYS, held
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-pytestmark = pytest.mark.reads_anew
-
 PLANE = Euclidean(2)
 START, END, HORIZON, STEPS = np.zeros(2), np.array([1.0, 0.0]), 1.5, 5
 GIVEN = {"mass": 2.0, "drag": (np.array([0.3, 0.1]),)}

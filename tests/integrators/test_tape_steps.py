@@ -68,7 +68,7 @@ def start_of(method, size=0.5) -> tuple:
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
 )
-@pytest.mark.usual("rotations", "optimal control", "plane, backward Euler")
+@pytest.mark.usual("rotations", "plane, backward Euler")
 def test_the_tape_computes_the_numbers_of_xla(name):
     """Relative to the size of the numbers, over steps enough for each Jacobian to grow old."""
     system, method = CASES[name]

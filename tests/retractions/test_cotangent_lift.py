@@ -70,6 +70,7 @@ def test_the_lifts_over_every_retraction_are_symplectic(name, seeds):
 
 
 @pytest.mark.parametrize("theta", THETAS)
+@pytest.mark.usual("0.0", "0.3")
 @given(seed=SEEDS)
 def test_on_a_vector_space_the_lift_is_known(theta, seed):
     lift = CotangentLift(Theta(Exponential(Euclidean((2, 3))), theta))
@@ -91,6 +92,7 @@ def _both_inverses():
     return compiled(facts)
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_newtons_method_on_the_bundle_finds_the_closed_inverse(seed):
     w, _ = draw_bundle_tangent(Sphere(2), seed, 0.5)

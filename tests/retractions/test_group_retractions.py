@@ -171,6 +171,7 @@ NOWHERE = {
 
 
 @pytest.mark.parametrize("name", NOWHERE)
+@pytest.mark.usual("SE3", "SO4, two planes", "SL2")
 def test_what_has_no_logarithm_is_refused(name):
     group, y = NOWHERE[name]
     assert group.contains(y)

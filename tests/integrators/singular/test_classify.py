@@ -20,6 +20,8 @@ from retrax.retractions import Addition, Midpoint, default_retraction
 
 from tests.integrators.singular.cases import ONE, classified, known, martinet, scaled
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 FACTORS = (1.0, 1e3, 1e-3)
 SCALES = [*((x, f, 1.0) for x, f in product(FACTORS, FACTORS)), (1.0, 1.0, 1e3), (1.0, 1.0, 1e-3)]
 EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
