@@ -370,12 +370,11 @@ def test_wrong_input_is_refused_in_words(arguments, message):
 
 def test_under_a_transformation_it_says_that_it_runs_outside():
     made, midpoint = known("academic").problem, Midpoint(Addition(Euclidean(2)))
+    found = classified("academic")
     with pytest.raises(InvalidInputError, match=r"classify runs outside jit"):
         jax.jit(lambda cost: classify(scaled(made, (1.0, cost, 1.0))).stratum.q)(1.0)
     with pytest.raises(InvalidInputError, match=r"singular_integrator runs outside jit"):
-        jax.grad(
-            lambda k: singular_integrator(classified("academic"), midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta
-        )(1.0)
+        jax.grad(lambda k: singular_integrator(found, midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta)(1.0)
 
 
 def test_starts_near_what_is_no_state_are_refused():
