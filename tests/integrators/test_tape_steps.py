@@ -111,6 +111,25 @@ def test_what_steps_before_tell_of_the_next_one_changes_nothing(name, size):
         assert norm(whole[1:] - single[:, 1]) <= 1e-12 * norm(whole)
 
 
+@pytest.mark.parametrize(
+    "method", [lambda r: CotangentLift(Theta(r, 0.5)), lambda r: Gauss(3, r)], ids=["midpoint", "Gauss"]
+)
+def test_a_system_moves_the_same_beside_another_one_whose_steps_are_found_at_once(method):
+    """A pendulum alone, and beside an oscillator, whose equations are linear."""
+
+    def pair(q: tuple, p: tuple) -> jax.Array:
+        return (p[0] @ p[0] + 100 * q[0] @ q[0]) / 2 + pendulum(q[1], p[1])
+
+    def pendulum(q: jax.Array, p: jax.Array) -> jax.Array:
+        return p @ p / 2 - jnp.cos(q[0])
+
+    line, one, rest = Euclidean(1), np.ones(1), np.zeros(1)
+    methods = (SymplecticIntegrator(method(default_retraction(space))) for space in (line * line, line))
+    both = integrate(pair, next(methods), ((one, one), (rest, rest)), 0.1, 2000, evaluator="tape")
+    alone = integrate(pendulum, next(methods), (one, rest), 0.1, 2000, evaluator="tape")
+    assert norm(both.q[1] - alone.q) < 2e-12 * norm(alone.q)
+
+
 @final
 class Circle(LevelSet):
     """``{|x| = 1}`` in the plane, by its equation."""
