@@ -19,6 +19,7 @@ from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
 from .aside import aside, is_lost
 from .batches import merged, put, taken
 from .conditions import Conditions
+from .first_multipliers import with_first_multipliers
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
@@ -156,19 +157,23 @@ class _Search:
     def begun(self, given: Iterate) -> State:
         """The state at the guess, with a first step."""
         conditions = self.conditions
-        guess, assembled = self.first = conditions.begin(given)
-        residuals = conditions.residuals(guess, assembled)
-        count = len(residuals.gap)
+        guess, assembled = bare = conditions.begin(given)
+        count = len(assembled.cost)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
-        merit = Merit.of(conditions, guess, assembled)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0))
+        if guess is not bare[0]:
+            assembled = conditions.assemble(guess)
+            step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        self.first, residuals = (guess, assembled), conditions.residuals(guess, assembled)
+        merit = Merit.of(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
-                return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
+                return self.begun(merged(self.lost, aside(conditions, *bare), given))
         numbers = (
             np.maximum(merit.infeasibility, 1.0),
             one,
