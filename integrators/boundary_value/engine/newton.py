@@ -232,7 +232,7 @@ class _Search:
         """
         iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= JAMMED) | ~state.step.finite
-        stuck &= conditions.is_hard(iterate, state.assembled)
+        stuck &= conditions.is_hard(iterate, state.assembled) & (state.residuals.largest > np.sqrt(self.tolerance))
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
             first, assembled = taken(self.first, state.member)
