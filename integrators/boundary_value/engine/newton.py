@@ -2,11 +2,12 @@
 
 A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]:
 where the step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo
-asks; else if it comes well into the funnel, which it narrows. The cost is that of the Lagrangian with the multipliers
-of the trial: the bare cost refuses good steps along curved constraints [Ulbrich 2004]. Accepted too is what brings the
-KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until the step
-has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to be cut,
-so that the next is as long as what was taken.
+asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
+bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
+from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
+brings the KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until
+the step has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to
+be cut, so that the next is as long as what was taken.
 """
 
 from collections.abc import Callable
@@ -174,16 +175,8 @@ class _Search:
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
                 return self.begun(merged(self.lost, aside(conditions, *bare), given))
-        numbers = (
-            np.maximum(merit.infeasibility, 1.0),
-            one,
-            shift,
-            np.full(count, np.inf),
-            np.full(count, np.inf),
-            no,
-            no,
-            no,
-        )
+        far = np.full(count, np.inf)
+        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit
         self.trials = 1
         state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
