@@ -306,7 +306,8 @@ def rayleigh() -> KnownProblem:
         source=f"D. H. Jacobson, D. Q. Mayne, Differential Dynamic Programming, 1970; {BETTS}, example 4.11",
         optimum=29.37607966,
         digits=10,
-        origin="arcs whose ends are found, on several meshes and at orders 6 and 8; collocation of order 8 with IPOPT has 29.3760793",
+        origin="arcs whose ends are found, on several meshes and at orders 6 and 8; collocation of order 8 with IPOPT "
+        "has 29.3760793",
         steps=40,
         accuracy=1e-9,
     )
