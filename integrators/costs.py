@@ -1,5 +1,6 @@
 """Whether the costs of a problem tell one curve from another, seen at random points with random controls."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -9,9 +10,11 @@ from jaxtyping import Array, Float
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import rounding_of
 from ..retractions import default_retraction
-from .compilation import call_compiled
+from .evaluator import Automatic
+from .layout import Layout
 from .options import HORIZON
 from .probing import CURVATURES
 
@@ -29,7 +32,7 @@ def require_cost(
         np.random.default_rng(0).standard_normal((CURVATURES + 1, problem.manifold.dimension)).astype(directions.dtype)
     )
     moves[0] = 0.0
-    costs, slopes = jax.device_get(call_compiled(_cost_rates, problem, q, moves, u, directions)[0])
+    costs, slopes = _cost_rates(problem, q, moves, u, directions)
     if problem.abnormal or problem.initial_cost is not None or not _is_one_number(costs, np.max(slopes)):
         return
     terminal = "no terminal cost of a free end is given"
@@ -68,31 +71,39 @@ def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...
 
 
 def _terminal(problem: "OptimalControlProblem", points: Ambient) -> tuple[np.ndarray, Ambient]:
-    return jax.tree.map(np.asarray, call_compiled(_terminal_costs, problem, points)[0])
+    """The terminal cost at several points, and its differentials there, of the structure of the points."""
+    layout = Layout.of(problem.manifold)
+
+    def at(q: Array) -> tuple[Array, Array]:
+        x = layout.point(q)
+        return problem.final_cost(x), layout.flat(problem.manifold.projection(x, vec.gradient(problem.final_cost, x)))
+
+    costs, slopes = _evaluated(at, 1, layout.rows(points, 1))
+    return costs, layout.points(slopes)
 
 
 def _cost_rates(
-    problem: "OptimalControlProblem", q: Ambient, moves: Array, u: Ambient, directions: Array
-) -> tuple[Float[Array, "moves controls"], Array]:
+    problem: "OptimalControlProblem", q: Ambient, moves: np.ndarray, u: Ambient, directions: np.ndarray
+) -> tuple[Float[np.ndarray, "moves controls"], Float[np.ndarray, "moves controls"]]:
     """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by
     both."""
+    state, control = Layout.of(problem.manifold), Layout.of(problem.controls)
     retraction = default_retraction(problem.manifold)
-    frame = retraction.frame(q)
 
-    def at(q: Ambient, c: Array) -> tuple[Array, Array]:
-        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u, z[1])))((q, c))
+    def at(q: Array, u: Array, move: Array, c: Array) -> tuple[Array, Array]:
+        x, u0 = state.point(q), control.point(u)
+        moved = retraction.chart(x, retraction.frame(x), move)
+        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u0, z[1])))((moved, c))
         return rate, vec.size(slopes)
 
-    return jax.vmap(lambda move: jax.vmap(lambda c: at(retraction.chart(q, frame, move), c))(directions))(moves)
+    points = (layout.rows(x, 0)[None, None] for layout, x in ((state, q), (control, u)))
+    return _evaluated(at, 2, *points, moves[:, None], directions[None])
 
 
-def _terminal_costs(problem: "OptimalControlProblem", points: Ambient) -> tuple[Array, Ambient]:
-    """The terminal cost at several points, and its differentials there, of the structure of the points."""
-
-    def at(q: Ambient) -> tuple[Array, Ambient]:
-        return problem.final_cost(q), problem.manifold.projection(q, vec.gradient(problem.final_cost, q))
-
-    return jax.vmap(at)(points)
+def _evaluated(function: Callable, axes: int, *rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The two values of a function of flat vectors at points with some leading axes."""
+    first, second = Automatic().values(function, *(a.shape[-1] for a in rows)).at(axes, *rows)
+    return first.astype(working_precision()), second.astype(working_precision())
 
 
 def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:

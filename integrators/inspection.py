@@ -107,12 +107,11 @@ class Inspection:
     def _probed(self) -> Probed:
         """The functions in NumPy arrays; raises if they fail."""
         try:
-            found, *_ = call_compiled(probe, self.problem, self.q, self.u, self._directions, self._covectors)
+            return probe(self.problem, self.q, self.u, self._directions, self._covectors)
         except RetraxError:
             raise
         except FAILURES as error:
             raise InvalidInputError(failure_words(self.problem, error, self.q, self.u)) from error
-        return jax.tree.map(np.asarray, found)
 
     @cached_property
     def _flats(self) -> list[list[Flat]]:

@@ -12,9 +12,12 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
+from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from .constraints import constraint_words
+from .evaluator import Automatic
 from .functions import failing_line
+from .layout import Layout
 
 # Of functions that are given something else than expected.
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError
@@ -35,53 +38,55 @@ PARTS = "dynamics", "running_cost"
 
 
 class Probed(NamedTuple):
-    """What the functions of a problem give at a point: with the control asked for, and with another.
+    """What the functions of a problem give at a point: with the control asked for, and with others.
 
     Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``,
     at the control asked for and at the others, by coordinates in the chart around it.
     """
 
     controls: Ambient
-    normals: Array  # size of the normal part of the velocity, with each control
-    sizes: Array  # size of the velocity, with each control
-    costs: tuple[Array, Array]  # running and terminal, with the first control
-    slopes: Array
-    curvatures: Array
-    limits: tuple[tuple[Array, ...], tuple[Array, ...]]  # constraints, and their derivatives by the control asked for
+    normals: np.ndarray  # size of the normal part of the velocity, with each control
+    sizes: np.ndarray  # size of the velocity, with each control
+    costs: tuple[np.ndarray, np.ndarray]  # running and terminal, with the first control
+    slopes: np.ndarray
+    curvatures: np.ndarray
+    # Constraints, and their derivatives by the control asked for.
+    limits: tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]
 
 
-def probe(problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: Array, covectors: Ambient) -> Probed:
+def probe(
+    problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient
+) -> Probed:
     """The functions at ``(q, u)``, and at controls in ``directions`` from ``u``; of ``covectors`` the projections
     count."""
-    controls = jax.tree.map(lambda *leaves: jnp.stack(leaves), u, problem.steer(u, directions[0]))
-    normals, sizes = jax.vmap(lambda control: problem.normal_size(q, control))(controls)
-    costs = problem.cost_rate(q, u), problem.final_cost(q)
+    state, control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
-    def derivatives(c: Array, covector: Ambient) -> tuple[Array, Array]:
-        def slope(c: Array) -> tuple[Array, Array]:
-            value = jax.jacrev(lambda c: parts(problem, q, u, covector, c))(c)
-            return value, value
+    def at(d: Array, first: Array, q: Array, u: Array, c: Array, covector: Array) -> tuple[Any, ...]:
+        x, u0 = state.point(q), control.point(u)
+        power, rate = parts(problem, x, u0, state.point(covector), c + d)
+        moved = problem.steer(u0, c + d)
+        own = jnp.stack(problem.normal_size(x, moved)), jnp.stack([rate, problem.final_cost(x)]), control.flat(moved)
+        return jnp.where(first[0] > 0, power, rate), problem.limits.of_functions(x, moved), *own
 
-        curvature, value = jax.jacfwd(slope, has_aux=True)(c)
-        return value, curvature
-
-    def limits(c: Array) -> tuple[Array, ...]:
-        return problem.limits.of_functions(q, problem.steer(u, c))
-
-    rest = jnp.zeros(problem.controls.dimension)
-    bounded = limits(rest), jax.jacfwd(limits)(rest)
-    return Probed(controls, normals, sizes, costs, *jax.vmap(derivatives)(*with_rest(directions, covectors)), bounded)
+    m = problem.controls.dimension
+    made = Automatic().derivatives(at, m, 1, state.size, control.size, m, state.size)
+    points = state.rows(q, 0), control.rows(u, 0)
+    coordinates, rows = np.concatenate([np.zeros_like(directions[:1]), directions]), state.rows(covectors, 1)
+    each = np.concatenate([rows[:1], rows])
+    found = made.at(2, np.array([[[1.0]], [[0.0]]]), *(a[None, None] for a in points), coordinates[None], each[None])
+    curvatures, slopes, *others = (a.astype(working_precision()) for a in found)
+    count = len(problem.limits.names)
+    slope, value = (tuple(a[0, 0] for a in others[k : k + count]) for k in (0, count))
+    sizes, costs, controls = (a[0] for a in others[2 * count :])
+    slopes, curvatures = (a.swapaxes(0, 1) for a in (slopes, curvatures))
+    (normals, lengths), (running, final) = sizes.T, costs[0]
+    there = control.points(controls)
+    return Probed(there, normals, lengths, (running, final), slopes, curvatures, (value, slope))
 
 
 def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
     """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
     return jnp.stack(problem.parts(q, problem.manifold.projection(q, covector), problem.steer(u, c)))
-
-
-def with_rest(directions: Array, covectors: Ambient) -> tuple[Array, Ambient]:
-    """The coordinates, zero before them, each with a covector."""
-    with_first = jax.tree.map(lambda leaf: jnp.concatenate([leaf[:1], leaf]), covectors)
-    return jnp.concatenate([jnp.zeros_like(directions[:1]), directions]), with_first
 
 
 def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:

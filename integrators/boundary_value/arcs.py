@@ -11,12 +11,12 @@ from jaxtyping import Array
 
 from ..boundary_conditions import BoundaryConditions
 from ..constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
+from ..evaluator import Automatic, Evaluated
 from ..free import Free, is_free
+from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .arguments import structure_of
 from .engine.chart import lagrange
-from .engine.evaluator import Automatic, Evaluated
-from .engine.layout import Layout, parameter_layout
 from .guess import Guess
 from .solution import Solution
 

@@ -11,12 +11,12 @@ from jaxtyping import Array
 from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...retractions import default_retraction
+from ..evaluator import Automatic
 from ..free import Free, guessed, is_free
+from ..layout import Layout
 from ..options import known_options
 from ..results import Result
 from .differentiable import Given, pushed
-from .engine.evaluator import Automatic
-from .engine.layout import Layout
 from .guess import Guess
 from .solution import Solution, Solutions
 from .solver import Solver

@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Euclidean
+from ..evaluator import Automatic, Evaluated
+from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
-from .engine.evaluator import Automatic, Evaluated
-from .engine.layout import Layout, parameter_layout
 from .solution import Solution
 
 

@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from ..evaluator import Evaluator
 from ..problem import OptimalControlProblem
 from .engine.coupling import Coupling, Link
-from .engine.evaluator import Evaluator
 
 
 class Own(NamedTuple):

@@ -16,7 +16,7 @@ from ...manifolds.numerics.precision import default_tolerance
 from ..compilation import call_compiled
 from ..controls import resting_control
 from ..free import Free, guessed, is_free
-from .engine.layout import Layout
+from ..layout import Layout
 
 
 class Part(NamedTuple):

@@ -9,8 +9,8 @@ import numpy as np
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.precision import default_tolerance
 from ..evaluation import at_each
+from ..layout import Layout
 from ..problem import OptimalControlProblem
-from .engine.layout import Layout
 from .guess import Guess, check_arrays
 
 

@@ -10,11 +10,11 @@ from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
 from ..controls import resting_control
+from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
 from .arguments import BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
-from .engine.layout import Layout
 from .engine.rollout import RollOut
 from .engine.start import Start
 

@@ -9,10 +9,10 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.tolerances import EPS, HALF
 from ..boundary_conditions import boundary_words
+from ..layout import Layout
 from ..text import many
 from .coupled import Own
 from .engine.joint import JointConditions
-from .engine.layout import Layout
 
 SAMPLES = 4  # random ends at which equations are looked at
 

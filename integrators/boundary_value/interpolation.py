@@ -13,9 +13,9 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import EPS
 from ...reading import one_reading
 from ...retractions import Retraction, default_retraction
+from ..evaluator import Automatic, Evaluated
+from ..layout import Layout
 from .engine.chart import Chart, lagrange
-from .engine.evaluator import Automatic, Evaluated
-from .engine.layout import Layout
 from .stored import as_text, from_text
 
 if TYPE_CHECKING:

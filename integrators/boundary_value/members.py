@@ -15,12 +15,12 @@ from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.precision import default_tolerance
+from ..evaluator import Evaluator
+from ..layout import Layout, parameter_layout
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters, copied, structure_of
 from .end_points import EndPoints, EndReader, NodeCondition
-from .engine.evaluator import Evaluator
-from .engine.layout import Layout, parameter_layout
 from .given_guess import FlatGuess, GuessReader
 from .guess import Guess
 from .resampling import Mesh, resampled

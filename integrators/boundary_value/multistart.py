@@ -10,9 +10,9 @@ from ...manifolds import Euclidean, InvalidInputError, Manifold, Product
 from ...manifolds.numerics.ambient import Ambient
 from ..free import Free, is_free
 from ..functions import require_concrete
+from ..layout import Layout
 from ..options import known_options
 from .end_points import EndReader
-from .engine.layout import Layout
 from .guess import Guess, default_guess
 from .solution import Solutions
 from .solver import Solver

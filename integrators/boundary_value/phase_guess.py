@@ -9,8 +9,8 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ..free import guessed
+from ..layout import Layout
 from .end_points import EndReader
-from .engine.layout import Layout
 from .engine.start import Start
 from .guess import Guess, default_guess
 from .posed_phase import NAMED

@@ -9,6 +9,8 @@ import numpy as np
 
 from ...retractions import Gauss, Midpoint
 from ..controls import resting_control
+from ..evaluator import Evaluator
+from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Method, structure_of
 from .coupled import Own, coupling_of
@@ -16,8 +18,6 @@ from .engine.collocation import Collocation
 from .engine.conditions import Conditions
 from .engine.coupling import Coupling
 from .engine.diagnosis import Diagnosis
-from .engine.evaluator import Evaluator
-from .engine.layout import Layout
 from .engine.start import Start
 from .engine.system import Ends, Iterate
 from .engine.transcription import Data, Known, Nodes, OneStage

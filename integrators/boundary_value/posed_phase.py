@@ -8,10 +8,10 @@ import numpy as np
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
+from ..evaluator import Automatic, Evaluator
 from ..inspection import Inspection
 from ..problem import OptimalControlProblem
 from .arguments import Method, Options, copied, fractions_of
-from .engine.evaluator import Automatic, Evaluator
 from .engine.newton import Found
 from .examination import Examination
 from .formulated import SINGULAR, Formulated

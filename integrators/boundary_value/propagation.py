@@ -17,11 +17,11 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import EPS, HALF, ROUNDING
 from ...reading import reads_once
 from ...retractions import Retraction, default_retraction
+from ..evaluator import Automatic, Evaluator
+from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .arguments import ALONG, BETWEEN, check_parameters
 from .engine.chart import lagrange
-from .engine.evaluator import Automatic, Evaluator
-from .engine.layout import Layout, parameter_layout
 from .solution import Solution
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it

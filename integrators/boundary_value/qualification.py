@@ -11,9 +11,9 @@ from jaxtyping import Array
 
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
+from ..evaluator import Automatic, Evaluated
+from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
-from .engine.evaluator import Automatic, Evaluated
-from .engine.layout import Layout, parameter_layout
 from .solution import Solution
 
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics import ambient as vec
+from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
-from .engine.layout import Layout
 from .engine.newton import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant

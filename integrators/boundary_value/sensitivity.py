@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import ConvergenceError
 from ...manifolds.numerics.tolerances import EPS, REGULAR
-from .engine.layout import Layout
+from ..layout import Layout
 from .engine.sensitivity import Derivatives
 from .solution import Solution
 

@@ -13,6 +13,7 @@ from ...manifolds import InvalidInputError
 from ...manifolds.numerics.precision import working_precision
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
+from ..evaluator import chosen
 from ..free import is_free
 from ..functions import require_concrete
 from ..options import known_options
@@ -31,7 +32,6 @@ from .arguments import (
 )
 from .differentiable import Extremal, Given, extremal_of
 from .engine.batches import taken
-from .engine.evaluator import chosen
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
 from .engine.stopwatch import Stopwatch

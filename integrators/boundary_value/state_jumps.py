@@ -17,8 +17,8 @@ from ..control_jumps import control_jump, control_lines, control_words
 from ..crossings import DEGREE, HIDDEN, NEAR, Crossings, Given, Jump, Lines, largest, rate_names, rates, some
 from ..jumps import steps_in
 from ..kinks import JUMP
+from ..layout import Layout
 from ..problem import OptimalControlProblem
-from .engine.layout import Layout
 from .solution import Solution
 
 POINTS = 4  # for each stage: between which a step changes its sign once, or comes near to it once

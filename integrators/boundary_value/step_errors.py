@@ -11,10 +11,10 @@ from jaxtyping import Array
 
 from ...manifolds import DomainError, Euclidean, InvalidInputError, Product
 from ...reading import one_reading, reads_once
+from ..evaluator import Automatic, Evaluated
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
 from .control_curvature import ControlCurvature
-from .engine.evaluator import Automatic, Evaluated
 from .propagation import UNRESOLVED, Propagator
 from .solution import Solution
 

@@ -124,7 +124,7 @@ def test_what_was_read_is_released():
 
     def alive():
         gc.collect()
-        return sum(isinstance(each, Jaxpr) for each in gc.get_objects())
+        return sum(issubclass(type(each), Jaxpr) for each in gc.get_objects())  # a proxy of what is gone has no class
 
     def read(times):
         for _ in range(times):

@@ -25,8 +25,8 @@ from retrax.integrators import (
 )
 from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
-from retrax.integrators.boundary_value.engine.evaluator import Automatic, TapeEvaluator, XlaEvaluator
 from retrax.integrators.boundary_value.engine.transcription import Data
+from retrax.integrators.evaluator import Automatic, TapeEvaluator, XlaEvaluator
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
 from retrax.integrators.probing import flat_directions
 from retrax.integrators.stages import HamiltonianStage

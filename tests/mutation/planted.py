@@ -349,13 +349,13 @@ PLANTED: dict[str, Planted] = {
         (f"{PARTS}::test_the_curvature_of_a_terminal_cost_counts",),
     ),
     "gradients of functions of XLA are twice as long": Planted(
-        f"{ENGINE}/evaluator.py",
+        "integrators/evaluator.py",
         "return curvature, scalar_slope[0], *jax",
         "return curvature, 2 * scalar_slope[0], *jax",
         (f"{PARTS}::test_evaluators_have_the_same_derivatives",),
     ),
     "shared arguments of tapes go on from point to point": Planted(
-        f"{ENGINE}/evaluator.py",
+        "integrators/evaluator.py",
         "size if length > 1 else 0) for k",
         "size) for k",
         (f"{SOLVER}::test_both_evaluators_give_the_same_numbers", f"{FREE}"),

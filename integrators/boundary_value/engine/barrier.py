@@ -70,23 +70,23 @@ class Barrier(NamedTuple):
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
         )
 
-    def missed(self, held: Held, slacks: Slacks) -> Missed:
+    def missed(self, found: Surveyed, slacks: Slacks) -> Missed:
         """How far the inequalities and their multipliers are from what is asked of them."""
-        found = self.surveyed(held, slacks)
         return Missed(found.violation, found.excess, found.product / self.rate, found.off(slacks.barrier) / self.rate)
 
     def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
         """What the inequalities and their multipliers lack, and what they cost."""
         return surveyed(held, slacks, self.limits)
 
-    def lowered(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> tuple[Slacks, np.ndarray]:
+    def lowered(
+        self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float
+    ) -> tuple[Slacks, np.ndarray]:
         """The slacks with a lower barrier where its problem is solved, and where excesses are too cheap instead.
 
         ``error``: the largest residual but for that of ``nu s = mu``.
         """
         cheap, rate = self._is_cheap(slacks), self._dear(slacks)
         last = LAST * tolerance * self.rate / rate
-        found = self.surveyed(held, slacks)
         solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
         while True:
             barrier = slacks.barrier / rate
@@ -99,13 +99,16 @@ class Barrier(NamedTuple):
             slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
             solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
 
-    def is_infeasible(self, held: Held, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
+    def is_infeasible(self, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
 
         ``error``: the largest residual but for those of the multipliers.
         """
-        dear = slacks.elastic & (slacks.multipliers > NEAR * np.where(slacks.elastic, slacks.price, np.inf))
-        dear &= np.where(slacks.elastic, slacks.price, 0.0) >= DEAREST * self.price
+        elastic = slacks.elastic
+        if not elastic.any():
+            return np.zeros(len(error), bool)
+        dear = elastic & (slacks.multipliers > NEAR * np.where(elastic, slacks.price, np.inf))
+        dear &= np.where(elastic, slacks.price, 0.0) >= DEAREST * self.price
         left = np.where(dear, slacks.excess / self.unit, 0.0).max(axis=(1, 2, 3), initial=0.0)
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (left > np.sqrt(tolerance))

@@ -10,8 +10,8 @@ from jaxtyping import Array
 
 from ....manifolds.numerics import ambient as vec
 from ....retractions import Retraction
-from .evaluator import Evaluated, Evaluator
-from .layout import Layout
+from ...evaluator import Evaluated, Evaluator
+from ...layout import Layout
 
 ROUNDS = 30  # of Newton's method, which takes three to five
 

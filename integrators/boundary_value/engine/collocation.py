@@ -10,12 +10,12 @@ from jaxtyping import Array
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
+from ...evaluator import Arrays, Evaluator
+from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
-from .evaluator import Arrays, Evaluator
 from .inequalities import Held, Slacks, raised
-from .layout import Layout, parameter_layout
 from .scaling import Units
 from .transcription import AtStages, Blocks, Data, Known, Moves
 

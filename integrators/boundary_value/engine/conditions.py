@@ -9,7 +9,7 @@ from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
-from .inequalities import VALUE, Slacks, moved, turned
+from .inequalities import VALUE, Held, Slacks, Surveyed, moved, turned
 from .scaling import SHARE, Units, natural_units
 from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
@@ -38,6 +38,7 @@ class Conditions:
     ) -> None:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
         self.units, self.barrier = units, barrier
+        self._survey: tuple[Held, Slacks, Surveyed] | None = None  # the last one, and of what
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
@@ -156,7 +157,7 @@ class Conditions:
         gap, stationarity = self._gap(assembled), self._stationarity(assembled)
         if self.barrier is None or iterate.slacks is None:
             return Residuals(gap, stationarity, Missed.none(len(gap)))
-        return Residuals(gap, stationarity, self.barrier.missed(assembled.blocks.inequalities, iterate.slacks))
+        return Residuals(gap, stationarity, self.barrier.missed(self._surveyed(iterate, assembled), iterate.slacks))
 
     def lowered(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
@@ -176,7 +177,8 @@ class Conditions:
         if self.barrier is None or iterate.slacks is None:
             none = np.zeros(len(residuals.gap), bool)
             return iterate, none, none
-        slacks, cheap = self.barrier.lowered(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
+        found = self._surveyed(iterate, assembled)
+        slacks, cheap = self.barrier.lowered(found, iterate.slacks, residuals.steady, tolerance)
         return iterate._replace(slacks=slacks), slacks.barrier != iterate.slacks.barrier, cheap
 
     def dearer(self, iterate: Iterate, cheap: np.ndarray) -> Iterate:
@@ -192,13 +194,20 @@ class Conditions:
             return iterate
         return iterate._replace(slacks=self.barrier.softened(assembled.blocks.inequalities, iterate.slacks, where))
 
-    def is_infeasible(
-        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
-    ) -> np.ndarray:
+    def is_infeasible(self, iterate: Iterate, residuals: Residuals, tolerance: float) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends: where what they lack is least and is not zero."""
         if self.barrier is None or iterate.slacks is None:
             return np.zeros(len(residuals.gap), bool)
-        return self.barrier.is_infeasible(assembled.blocks.inequalities, iterate.slacks, residuals.steady, tolerance)
+        return self.barrier.is_infeasible(iterate.slacks, residuals.steady, tolerance)
+
+    def _surveyed(self, iterate: Iterate, assembled: Assembled) -> Surveyed:
+        """The survey of the inequalities of an iterate; it is asked for several times in turn."""
+        if self.barrier is None or iterate.slacks is None:
+            raise RuntimeError("there are no inequalities to survey; assemble an iterate that has slacks")
+        held, slacks = assembled.blocks.inequalities, iterate.slacks
+        if self._survey is None or self._survey[0] is not held or self._survey[1] is not slacks:
+            self._survey = held, slacks, self.barrier.surveyed(held, slacks)
+        return self._survey[2]
 
     def barriers(self, iterate: Iterate) -> np.ndarray:
         """The barriers relative to the unit of the cost rate, zero without inequalities."""
@@ -223,7 +232,7 @@ class Conditions:
         if blocks.inner is not None:
             missing = missing + (np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None]).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
-            lacking = self.barrier.surveyed(blocks.inequalities, iterate.slacks).missing
+            lacking = self._surveyed(iterate, assembled).missing
             missing = missing + lacking / np.mean(self.data.steps, axis=1)
         return missing
 
@@ -234,7 +243,7 @@ class Conditions:
         if blocks.inner is not None:
             held += (blocks.inner.multipliers * blocks.inner.defect).sum(axis=(1, 2, 3))
         if self.barrier is not None and iterate.slacks is not None:
-            found = self.barrier.surveyed(blocks.inequalities, iterate.slacks)
+            found = self._surveyed(iterate, assembled)
             cost, held = cost + found.potential, held + found.held
         return cost / self.measured.cost, held / self.measured.cost
 

@@ -11,9 +11,9 @@ from jaxtyping import Array
 from ....manifolds import Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
+from ...evaluator import Evaluator
+from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
-from .evaluator import Evaluator
-from .layout import Layout, parameter_layout
 from .transcription import Terminal
 
 

@@ -214,17 +214,10 @@ class JointConditions:
             parts=tuple(phase.softened(part, system, where) for phase, part, system in self._each(iterate, assembled))
         )
 
-    def is_infeasible(
-        self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
-    ) -> np.ndarray:
+    def is_infeasible(self, iterate: JointIterate, residuals: Residuals, tolerance: float) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
-        return np.any(
-            [
-                phase.is_infeasible(part, system, residuals, tolerance)
-                for phase, part, system in self._each(iterate, assembled)
-            ],
-            axis=0,
-        )
+        pairs = zip(self.phases, iterate.parts, strict=True)
+        return np.any([phase.is_infeasible(part, residuals, tolerance) for phase, part in pairs], axis=0)
 
     def barriers(self, iterate: JointIterate) -> np.ndarray:
         """The largest barriers relative to the units of the cost rates."""

@@ -197,8 +197,10 @@ class _Search:
         again |= lowered
         residual = state.residuals.largest
         arrived = state.residuals.final <= self.tolerance
-        if not again.any():
-            return state
+        # What Newton's last step leads to is looked at, and not stepped from once more.
+        reached = before.isolated & good & arrived
+        if not (again & ~reached).any():
+            return state._replace(done=reached)
         # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
         # saddle.
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
@@ -345,8 +347,7 @@ class _Search:
 
     def contradictory(self, state: State) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
-        own = state.iterate, state.assembled, state.residuals
-        return self.conditions.of(state.member).is_infeasible(*own, self.tolerance)
+        return self.conditions.of(state.member).is_infeasible(state.iterate, state.residuals, self.tolerance)
 
     def report(self, state: State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""

@@ -10,9 +10,9 @@ from jaxtyping import Array
 
 from ....manifolds.numerics import ambient as vec
 from ....retractions import Retraction
+from ...evaluator import Automatic
+from ...layout import Layout
 from ...problem import OptimalControlProblem
-from .evaluator import Automatic
-from .layout import Layout
 
 
 @final

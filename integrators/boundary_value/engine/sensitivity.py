@@ -16,11 +16,11 @@ from jaxtyping import Array
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
+from ...evaluator import Evaluator
 from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense
 from .conditions import Conditions
-from .evaluator import Evaluator
 from .system import Assembled, Iterate
 from .transcription import Data, Nodes, OneStage
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .layout import Layout
+from ...layout import Layout
 from .system import Assembled, Iterate, Step
 from .transcription import Data, Moves, Nodes
 

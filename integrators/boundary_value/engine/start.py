@@ -12,8 +12,8 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import Retraction, default_retraction
-from .evaluator import Automatic, Evaluated
-from .layout import Layout
+from ...evaluator import Automatic, Evaluated
+from ...layout import Layout
 
 ASIDE = 0.05  # of the chord
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps

@@ -1,6 +1,6 @@
 """From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
 
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple, final
 
 import jax
@@ -11,11 +11,11 @@ from jaxtyping import Array
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
+from ...evaluator import Arrays, Automatic, Evaluated, Evaluator
+from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
-from .evaluator import Arrays, Evaluator
 from .inequalities import Held, Slacks, raised
-from .layout import Layout, parameter_layout
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
@@ -230,7 +230,6 @@ class Nodes:
             for name, cost in costs.items()
             if cost is not None
         }
-        self._middle = evaluator.values(self._middle_of, self.layout.size, self.layout.size)
         flat = isinstance(problem.controls, Euclidean)
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
@@ -284,6 +283,11 @@ class Nodes:
         angle = np.minimum(angle, QUARTER)
         arcs = np.where(angle > 0, angle / np.sin(np.where(angle > 0, angle, 1.0)), 1.0)
         return found, arcs @ columns, (arcs * np.cos(angle)) @ columns
+
+    @cached_property
+    def _middle(self) -> Evaluated:
+        """Traced where ends are far apart for the first time; it reads nothing but the manifold."""
+        return Automatic().values(self._middle_of, self.layout.size, self.layout.size)
 
     def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
         """The point of the manifold next to the middle of the chord, by a few steps along its tangential part.

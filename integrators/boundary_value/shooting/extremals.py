@@ -16,14 +16,14 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import DiscretizationMap
 from ...compilation import compiled
+from ...evaluator import Automatic
 from ...initial_value.passed_jumps import Energy, Segments
+from ...layout import Layout
 from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
 from ...stages import ControlStage
 from ..engine.diagnosis import Diagnosis
-from ..engine.evaluator import Automatic
-from ..engine.layout import Layout
 from ..guess import Guess, default_guess
 from ..solution import SingularArc, SingularChecks, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..integrators import ControlStage, Guess, OptimalControlProblem
-from ..integrators.boundary_value.engine.layout import Layout
+from ..integrators.layout import Layout
 from ..manifolds.numerics import ambient as vec
 from ..retractions import DiscretizationMap, Gauss, Midpoint
 from ..tape import Tape

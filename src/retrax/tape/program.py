@@ -1,7 +1,7 @@
 """From a graph of scalars to a list of instructions for the machine: fused, and with registers of its own."""
 
+import math
 from dataclasses import dataclass, field
-from heapq import heappop, heappush
 
 import casadi as ca
 import numpy as np
@@ -16,6 +16,7 @@ NAMES = (
     "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
     "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
+COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
 FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
@@ -52,8 +53,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Progra
 
     ``grouped``: the same instructions stand together, which takes more registers, and less time where lanes are few.
     """
-    function = ca.Function("f", [inputs], [ca.densify(outputs)], {"cse": True})
-    instructions = _read(function)
+    instructions = _read(ca.Function("f", [inputs], [ca.densify(outputs)]))
     _count(instructions)
     for k, instruction in enumerate(instructions):
         _select(instructions, instruction)
@@ -92,33 +92,40 @@ def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
 
 
 def _read(function: ca.Function) -> list[_Instruction]:
-    """CasADi's instructions, whose operands are named by the instructions that made them; divisors are inverted, each
-    once."""
+    """CasADi's instructions, each value computed once, whose operands are named by the instructions that made them;
+    divisors are inverted.
+
+    CasADi finds what is computed twice too, in ten times the time of all else here.
+    """
     found: list[_Instruction] = []
     made: dict[int, int] = {}
-    inverses: dict[int, int] = {}
+    known: dict[tuple, int] = {}
+
+    def number(name: str, inputs: list[int], value: float = 0.0, divides: bool = False) -> int:
+        """The number of an instruction, which is new or has been there before."""
+        operands = sorted(inputs) if name in COMMUTATIVE else inputs
+        key = name, *operands, value, math.copysign(1.0, value)  # zeros of both signs are two numbers
+        k = known.setdefault(key, len(found))
+        if k == len(found):
+            found.append(_Instruction(name, inputs, value, divides=divides))
+        return k
+
+    read, written, code_of = function.instruction_input, function.instruction_output, function.instruction_id
     for k in range(function.n_instructions()):
-        code, ins, outs = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
+        code, ins, outs = code_of(k), read(k), written(k)
         if code not in _OF_CASADI:
             raise UnknownInstructionError(f"instruction {code} of CasADi has no counterpart in the machine")
         name = _OF_CASADI[code]
-        if name == "CONST":
-            instruction = _Instruction(name, [], function.instruction_constant(k))
+        if name == "OUTPUT":
+            found.append(_Instruction(name, [made[ins[0]]], outs[1]))
+        elif name == "CONST":
+            made[outs[0]] = number(name, [], function.instruction_constant(k))
         elif name == "INPUT":
-            instruction = _Instruction(name, [], ins[1])
-        elif name == "OUTPUT":
-            instruction = _Instruction(name, [made[ins[0]]], outs[1])
+            made[outs[0]] = number(name, [], ins[1])
+        elif name == "DIV" and found[made[ins[1]]].name != "CONST":
+            made[outs[0]] = number("MUL", [made[ins[0]], number("INV", [made[ins[1]]])], divides=True)
         else:
-            instruction = _Instruction(name, [made[i] for i in ins])
-        if name == "DIV" and found[instruction.inputs[1]].name != "CONST":
-            divisor = instruction.inputs[1]
-            if divisor not in inverses:
-                inverses[divisor] = len(found)
-                found.append(_Instruction("INV", [divisor]))
-            instruction = _Instruction("MUL", [instruction.inputs[0], inverses[divisor]], divides=True)
-        found.append(instruction)
-        if name != "OUTPUT":
-            made[outs[0]] = len(found) - 1
+            made[outs[0]] = number(name, [made[i] for i in ins])
     return found
 
 
@@ -191,26 +198,23 @@ def _multiplied(instructions: list[_Instruction], k: int) -> None:
 
 
 def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
-    """Registers for the values, the lowest free one first; never that of an operand, so that loops over lanes are
+    """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
     vectors."""
     last = {i: k for k in kept for i in instructions[k].inputs}
     where: dict[int, int] = {}
     free: list[int] = []
     size = 0
     codes, values = np.zeros(len(kept), np.uint8), np.zeros(len(kept))
-    registers = np.zeros((len(kept), 4), np.uint32)  # Numba wraps signed indices, at a cost
+    rows: list[tuple[int, ...]] = []  # destination and three operands
     for row, k in enumerate(kept):
         instruction = instructions[k]
         operands = [where[i] for i in instruction.inputs]
         codes[row], values[row] = CODES[instruction.name], instruction.value
+        to = 0
         if instruction.name != "OUTPUT":
-            if not free:
-                heappush(free, size)
-                size += 1
-            where[k] = heappop(free)
-            registers[row, 0] = where[k]
-        registers[row, 1 : 1 + len(operands)] = operands
-        for i in set(instruction.inputs):
-            if last[i] == k:
-                heappush(free, where[i])
+            to = where[k] = free.pop() if free else size
+            size += to == size
+        rows.append((to, *operands, 0, 0, 0)[:4])
+        free += [where[i] for i in set(instruction.inputs) if last[i] == k]
+    registers = np.array(rows, np.uint32).reshape(-1, 4)  # Numba wraps signed indices, at a cost
     return Program(codes, registers, values, inputs, outputs, size)

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from ....manifolds import InvalidInputError
-from ....manifolds.numerics.precision import working_precision
-from ....reading import traced
-from ...compilation import compiler_options
+from ..manifolds import InvalidInputError
+from ..manifolds.numerics.precision import working_precision
+from ..reading import traced
+from .compilation import compiler_options
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
@@ -80,7 +80,7 @@ class TapeEvaluator(Evaluator):
         return ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
-        from ....tape import Tape
+        from ..tape import Tape
 
         d = [] if first is None else [np.zeros(first)]
         tape = Tape.trace(function, *d, *(np.zeros(size) for size in sizes))
@@ -213,7 +213,7 @@ class Automatic(Evaluator):
         return self._refusals[0] if self._refusals else ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
-        from ....tape import NotTraceableError
+        from ..tape import NotTraceableError
 
         try:
             return TapeEvaluator()._made(function, sizes, first)

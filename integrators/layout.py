@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import Manifold
-from ....manifolds.numerics.ambient import Ambient, Frame
+from ..manifolds import Manifold
+from ..manifolds.numerics.ambient import Ambient, Frame
 
 
 @final
