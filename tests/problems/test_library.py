@@ -11,7 +11,18 @@ from retrax import problems
 from retrax.manifolds import InvalidInputError, Product, RetraxError
 
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
-QUICK = ("kinematic-slew", "sphere-geodesic", "grushin", "regulator", "least-effort", "detumbling", "rendezvous")
+QUICK = (
+    "kinematic-slew",
+    "sphere-geodesic",
+    "grushin",
+    "regulator",
+    "least-effort",
+    "detumbling",
+    "rendezvous",
+    "zermelo",
+    "orbit-raising",
+    "catalyst-mixing",
+)
 UNSOLVED: dict[str, str] = {}
 
 
