@@ -19,6 +19,7 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 MOST_COMPILED = 256
+CHUNK = 256  # rows that a program takes at once
 _compiled: dict[Hashable, Any] = {}  # executables by program and settings, oldest first
 
 
@@ -31,7 +32,7 @@ class _Program(NamedTuple):
     fixed: Any
 
 
-def call_compiled(function: Callable, *arguments: Any) -> tuple[Any, float, float]:
+def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
     """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
 
     Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants
@@ -83,11 +84,24 @@ def held(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
+def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
+    """What a compiled function of rows gives for each of them; one program serves any number of rows.
+
+    The function is called with ``size`` rows at once, the last of them repeated.
+    """
+    count, parts = len(jax.tree.leaves(rows)[-1]), []
+    for begin in range(0, count, size):
+        which = np.minimum(np.arange(begin, begin + size), count - 1)
+        own = jax.tree.map(lambda leaf, which=which: np.asarray(leaf)[which], rows)
+        parts.append(jax.tree.map(np.asarray, function(*own)))
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+
+
 def _is_data(leaf: Any) -> bool:
     return isinstance(leaf, jax.Array | np.ndarray | np.generic)
 
 
-def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+def _read(function: Callable[..., Any], structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``, traced if that was not done in this reading."""
     # What is held in the reading keeps its identity.
     fixed = tuple("data" if _is_data(leaf) else repr(leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
@@ -102,7 +116,7 @@ def _read(function: Callable, structure: Any, leaves: list, data: list) -> _Prog
         return known[0]
 
 
-def _traced(function: Callable, structure: Any, leaves: list, data: list) -> _Program:
+def _traced(function: Callable[..., Any], structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``."""
     found = []
 
@@ -136,7 +150,7 @@ def _executable(program: _Program, data: list) -> Any:
     return _compiled[key]
 
 
-def digest(function: Callable, *shapes: Any) -> bytes | None:
+def digest(function: Callable[..., Any], *shapes: Any) -> bytes | None:
     """A digest that functions share that compute the same of arrays of these shapes, with the values that they read
     now.
 

@@ -100,7 +100,9 @@ def _cost_rates(
     return _evaluated(at, 2, *points, moves[:, None], directions[None])
 
 
-def _evaluated(function: Callable, axes: int, *rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _evaluated(
+    function: Callable[..., tuple[Array, Array]], axes: int, *rows: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """The two values of a function of flat vectors at points with some leading axes."""
     first, second = Automatic().values(function, *(a.shape[-1] for a in rows)).at(axes, *rows)
     return first.astype(working_precision()), second.astype(working_precision())

@@ -14,7 +14,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.tolerances import EPS, FINEST, HALF, tolerance
 from ..retractions import Retraction
-from .compilation import held
+from .compilation import held, in_chunks
 from .constraints import constraint_words
 from .jumps import with_margins
 from .kinks import JUMP, LASTS, LESS
@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from .problem import OptimalControlProblem
 
 DEGREE = 4  # of polynomials that are a trajectory between two of its points
-CHUNK = 256  # lines at once, so that one program serves trajectories of all lengths
 CLOSER = 4.0  # times: each distance from a place at which both sides are compared is that of the one before
 EACH = 24  # places of a step at which it is looked at
 NEAR = EPS**HALF  # of the largest of what a step compares: nearer ones are at the jump
@@ -31,6 +30,7 @@ HIDDEN = 1e4  # times eps, of the largest entry: a smaller change may be roundin
 
 
 Given = tuple[Any, Any]  # the parameters of the problem, and what the function takes in addition
+Looked = Callable[["OptimalControlProblem", Ambient, Ambient, Any], Array]  # a function that is looked at
 
 
 class Lines(NamedTuple):
@@ -101,7 +101,7 @@ class Crossings:
     which is ``given`` in each call behind the parameters of the problem. What is traced is traced once.
     """
 
-    def __init__(self, function: Callable, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
+    def __init__(self, function: Looked, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
         self.problem, self.retraction = problem, retraction
         self._seen, self._slopes, self._located = (
             held(partial(kernel, (function, problem, retraction))) for kernel in (_seen, _slopes, _located)
@@ -109,11 +109,11 @@ class Crossings:
 
     def seen(self, given: Given, lines: Lines) -> Seen:
         """What is seen at the ends of lines."""
-        return Seen(*_in_chunks(self._seen, given, lines))
+        return Seen(*in_chunks(partial(self._seen, given), lines))
 
     def slopes(self, given: Given, lines: Lines) -> np.ndarray:
         """At points the derivatives of the margins by coordinates of states."""
-        return _in_chunks(self._slopes, given, lines)
+        return in_chunks(partial(self._slopes, given), lines)
 
     def located(
         self, given: Given, lines: Lines, seen: Seen, of_step: np.ndarray | None = None
@@ -131,7 +131,8 @@ class Crossings:
         line, step = some(changing)
         if not len(line):
             return None, step
-        return _in_chunks(self._located, given, lines[line], step, before[line, step], crossed[line, step]), step
+        own = lines[line], step, before[line, step], crossed[line, step]
+        return in_chunks(partial(self._located, given), *own), step
 
     def jumps(self, located: Located | None, sizes: np.ndarray | None = None) -> list[Jump]:
         """The jumps at places; ``sizes`` of the entries, where the values at the place do not tell them."""
@@ -175,17 +176,6 @@ def some(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def largest(jumps: list[Jump]) -> Jump | None:
     """The one that changes most, relative to the size of its entry."""
     return max(jumps, key=lambda jump: jump.share, default=None)
-
-
-def _in_chunks(kernel: Callable, given: Given, *lines: Any) -> Any:
-    """What a compiled function gives for each line."""
-    count = len(jax.tree.leaves(lines[-1])[-1])
-    parts = []
-    for begin in range(0, count, CHUNK):
-        rows = np.minimum(np.arange(begin, begin + CHUNK), count - 1)
-        own = jax.tree.map(lambda leaf, rows=rows: np.asarray(leaf)[rows], lines)
-        parts.append(jax.tree.map(np.asarray, kernel(given, *own)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
 
 
 def _along(known: Any, given: Given, line: Lines) -> tuple[Callable[[Array], Any], Callable[[Array], Array]]:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 MOST_ENTRIES = 64  # of the arguments: a program of scalars grows with the size of arrays, what XLA compiles does not
 
 
-def at_each(function: Callable, points: Any, *arguments: Any) -> Any:
+def at_each(function: Callable[..., Any], points: Any, *arguments: Any) -> Any:
     """Values of ``function(point, *arguments)`` at each of ``points``, NumPy arrays with the points along the leading
     axis.
 
@@ -32,7 +32,7 @@ def at_each(function: Callable, points: Any, *arguments: Any) -> Any:
     return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), values)
 
 
-def _tape(function: Callable, *examples: Any) -> "Tape | None":
+def _tape(function: Callable[..., Any], *examples: Any) -> "Tape | None":
     """The tape of a function; None where there is none, or it would be long."""
     from ..tape import NotTraceableError, Tape  # they load CasADi and Numba
 
@@ -44,5 +44,5 @@ def _tape(function: Callable, *examples: Any) -> "Tape | None":
         return None
 
 
-def _each(function: Callable, points: Any, arguments: Any) -> Any:
+def _each(function: Callable[..., Any], points: Any, arguments: Any) -> Any:
     return jax.vmap(lambda point: function(point, *arguments))(points)

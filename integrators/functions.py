@@ -98,7 +98,7 @@ def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
 class Bound:
     """A function of its first arguments, with a value for the last one."""
 
-    def __init__(self, function: Callable, value: Any) -> None:
+    def __init__(self, function: Callable[..., Any], value: Any) -> None:
         self.function, self.value = function, value
 
     def __call__(self, *arguments: Any) -> Any:

@@ -27,13 +27,13 @@ class Margins(NamedTuple):
     sizes: Array
 
 
-def steps_in(function: Callable, *arguments: Any) -> list[str]:
+def steps_in(function: Callable[..., Any], *arguments: Any) -> list[str]:
     """Names of the steps that a function computes from its arguments, each once."""
     found = ((STEPS.get(equation.primitive.name), equation) for equation in dependent(function, *arguments))
     return list(dict.fromkeys(name for name, equation in found if name and (name != WHOLE or _is_cut(equation))))
 
 
-def dependent(function: Callable, *arguments: Any) -> Iterator[Any]:
+def dependent(function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
     """The equations of the program of a function that compute something from its arguments, inner programs included."""
     yield from _dependent(jax.make_jaxpr(function)(*arguments).jaxpr)
 

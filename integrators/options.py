@@ -117,12 +117,12 @@ def _has_clock(parameters: list[str], count: int, timed: bool) -> bool:
     return len(parameters) > count and not CLOCKS.isdisjoint(parameters)
 
 
-def takes_more(function: Callable, count: int) -> bool:
+def takes_more(function: Callable[..., Any], count: int) -> bool:
     """Whether a function takes one argument more than ``count``, and cannot do without it."""
     return _names(function) is not None and not _binds(function, count) and _binds(function, count + 1)
 
 
-def _names(function: Callable) -> list[str] | None:
+def _names(function: Callable[..., Any]) -> list[str] | None:
     """Names of the arguments; None for a builtin, which has none."""
     try:
         return list(inspect.signature(function).parameters)
@@ -130,7 +130,7 @@ def _names(function: Callable) -> list[str] | None:
         return None
 
 
-def _binds(function: Callable, count: int) -> bool:
+def _binds(function: Callable[..., Any], count: int) -> bool:
     try:
         inspect.signature(function).bind(*range(count))
     except TypeError:

@@ -13,7 +13,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..manifolds.numerics.precision import working_precision
-from ..manifolds.numerics.tolerances import rounding_of, tolerance
+from ..manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from .constraints import constraint_words
 from .evaluator import Automatic
 from .functions import failing_line
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 SPREAD = 0.3  # size of the coordinates of these controls around the resting one
-SINGULAR_POWER = 0.67  # of the machine epsilon: smallest singular value of a matrix in units of its rows
 ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
 SAME = 1e-6  # largest distance of a direction from a space that it is in
 # How far along a flat line the functions are looked at: no numbers that users write.
@@ -108,7 +107,7 @@ def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
     units = np.sqrt(np.where(zero, 1.0, rows))
     matrix = np.where(zero[:, None] | zero[None, :], 0.0, matrix) / np.outer(units, units)
     values, vectors = np.linalg.eigh(matrix + np.diag(np.where(zero, 2.0, 0.0)))
-    found = vectors[:, np.abs(values) <= tolerance(matrix, SINGULAR_POWER)].T / units
+    found = vectors[:, np.abs(values) <= tolerance(matrix, REGULAR)].T / units
     found = np.concatenate([np.eye(size)[zero], found])
     return found / np.linalg.norm(found, axis=1, keepdims=True)
 

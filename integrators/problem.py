@@ -114,7 +114,7 @@ class OptimalControlProblem(eqx.Module):
         takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
         self.takes_parameters = any(takes)
 
-    def _functions(self) -> Iterator[tuple[str, Callable, int]]:
+    def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
         """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of the last state, 0
         of one."""
         names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
@@ -129,7 +129,7 @@ class OptimalControlProblem(eqx.Module):
             yield PERIODIC, self.boundary.turn, 0
 
     @property
-    def functions(self) -> dict[str, Callable]:
+    def functions(self) -> dict[str, Callable[..., Any]]:
         """All functions by the names that messages have for them."""
         return {name: function for name, function, _ in self._functions()}
 
@@ -166,7 +166,9 @@ class OptimalControlProblem(eqx.Module):
             return self
         return self._changed(lambda f, kind: Bound(f, t) if kind else f, False)
 
-    def _changed(self, change: Callable[[Callable, int], Callable], time_dependent: bool) -> "OptimalControlProblem":
+    def _changed(
+        self, change: Callable[[Callable[..., Any], int], Callable[..., Any]], time_dependent: bool
+    ) -> "OptimalControlProblem":
         """The problem with other functions, made of these and their kinds."""
         given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
         own, ends = self.limits, self.boundary

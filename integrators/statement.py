@@ -55,7 +55,7 @@ def _between(name: str, lower: float, upper: float) -> str:
     return f"{below}{name}{above}" if below or above else ""
 
 
-def _name(function: Callable | Any) -> str:
+def _name(function: Callable[..., Any] | Any) -> str:
     """What a function is called."""
     while isinstance(function, partial | Bound):
         function = function.func if isinstance(function, partial) else function.function

@@ -2,6 +2,7 @@
 report."""
 
 from .batch_file import load_solutions
+from .checks import Checks, RegularChecks, SingularChecks
 from .continuation import Continuation, continuation
 from .differentiable import Extremal
 from .guess import Guess, default_guess
@@ -11,7 +12,8 @@ from .phases import Phase, solve_phases
 from .posed_phase import PhaseEnds
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
-from .solution import Checks, RegularChecks, SingularArc, SingularChecks, Solution, Solutions, Statistics, load_solution
+from .solution import SingularArc, Solution, Statistics, load_solution
+from .solutions import Solutions
 from .solve import solve
 from .solver import Solver
 from .step_errors import StepErrors, step_errors

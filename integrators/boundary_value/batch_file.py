@@ -10,7 +10,8 @@ from ...manifolds import InvalidInputError, Manifold
 from ...retractions import Retraction
 
 if TYPE_CHECKING:
-    from .solution import Solution, Solutions
+    from .solution import Solution
+    from .solutions import Solutions
 
 SCHEMA = "retrax.Solutions 1"
 HEAD = "schema.txt"
@@ -36,7 +37,8 @@ def load_solutions(
     ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file
     is something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
     """
-    from .solution import Solutions, load_solution
+    from .solution import load_solution
+    from .solutions import Solutions
 
     with tempfile.TemporaryDirectory() as folder:
         places = _unpacked(Path(path), Path(folder))

@@ -18,7 +18,8 @@ from ..options import known_options
 from ..results import Result
 from .differentiable import Given, pushed
 from .guess import Guess
-from .solution import Solution, Solutions
+from .solution import Solution
+from .solutions import Solutions
 from .solver import Solver
 
 FIRST = 0.1  # of the path

@@ -14,10 +14,11 @@ from ..problem import OptimalControlProblem
 from ..results import sentence
 from ..stopped import TrueDerivatives
 from .arguments import structure_of
+from .checks import RegularChecks
 from .control_curvature import ControlCurvature
 from .end_points import EndReader
 from .qualification import Qualification
-from .solution import RegularChecks, Solution
+from .solution import Solution
 from .state_jumps import Jumps
 
 T = TypeVar("T")
@@ -57,13 +58,10 @@ class Examination:
 
     def _wrong(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
-        looked, rules = (
-            self._looked(free_horizon, solution.parameters),
-            self._once(TrueDerivatives, solution.parameters),
-        )
-        jump = looked(solution, self._fixed(given)) if looked else ""
+        jumps, derivatives = self._examiners(free_horizon, solution.parameters)
         points = solution.stage_states, solution.controls, solution.stage_times
-        return jump or (rules(*points, solution.parameters) if rules else "")
+        jump = jumps(solution, self._fixed(given)) if jumps else ""
+        return jump or (derivatives(*points, solution.parameters) if derivatives else "")
 
     def _once(self, kind: Callable[..., T], parameters: Any, *which: Any) -> T:
         """An examiner of this kind for parameters of their structure."""
@@ -102,11 +100,13 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        looked = self._looked(free_horizon, parameters), self._once(TrueDerivatives, parameters)
-        return self.problem.limits.along or any(looked)
+        return self.problem.limits.along or any(self._examiners(free_horizon, parameters))
 
-    def _looked(self, free_horizon: bool, parameters: Any) -> Jumps:
-        return self._once(Jumps, parameters, free_horizon and self.problem.time_dependent)
+    def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
+        """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be
+        some."""
+        timed = free_horizon and self.problem.time_dependent
+        return self._once(Jumps, parameters, timed), self._once(TrueDerivatives, parameters)
 
     def undetermined(self, solution: Solution) -> str:
         """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""

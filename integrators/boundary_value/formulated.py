@@ -16,7 +16,8 @@ from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
 from .members import Asked, MemberReader, Members
 from .sensitivity import Sensitivity
-from .solution import Solution, Solutions, Statistics
+from .solution import Solution, Statistics
+from .solutions import Solutions
 
 SINGULAR = (
     "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "

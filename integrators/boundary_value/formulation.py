@@ -19,10 +19,11 @@ from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAME
 from ..free import Free, guessed, is_free
 from ..problem import OptimalControlProblem
 from .arguments import Method
+from .checks import Checks
 from .guess import Guess
 from .interpolation import Interpolant
 from .sensitivity import Derivative, Sensitivity
-from .solution import Checks, Solution
+from .solution import Solution
 
 OWN = "factor 0, "  # how the names of the factors of Q begin in the product with the added states
 
@@ -252,7 +253,7 @@ class Formulation:
         turn = None if own.turn is None else self._of_state(self._turned, 1)
         return BoundaryConditions(own.names, functions, turn, factor=True)
 
-    def _between(self, place: int) -> Callable:
+    def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
         def between(first: tuple, last: tuple, given: Any) -> Any:
             (q, *_), (end, bound, _) = self._at(first, given), self._at(last, given)
             return bound.boundary.functions[place](q, end)
@@ -282,21 +283,21 @@ class Formulation:
             own.lower, own.upper, (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
         )
 
-    def _limit(self, place: int) -> Callable:
+    def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:
             q, bound, _ = self._at(y, given)
             return bound.limits.functions[place](q, u)
 
         return limit
 
-    def _bound(self, entries: list[int], begin: int, sign: int) -> Callable:
+    def _bound(self, entries: list[int], begin: int, sign: int) -> Callable[[tuple, Ambient, Any], Array]:
         def bound(y: tuple, u: Ambient, given: Any) -> Array:
             (bounds,) = given[1]
             return sign * (bounds[begin : begin + len(entries)] - y[1][np.array(entries)])
 
         return bound
 
-    def _of_state(self, function: Callable, count: int) -> Callable:
+    def _of_state(self, function: Callable[..., Any], count: int) -> Callable[..., Any]:
         """A function with parameters, or without if there are none."""
         if count == 1:
             return (lambda y, given: function(y, given)) if self.takes else (lambda y: function(y, ((), ())))

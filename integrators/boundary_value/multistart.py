@@ -14,7 +14,7 @@ from ..layout import Layout
 from ..options import known_options
 from .end_points import EndReader
 from .guess import Guess, default_guess
-from .solution import Solutions
+from .solutions import Solutions
 from .solver import Solver
 
 WAYPOINTS = 3  # at most

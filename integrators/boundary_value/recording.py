@@ -10,12 +10,13 @@ from ...manifolds.numerics import ambient as vec
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
+from .checks import RegularChecks
 from .engine.newton import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
 from .outcome import outcomes
 from .posed import Posed, Traced
-from .solution import RegularChecks, Solution, Statistics
+from .solution import Solution, Statistics
 
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 

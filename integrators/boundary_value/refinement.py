@@ -15,11 +15,12 @@ from ..free import Free, is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
 from .arguments import Method, fractions_of
+from .checks import RegularChecks
 from .examination import Examination
 from .guess import Guess
 from .members import Asked
 from .resampling import Mesh
-from .solution import RegularChecks, Solution, Statistics
+from .solution import Solution, Statistics
 from .solver import Solver
 from .step_errors import Estimator, StepErrors
 from .structure import ControlStructure, control_structure

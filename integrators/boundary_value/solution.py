@@ -1,29 +1,22 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, final, get_type_hints, overload
+from typing import Annotated, Any, get_type_hints
 
-import jax
 import numpy as np
 
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
-from ...manifolds.numerics.precision import default_tolerance
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
-from .batch_file import save_batch
-from .engine.diagnosis import Diagnostics
+from .checks import RegularChecks, SingularChecks
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
 VERSION = 4  # of the file
-TOO_COARSE = 0.1
-LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields of a batch that are lists
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
-SAME = 1e-6  # relative distance within which two extremals are one
 
 
 @dataclass(frozen=True)
@@ -33,97 +26,6 @@ class Statistics:
     iterations: int
     compile_seconds: float
     run_seconds: float
-
-
-@dataclass(frozen=True)
-class Checks(ABC):
-    """What a user checks on a solution, regular or singular. Spreads are maximum minus minimum.
-
-    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by
-    entry relative to the spread of the trajectory in it. ``stationarity``: by how much the other conditions of
-    optimality are violated, relative. ``violations``: of each equation of the manifold, the largest at the nodes (for a
-    rotation, the orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the
-    largest of its parts ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on
-    which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
-    components are conserved.
-    """
-
-    gap: float
-    stationarity: float
-    violations: dict[str, float]
-    hamiltonian: float
-    hamiltonian_spread: float
-    hamiltonian_size: float
-    momentum_spreads: dict[str, float]
-    conserved: dict[str, int]
-
-    @classmethod
-    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, **more: Any) -> Self:
-        """The checks from the diagnostics of a trajectory, in NumPy arrays, and what its solver knows."""
-        hamiltonians: Any = diagnostics.hamiltonians
-        return cls(
-            gap=gap,
-            stationarity=stationarity,
-            violations={name: float(value) for name, value in diagnostics.violations.items()},
-            hamiltonian=float(hamiltonians[0]),
-            hamiltonian_spread=float(np.ptp(hamiltonians)),
-            hamiltonian_size=float(diagnostics.hamiltonian_size),
-            momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
-            conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
-            **more,
-        )
-
-    @property
-    @abstractmethod
-    def strict_minimum(self) -> bool:
-        """Whether the extremal is shown to be a strict local minimum of the discrete problem."""
-
-    @property
-    def constraint(self) -> float:
-        """Largest violation of the manifold's equations at the nodes."""
-        return max(self.violations.values(), default=0.0)
-
-    @property
-    def too_coarse(self) -> bool:
-        """Whether the Hamiltonian, constant along an exact extremal, varies by more than a tenth of its parts."""
-        return self.hamiltonian_spread > TOO_COARSE * self.hamiltonian_size
-
-
-@final
-@dataclass(frozen=True)
-class RegularChecks(Checks):
-    """The checks of a regular extremal.
-
-    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem
-    conserves by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the
-    Hessian is positive definite on the null space of the constraints. ``violation`` of the inequalities and
-    ``complementarity``: largest product of a multiplier and its inequality, both at the stages and relative.
-    ``active``: at how many stages inequalities of each name hold the trajectory. If an accuracy was asked for:
-    ``error``, the sum of the relative errors of the steps, and the largest violations ``between`` the stages, by the
-    names of the inequalities.
-    """
-
-    strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is
-    violation: float = 0.0
-    complementarity: float = 0.0
-    active: dict[str, int] = field(default_factory=dict)
-    error: float | None = None
-    between: dict[str, float] = field(default_factory=dict)
-
-
-@final
-@dataclass(frozen=True)
-class SingularChecks(Checks):
-    """The checks of a singular extremal.
-
-    ``stationarity``: largest violation of the equations of ``P_f`` at the nodes, relative. ``conserved`` counts what is
-    constant along the extremal, for which ``P_f`` may be the reason.
-    """
-
-    @property
-    def strict_minimum(self) -> bool:
-        """Not claimed: read ``singular.second_order``."""
-        return False
 
 
 @dataclass(frozen=True)
@@ -282,88 +184,6 @@ class Solution:
         values["multipliers"] = self.stage_multipliers
         values["boundary"] = {name: row for name, row in self.multipliers.items() if row.ndim == 1}
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
-
-
-@final
-class Solutions(Sequence[Solution]):
-    """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
-
-    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and
-    ``solutions.success`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
-    """
-
-    def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
-        self._fields, self._member, self._places = fields, member, places
-        self._made: dict[int, Solution] = {}  # each when it is asked for, once
-
-    @classmethod
-    def of(cls, members: Sequence[Solution]) -> Self:
-        """The batch of these solutions."""
-        values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
-        return cls(stacked, members.__getitem__, range(len(members)))
-
-    def __reduce__(self) -> Any:
-        return Solutions.of, (tuple(self),)
-
-    def __len__(self) -> int:
-        return len(self._places)
-
-    @overload
-    def __getitem__(self, place: int) -> Solution: ...
-    @overload
-    def __getitem__(self, place: slice) -> "Solutions": ...
-    def __getitem__(self, place: int | slice) -> "Solution | Solutions":
-        if isinstance(place, slice):
-            chosen = self._places[place]
-            return Solutions(self._fields, self._whole, chosen)
-        return self._whole(self._places[place])
-
-    def _whole(self, k: int) -> Solution:
-        """The member that is number ``k`` of the whole batch."""
-        if k not in self._made:
-            self._made[k] = self._member(k)
-        return self._made[k]
-
-    def __getattr__(self, name: str) -> Any:
-        if name not in {field.name for field in fields(Solution)}:
-            raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
-        if name in LISTED:  # the results are known before the members are made, which takes longer
-            known = self._fields.get(name)
-            return (
-                [getattr(member, name) for member in self]
-                if known is None
-                else [known[place] for place in self._places]
-            )
-        return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
-
-    def save(self, path: str | Path) -> None:
-        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
-        ``Solution.save``."""
-        save_batch(self, path)
-
-    @property
-    def converged(self) -> int:
-        """How many members meet their conditions."""
-        return int(np.sum(self.success))
-
-    @property
-    def distinct(self) -> int:
-        """How many different extremals there are among those that converged: states further apart than 1e-6 of their
-        extent."""
-        leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
-        flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
-        found: list[np.ndarray] = []
-        for states in flat:
-            if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
-                found.append(states)
-        return len(found)
-
-    def __repr__(self) -> str:
-        costs = self.cost[self.success]
-        span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
-        counts = f"{len(self)}, {self.converged} of them converged, {self.distinct} distinct"
-        return f"Solutions({counts}, {span}{self.times.shape[1] - 1} steps each)"
 
 
 def _in_tuples(value: Any) -> Any:

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from ..text import many, table
-from .solution import RegularChecks, SingularArc, Solution
+from .checks import RegularChecks
+from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
 NO_MINIMUM = (

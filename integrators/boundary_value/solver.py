@@ -49,7 +49,8 @@ from .regularity import Regularity
 from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
 from .shooting import EndConditions, Request, solve_on_final_manifold
-from .solution import Solution, Solutions
+from .solution import Solution
+from .solutions import Solutions
 
 
 class _Kept(NamedTuple):

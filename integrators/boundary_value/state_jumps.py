@@ -1,7 +1,6 @@
 """Jumps along a trajectory: whether it passes one, lies on one, or has controls beside one, of which no costate
 tells."""
 
-from collections.abc import Callable
 from typing import Any, final
 
 import jax
@@ -14,7 +13,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import tolerance
 from ...retractions import Retraction
 from ..control_jumps import control_jump, control_lines, control_words
-from ..crossings import DEGREE, HIDDEN, NEAR, Crossings, Given, Jump, Lines, largest, rate_names, rates, some
+from ..crossings import DEGREE, HIDDEN, NEAR, Crossings, Given, Jump, Lines, Looked, largest, rate_names, rates, some
 from ..jumps import steps_in
 from ..kinks import JUMP
 from ..layout import Layout
@@ -61,7 +60,7 @@ class Jumps:
         words = words or (self._beside(retraction, solution) if self.of_controls else "")
         return words or (self._at_ends(retraction, solution, fixed) if any(self.of_ends) else "")
 
-    def _traced(self, function: Callable, retraction: Retraction) -> Crossings:
+    def _traced(self, function: Looked, retraction: Retraction) -> Crossings:
         """What looks for jumps of a function; the same for solutions with one retraction."""
         known = self._crossings.setdefault(function, Crossings(function, self.problem, retraction))
         if known.retraction is not retraction:

@@ -65,3 +65,12 @@ def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
                 v[step + i, j] += a[i, column, j] * v[missed + column, j]
         for j in range(lanes):
             v[step + i, j] /= v[sizes + i, j]
+
+
+@_compiled
+def copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
+    """Write the matrix into all lanes."""
+    for i in range(matrix.shape[0]):
+        for column in range(matrix.shape[0]):
+            for j in range(a.shape[2]):
+                a[i, column, j] = matrix[i, column]

@@ -12,10 +12,11 @@ import numba
 import numpy as np
 from numba import types
 
-from ...manifolds.numerics.newton import MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
+from ...manifolds.numerics.newton import CURVED, MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
 from ...manifolds.numerics.tolerances import EPS
-from ...tape.machine import LANES, VECTOR, run, run_one
-from .inverse_kernels import invert, multiply
+from ...tape.machine import LANES, VECTOR
+from .inverse_kernels import copy_to_lanes, invert, multiply
+from .machine_kernels import EVALUATE, MATRIX, PROGRAMS, array
 from .programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -38,35 +39,6 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 # steps spent on each, infinite where it is of no use, and by how much solutions differed from predictions, with the
 # differences of this from step to step, by blocks of lanes and substeps, lanes last; the inverse Jacobian of small
 # steps, or an empty matrix; memory and registers of as many lanes as the columns of one lane's Jacobian need.
-
-
-def _array(kind: Any, axes: int) -> Any:
-    return types.Array(kind, axes, "C")
-
-
-_MATRIX, _LIST = _array(types.float64, 2), _array(types.int64, 1)
-_PROGRAMS = _array(types.uint8, 1), _array(types.uint32, 2), _array(types.float64, 1), _array(types.int64, 2)
-
-
-@numba.cfunc(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX), cache=True, error_model="numpy")
-def evaluate(
-    codes: np.ndarray,
-    operands: np.ndarray,
-    values: np.ndarray,
-    ranges: np.ndarray,
-    which: int,
-    v: np.ndarray,
-    w: np.ndarray,
-) -> None:
-    """Run one of the programs on a memory with these registers."""
-    a, b = ranges[which, 0], ranges[which, 1]
-    if v.shape[1] == 1:
-        run_one(codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size))
-    else:
-        flat, rows = v.reshape(v.size), np.empty((v.shape[0], 2), np.int64)
-        for i in range(v.shape[0]):
-            rows[i, 0], rows[i, 1] = i * v.shape[1], 1
-        run(codes[a:b], operands[a:b], values[a:b], (flat, rows, flat, rows), w, a - a, v.shape[1])
 
 
 @_compiled
@@ -99,10 +71,11 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
             continue
         step = v[places[LENGTH], j]
         ratio = step / (np.inf if n == 0 else v[places[STEP], j])
-        # After a Newton step the error is quadratic in it, after a chord step the ratio tells it; rounding ends both.
-        remaining = (step * step if exact else step) if n == 0 else step * min(ratio, 1.0)
-        done = remaining <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0) or step <= 0
-        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)  # near rounding steps shrink as they like
+        # The rule of manifolds.numerics.newton, but that near rounding, where steps shrink as they like, another one
+        # is cheaper than a Jacobian.
+        shrinks = (CURVED * step if exact else 1.0) if n == 0 else np.sqrt(ratio) if n == 1 else ratio
+        done = step * min(shrinks, 1.0) <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0)
+        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)
         # A step that hardly shrinks is the fault of an old Jacobian, and may lead back.
         v[places[TAKEN], j] = ratio <= STALLED
         v[places[STEP], j], v[places[CHORDS], j] = step, n + 1
@@ -272,7 +245,7 @@ def _solve_step(
         _chords(programs, places, v, w, inverse, no)
     restart = 2
     if small.size > 0 and _begin(places, v, fresh, restart):
-        _copy_to_lanes(small, inverse)
+        copy_to_lanes(small, inverse)
         _chords(programs, places, v, w, inverse, no)
         spent[block, k], fresh, restart = np.inf, False, 1
     for _ in range(MAX_JACOBIANS):
@@ -294,14 +267,6 @@ def _solve_step(
     elif spent[block, k] > PUSH_COST * places[COUNT]:
         _renew(programs, places, v, w, known, block, k)
         spent[block, k] = 0.0
-
-
-@_compiled
-def _copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
-    for i in range(matrix.shape[0]):
-        for column in range(matrix.shape[0]):
-            for j in range(a.shape[2]):
-                a[i, column, j] = matrix[i, column]
 
 
 @_compiled
@@ -409,11 +374,11 @@ def _integrate(
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
 
 
-_NUMBERS = _array(types.float64, 1)
-_KNOWN = types.Tuple((_array(types.float64, 5), _MATRIX, _array(types.float64, 5), _MATRIX))
+_NUMBERS, _LIST = array(types.float64, 1), array(types.int64, 1)
+_KNOWN = types.Tuple((array(types.float64, 5), MATRIX, array(types.float64, 5), MATRIX))
 _INTEGRATE = types.void(
-    types.FunctionType(types.void(*_PROGRAMS, types.int64, _MATRIX, _MATRIX)),
-    *(*_PROGRAMS, _LIST, types.UniTuple(types.int64, 3), _MATRIX, _LIST, _array(types.float64, 3)),
+    types.FunctionType(EVALUATE),
+    *(*PROGRAMS, _LIST, types.UniTuple(types.int64, 3), MATRIX, _LIST, array(types.float64, 3)),
     *(_KNOWN, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
 )
 with warnings.catch_warnings():

@@ -14,11 +14,11 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...reading import one_reading
 from ...retractions import Retraction
-from ..compilation import call_compiled
+from ..compilation import CHUNK, compiled, in_chunks
 from ..jumps import steps_in
 from ..kinks import JUMP, Zoom, closing_in, is_jump
 
-FEW, MANY = 256, 4096  # segments of one call: two programs, whatever the number of nodes
+MANY = 4096  # segments of one call where there are more than of a chunk: two programs, whatever the number of nodes
 MOST = 4096  # segments in which a jump is looked for more closely
 SAME = 0.1  # of a jump: what the clocks alone may leave of it
 # Of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart.
@@ -71,6 +71,10 @@ class Passed(NamedTuple):
 class Energy(NamedTuple):
     """A Hamiltonian ``H(system, q, p, control)`` with a retraction in whose charts segments are."""
 
+    # Not one of the ``Crossings``, which look at the margins of the steps in a function, at a few places of each: every
+    # member of a batch has a result of its own here, and a function with a derivative of its own may compute its steps
+    # where no margins are known, as in a loop of unknown length. Values tell of all of them.
+
     function: Callable[..., Array | None]
     system: Any
     retraction: Retraction
@@ -92,11 +96,7 @@ class Energy(NamedTuple):
             share = np.nan_to_num(np.where(sizes > 0, np.abs(changes - slopes.mean(axis=1)) / sizes, 0.0))
             where = np.argsort(share, kind="stable")[::-1][:MOST]
             where = np.sort(where[share[where] > JUMP])
-            found = [
-                jump
-                for k in range(0, len(where), FEW)
-                for jump in self._jumps(segments, where[k : k + FEW], sizes, steps)
-            ]
+            found = self._jumps(segments, where, sizes, steps) if len(where) else []
         return [jump for jump in found if not apart or abs(changes[jump.segment]) > SEEN_BESIDE * abs(jump.change)]
 
     def _steps(self, segments: Segments) -> list[str]:
@@ -112,8 +112,8 @@ class Energy(NamedTuple):
 
     def _jumps(self, segments: Segments, where: np.ndarray, sizes: np.ndarray, steps: list[str]) -> list[Passed]:
         """Those of the segments with these indices."""
-        own, found = jax.tree.map(lambda leaf: leaf[np.resize(where, FEW)], segments), list[Passed]()
-        zoom, states, by_clocks = jax.tree.map(np.asarray, call_compiled(_closer, *self, *own)[0])
+        own, found = jax.tree.map(lambda leaf: leaf[where], segments), list[Passed]()
+        zoom, states, by_clocks = in_chunks(partial(_closer, *self), *own)
         for k, i in enumerate(where):
             change = float(zoom.changes[k, -1])
             # A time that is a coordinate: only its own momentum jumps, and nothing depends on that.
@@ -125,15 +125,8 @@ class Energy(NamedTuple):
 
     def _ends(self, segments: Segments) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Values and slopes at both ends of segments, shape ``(K, 2)``, and the sizes of their terms, ``(K,)``."""
-        count = len(jax.tree.leaves(segments.first)[0])
-        size = FEW if count <= FEW else MANY
-        found = []
-        for begin in range(0, count, size):
-            rows = np.arange(begin, begin + size) % count
-            own = jax.tree.map(lambda a, rows=rows: a[rows], segments)
-            found.append(jax.tree.map(np.asarray, call_compiled(_ends, *self, *own)[0]))
-        ends, slopes, sizes = (np.concatenate(parts)[:count] for parts in zip(*found, strict=True))
-        return ends, slopes, sizes
+        many = len(jax.tree.leaves(segments.first)[0]) > CHUNK
+        return in_chunks(partial(_ends, *self), *segments, size=MANY if many else CHUNK)
 
 
 def _joined(a: np.ndarray) -> np.ndarray:
@@ -142,7 +135,7 @@ def _joined(a: np.ndarray) -> np.ndarray:
 
 
 def _along(
-    function: Callable, system: Any, retraction: Retraction, first: Any, last: Any, control: Any
+    function: Callable[..., Any], system: Any, retraction: Retraction, first: Any, last: Any, control: Any
 ) -> tuple[Callable[[Array], Array], Callable[[Array], Any]]:
     """The Hamiltonian along a segment, and the state there."""
     way = retraction.preimage(first[0], last[0])
@@ -154,7 +147,10 @@ def _along(
     return lambda s: function(system, *state(s), control), state
 
 
-def _ends(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Array, Array, Array]:
+@compiled
+def _ends(
+    function: Callable[..., Any], system: Any, retraction: Retraction, *segments: Any
+) -> tuple[Array, Array, Array]:
     """Values and slopes at both ends, and the size of the terms there: that of the values says nothing, for terms may
     cancel."""
 
@@ -170,7 +166,10 @@ def _ends(function: Callable, system: Any, retraction: Retraction, *segments: An
     return jax.vmap(one)(*segments)
 
 
-def _closer(function: Callable, system: Any, retraction: Retraction, *segments: Any) -> tuple[Zoom, Ambient, Array]:
+@compiled
+def _closer(
+    function: Callable[..., Any], system: Any, retraction: Retraction, *segments: Any
+) -> tuple[Zoom, Ambient, Array]:
     """Intervals that close in on where the Hamiltonian changes, of a segment each.
 
     With the points at their lower ends, and what the Hamiltonian changes by with the clocks alone, the coordinates
@@ -189,7 +188,7 @@ def _closer(function: Callable, system: Any, retraction: Retraction, *segments: 
     return jax.vmap(one)(*segments)
 
 
-def _clocked(hamiltonian: Callable, before: Any, after: Any, control: Any) -> Ambient:
+def _clocked(hamiltonian: Callable[[Ambient, Ambient, Any], Array], before: Any, after: Any, control: Any) -> Ambient:
     """The point before, with those coordinates of the one after whose rates ``dH/dp`` depend on nothing."""
     (q, back), (later, _) = (ravel_pytree(z[0]) for z in (before, after))
     if jnp.iscomplexobj(q):

@@ -64,7 +64,9 @@ def gradient(function: Callable[[Ambient], Array], x: Ambient) -> Ambient:
     return conjugate(jax.grad(function)(x))
 
 
-def pullback(function: Callable, *points: Ambient) -> tuple[Ambient, Callable[[Ambient], tuple[Ambient, ...]]]:
+def pullback(
+    function: Callable[..., Ambient], *points: Ambient
+) -> tuple[Ambient, Callable[[Ambient], tuple[Ambient, ...]]]:
     """Value of ``function``, and the map of covectors there to those at the arguments: ``<pull(p), d> = <p, Df d>``."""
     value, pull = jax.vjp(function, *points)
     return value, lambda p: conjugate(pull(conjugate(p)))

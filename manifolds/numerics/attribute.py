@@ -13,7 +13,7 @@ class _AbstractAttribute:
 
     __isabstractmethod__ = True
 
-    def __init__(self, method: Callable) -> None:
+    def __init__(self, method: Callable[[Any], Any]) -> None:
         self.__doc__ = method.__doc__
 
     def __set_name__(self, owner: type, name: str) -> None:

@@ -49,7 +49,7 @@ def _residual(jaxpr: Jaxpr, consts: Sequence[Any]) -> Callable[[Vector], Vector]
     return lambda c: function(c)[0]
 
 
-def _mapped(function: Callable, axes: Axes) -> Callable:
+def _mapped(function: Callable[..., Any], axes: Axes) -> Callable[..., Any]:
     for level in axes:
         function = jax.vmap(function, in_axes=level)
     return function

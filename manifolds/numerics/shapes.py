@@ -19,7 +19,9 @@ def check_shapes(cls: type, roles: dict[str, tuple[str, ...]], manifold: Callabl
         setattr(cls, name, _at_one_point(vars(cls)[name], roles[name], manifold))
 
 
-def _at_one_point(method: Callable, roles: tuple[str, ...], manifold: Callable[[Any], Any]) -> Callable:
+def _at_one_point(
+    method: Callable[..., Any], roles: tuple[str, ...], manifold: Callable[[Any], Any]
+) -> Callable[..., Any]:
     @functools.wraps(method)
     def checked(self: Any, *given: Any, **named: Any) -> Any:
         if named:

@@ -13,6 +13,7 @@ from typing import Any, ParamSpec, TypeVar, final
 
 import jax
 from jax._src.interpreters import partial_eval
+from jax.extend.core import ClosedJaxpr
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,7 +30,7 @@ class Reading:
         self.known: dict[Hashable, Any] = {}
         self._mark, self._traces = object(), False  # JAX keeps the mark
 
-    def traced(self, function: Callable, *examples: Any) -> Any:
+    def traced(self, function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
         """``jax.make_jaxpr`` of a function: arrays, or their shapes, as arguments."""
         self._traces = True
         with _context(self._mark):
@@ -99,7 +100,7 @@ def reads_once(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def traced(function: Callable, *examples: Any) -> Any:
+def traced(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
     """The program of a function as it is now, a closed jaxpr; ``examples``: arrays, or their shapes."""
     with one_reading() as reading:
         return reading.traced(function, *examples)

@@ -58,7 +58,7 @@ def test_a_problem_is_another_one_where_its_functions_compute_another_value(way)
 
 
 @pytest.mark.parametrize("evaluator", ["tape", pytest.param("xla", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("way", SOME)
 def test_a_changed_value_changes_the_trajectory(way, evaluator):
     """``q'' = -k q``: a step of the midpoint rule is known, one by one and of many."""
     product, change = held(way, 1.0)

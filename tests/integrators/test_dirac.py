@@ -151,7 +151,7 @@ def runs(name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", METHODS)
-@pytest.mark.usual("nodes", "Suzuki")
+@pytest.mark.usual("Suzuki")
 def test_order(name):
     assert slope(1 / COUNTS, runs(name)[0], 1e-13) == pytest.approx(METHODS[name][1], abs=0.05)
 
@@ -291,17 +291,22 @@ def test_an_integrable_constraint_on_a_sphere_gives_great_circles():
 
 def test_controls_follow_from_the_hamiltonian():
     """Cost ``sum cosh u`` of the velocity ``u``: ``u = asinh p``, in ``H`` a sum of ``p asinh p - sqrt(1 + p^2)``."""
-    cost = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(jnp.cosh(u)), 3)
-    closed = DiracSystem(R3, lambda q, p: jnp.sum(p * jnp.arcsinh(p) - jnp.sqrt(1 + p * p)), contact_form)
-    start = START[0], closed.project(*START)
-    paths = [
-        integrate(system, NODES, start, 0.1, 10) for system in (DiracSystem.controlled(cost, contact_form), closed)
-    ]
+    plane = Euclidean(2)
+    midpoint = DiracIntegrator(CotangentLift(Midpoint(Addition(plane))))
+
+    def forms(q):
+        return jnp.array([[-1.0, 0.0]]) * q[1] + jnp.array([[0.0, 1.0]])
+
+    cost = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: jnp.sum(jnp.cosh(u)), 2)
+    closed = DiracSystem(plane, lambda q, p: jnp.sum(p * jnp.arcsinh(p) - jnp.sqrt(1 + p * p)), forms)
+    q0 = jnp.array([0.0, HEIGHT])
+    start = q0, closed.project(q0, jnp.array([ALONG, SPEED]))
+    paths = [integrate(system, midpoint, start, 0.1, 10) for system in (DiracSystem.controlled(cost, forms), closed)]
     for found, expected in zip(*((path.q, path.p, path.controls) for path in paths), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12)
-    free = OptimalControlProblem(R3, lambda q, u: u, lambda q, u: jnp.sum(q), 3)
+    free = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: jnp.sum(q), 2)
     with pytest.raises(InvalidInputError, match="whose controls dH/du = 0 determines"):
-        integrate(DiracSystem.controlled(free, contact_form), NODES, START, 0.1, 1)
+        integrate(DiracSystem.controlled(free, forms), midpoint, start, 0.1, 1)
     with pytest.raises(InvalidInputError, match="controlled takes an OptimalControlProblem"):
         DiracSystem.controlled(kinetic_energy, contact_form)
 

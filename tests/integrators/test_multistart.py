@@ -10,6 +10,8 @@ from retrax.retractions import Midpoint, default_retraction
 
 from .problems import half_square
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 Q = SO(3) * Euclidean(2)
 PROBLEM = OptimalControlProblem(Q, lambda q, u, given: (q[0] @ hat(u[:3]), given * u[3:]), half_square, 5)
 SOLVER = Solver(PROBLEM, Midpoint(default_retraction(Q)), 20)
@@ -19,6 +21,7 @@ END = np.asarray(default_retraction(SO(3))(np.eye(3), hat(jnp.array([0.0, 0.0, A
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.usual("0")
 def test_extremals_are_the_geodesics_in_the_order_of_their_costs(seed):
     found = multistart(SOLVER, START, END, 1.0, count=16, seed=seed, parameters=2.0)
     assert len(found) == 16

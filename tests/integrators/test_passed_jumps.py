@@ -19,10 +19,13 @@ from retrax.integrators import (
     load_trajectory,
     solve,
 )
+from retrax.integrators.jumps import with_margins
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint, Projection
 
 from .problems import SPHERE, pendulum_energy
+
+pytestmark = pytest.mark.usefixtures("traced_once")
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 METHOD = SymplecticIntegrator(CotangentLift(Midpoint(Addition(LINE))))
@@ -91,6 +94,32 @@ def test_each_member_of_a_batch_has_a_result_of_its_own():
     singles = [integrate(step(0.5), METHOD, (START[0], p), 0.05, 40, throw=False) for p in covectors[:2]]
     assert list(batch.failed_step) == [*(path.failed_step for path in singles), -1, 5] == [10, -1, -1, 5]
     assert np.array_equal(jax.vmap(lambda r: r == Result.jump)(batch.result), batch.failed_step >= 0)
+
+
+@jax.custom_jvp
+def beyond(x: Array) -> Array:
+    """How many whole numbers from 0 on are below a number, counted in a loop of unknown length."""
+    return jax.lax.while_loop(lambda n: n < x, lambda n: n + 1.0, jnp.zeros_like(x))
+
+
+beyond.defjvp(lambda primals, tangents: (beyond(*primals), jnp.zeros_like(*primals)))
+
+
+def test_a_jump_is_seen_where_no_margin_of_it_is_known():
+    assert with_margins(beyond, jnp.asarray(0.4))[1].values.size == 0
+    for height in (0.0, 0.5):
+        energy = lambda q, p, h=height: p @ p / 2 - jnp.cos(q[0]) + h * beyond(q[0] / 0.3 - 1)  # noqa: E731
+        path = integrate(energy, METHOD, START, 0.05, 20, throw=False)
+        assert (path.result == Result.jump, int(path.failed_step)) == ((True, 10) if height else (False, -1))
+
+
+def test_of_many_segments_each_is_looked_at():
+    """More than a chunk of them, and more jumps than a chunk."""
+    starts = np.zeros((400, 1)), np.linspace(0.55, 0.65, 400)[:, None]
+    batch = integrate_many(step(0.5), METHOD, starts, 0.05, 20)
+    one = integrate(step(0.5), METHOD, (starts[0][-1], starts[1][-1]), 0.05, 20, throw=False)
+    assert np.all(batch.failed_step >= 0)
+    assert batch.failed_step[-1] == one.failed_step
 
 
 def test_a_time_that_is_a_coordinate_may_switch_the_hamiltonian():

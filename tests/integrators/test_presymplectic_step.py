@@ -5,19 +5,23 @@ stage.
 """
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from functools import cache
 from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
+from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, integrate
 from retrax.integrators.extremal_controls import extremal_control
 from retrax.integrators.initial_value import lifted_step
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
+from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import (
     CotangentLift,
     DiscretizationMap,
@@ -162,6 +166,29 @@ def test_a_problem_that_costs_two_of_three_controls_is_refused_as_singular():
     integrator = PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(SO3))))
     with pytest.raises(InvalidInputError, match=r"singular values \[1. 1. 0.\]"):
         integrate(problem, integrator, (jnp.eye(3), jnp.eye(3)), 0.1, 2)
+
+
+class Dependent(eqx.Module):
+    """A cost of two controls that pull the same way, but for a share of the second one."""
+
+    share: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return ((u[0] + u[1]) ** 2 + 2 * self.share * u[1] ** 2) / 2
+
+
+def test_solver_and_integrator_call_the_same_problems_singular():
+    """The smallest singular value of ``[[1, 1], [1, 1 + 2 d]]`` in its units, near ``d``, goes through the limit; the
+    two measure it by other units, of which one is twice the other at most."""
+    line = Euclidean(1)
+    integrator = PresymplecticIntegrator(CotangentLift(Midpoint(Exponential(line))))
+    for share in (0.0, 1e-3, 0.1, 0.3, 0.4, 2.5, 3.0, 10.0, 1e3, 1e6):
+        cost = Dependent(jnp.asarray(share * EPS**REGULAR))
+        problem = OptimalControlProblem(line, lambda q, u: u[:1] + u[1:], cost, 2)
+        regular = problem.is_regular_at(jnp.ones(1), jnp.zeros(2))
+        assert regular == (share > 1)
+        with nullcontext() if regular else pytest.raises(InvalidInputError, match="the problem is singular here"):
+            integrator.check(problem, jnp.ones(1), jnp.zeros(1))
 
 
 @pytest.mark.parametrize("costate", [0.0, 1e-17])

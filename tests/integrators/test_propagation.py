@@ -18,6 +18,8 @@ from scipy.special import roots_legendre
 
 from .problems import RIGID, half_square, rotation
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 INERTIA = np.array([1.0, 1.7, 2.3])
 TIMES = np.array([0.0, 0.2, 0.5, 0.7, 1.1, 1.4, 1.5])  # unequal steps
 SO3, S2, NAMES = SO(3), Sphere(2), ["factor 0, SO(3)", "factor 1, R^3"]
@@ -245,6 +247,7 @@ COUNTS = np.array([6, 9, 13, 19, 28])
 
 
 @pytest.mark.parametrize(("name", "stages"), [("S^2", 1), ("S^2", 2), *(("SO(3) x R^3", s) for s in (1, 2, 3))])
+@pytest.mark.usual("S^2-2", "SO(3) x R^3-1")
 def test_error_of_collocation_is_of_order_twice_the_stages(name: str, stages: int) -> None:
     propagator, run = gauss_run(name, stages)
     errors = []
@@ -286,7 +289,7 @@ def test_distances_of_factors() -> None:
         np.testing.assert_allclose(list(found.values()), expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("stages", [1, 3])
+@pytest.mark.parametrize("stages", [1, pytest.param(3, marks=pytest.mark.slow)])
 def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int) -> None:
     rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
     ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)

@@ -17,7 +17,10 @@ from retrax.integrators import (
 from retrax.manifolds import SO, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Gauss, Midpoint, default_retraction
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 PLANE = Euclidean(2)
+TAPE = ["tape", pytest.param("xla", marks=pytest.mark.slow)]
 MIDPOINT = SymplecticIntegrator(CotangentLift(Midpoint(Addition(PLANE))))
 GAUSS = SymplecticIntegrator(Gauss(2, Addition(PLANE)))
 
@@ -52,7 +55,7 @@ UNITS = [
 
 
 @pytest.mark.parametrize("method", [MIDPOINT, GAUSS], ids=["midpoint", "gauss"])
-@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.parametrize("evaluator", TAPE)
 def test_an_orbit_is_the_same_in_all_units(method, evaluator):
     expected = orbit(method, evaluator, 1.0, 1.0, 1.0)
     for units in UNITS:
@@ -75,7 +78,7 @@ def test_derivatives_of_an_orbit_are_the_same_in_all_units():
         )
 
 
-@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.parametrize("evaluator", TAPE)
 def test_an_extremal_is_the_same_in_all_units(evaluator):
     """``q' = v, v' = u - a sin(q / l)``, cost ``c |u|^2 / 2``, in units as small as one likes."""
 
@@ -98,7 +101,7 @@ def test_an_extremal_is_the_same_in_all_units(evaluator):
     assert np.abs(np.array(found[1:]) - found[0]).max() < 1e-11
 
 
-@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.parametrize("evaluator", TAPE)
 def test_what_is_as_small_as_the_rounding_of_the_rest_does_not_end_a_trajectory(evaluator):
     space = PLANE * Euclidean(1)
     method = SymplecticIntegrator(CotangentLift(Midpoint(default_retraction(space))))

@@ -31,6 +31,7 @@ from retrax.integrators.initial_value.step import StepEquations, StepResult, res
 from retrax.integrators.probing import flat_directions
 from retrax.integrators.stages import HamiltonianStage
 from retrax.manifolds import SO, Euclidean, Sphere
+from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
 
 LINE, PLANE, SPHERE = Euclidean(1), Euclidean(2), Sphere(2)
@@ -124,9 +125,10 @@ def test_the_inverse_of_small_steps_is_that_of_the_equations(theta):
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3])
 def test_directions_are_flat_through_the_power_of_the_rounding(share):
-    """``[[1, 1], [1, 1 + 2 d]]`` has an eigenvalue near ``d``; along ``(1, -1)`` it is rounding below ``eps^0.67``."""
+    """``[[1, 1], [1, 1 + 2 d]]`` has an eigenvalue near ``d``; along ``(1, -1)`` it is rounding below
+    ``eps^REGULAR``."""
     curvatures = np.zeros((2, 2, 2))
-    curvatures[0] = np.array([[1.0, 1.0], [1.0, 1.0 + 2 * share * np.finfo(float).eps ** 0.67]])
+    curvatures[0] = np.array([[1.0, 1.0], [1.0, 1.0 + 2 * share * EPS**REGULAR]])
     found = flat_directions(np.zeros((2, 2)), curvatures)
     assert len(found) == (share < 1)
     if len(found):

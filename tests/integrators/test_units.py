@@ -84,7 +84,7 @@ def test_a_linear_quadratic_problem_is_solved_by_one_newton_step_in_any_units(se
 
 
 @pytest.mark.parametrize("seed", DECADES)
-@pytest.mark.usual("0", "4", "8", "12", "16", "20")
+@pytest.mark.usual("0", "8", "16")
 def test_a_slew_is_the_same_in_any_units(seed):
     mass, time, unit, price = random_units(seed, -9, -6, -9, -9)
     one, other = slew(1.0, 1.0, 1.0, 1.0), slew(mass, time, unit, price)

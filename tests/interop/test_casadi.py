@@ -71,6 +71,7 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.long("docking", "slew by collocation")
 def test_ipopt_finds_the_solution(name):
     discrete, solution = to_casadi(*CASES[name]), solve(*CASES[name])
     solver = ca.nlpsol("solver", "ipopt", discrete.nlp, QUIET)

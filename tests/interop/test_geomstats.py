@@ -57,6 +57,7 @@ SPACES = {
 
 @pytest.mark.parametrize("name", SPACES)
 @given(seed=SEEDS)
+@pytest.mark.long("SE", "flat product")
 def test_every_method_means_what_that_of_geomstats_means(name, seed):
     theirs, manifold = SPACES[name]
     counterpart = from_geomstats(theirs)

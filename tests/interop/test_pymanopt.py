@@ -54,6 +54,7 @@ def check(a, b, tolerance=1e-12):
 
 @on_every_space
 @given(seed=SEEDS)
+@pytest.mark.long("SO")
 def test_every_method_means_what_that_of_pymanopt_means(name, seed):
     mine, other = ours(name), SPACES[name]
     x, y, v, g, h = draw(name, seed)
@@ -85,6 +86,7 @@ def test_retractions_keep_their_names():
 
 
 @pytest.mark.parametrize("optimiser", ["TrustRegions", "ConjugateGradient"])
+@pytest.mark.long("TrustRegions")
 def test_an_optimiser_solves_wahba_s_problem(optimiser):
     rng = np.random.default_rng(1)
     a = rng.standard_normal((3, 3))

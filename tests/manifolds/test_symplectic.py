@@ -91,6 +91,7 @@ def test_alpha_is_symplectic(base, seed):
 
 @every_base
 @given(seed=SEEDS)
+@pytest.mark.long("ellipsoid")
 def test_beta_is_antisymplectic(base, seed):
     facts = triple_facts(base, seed)
     np.testing.assert_allclose(facts["beta"], -facts["d_T omega"], atol=1e-11)
@@ -247,6 +248,7 @@ PULLED_WIDE = preimage(
     "submanifold", [CLOSED, WIDE, PULLED, PULLED_WIDE], ids=["dS", "dS x R", "pulled dS", "pulled dS x R"]
 )
 @given(seed=SEEDS)
+@pytest.mark.long("pulled dS x R")
 def test_closed_one_forms_and_their_preimages_are_lagrangian(submanifold, seed):
     verdict = is_lagrangian(submanifold, submanifold.source.random_point(jax.random.key(seed)))
     assert verdict, verdict.reason

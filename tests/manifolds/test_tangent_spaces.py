@@ -49,7 +49,22 @@ def test_dimension(name: str, dimension: int) -> None:
 
 
 @pytest.mark.parametrize("name", MANIFOLDS)
-@pytest.mark.long("S4", "SO2", "SO4", "U3", "SU3", "SL2", "SL3", "SO3*R3", "TSO3", "St33", "Gr31", "rank1-3x3", "curve")
+@pytest.mark.usual(
+    "R2x3",
+    "S2",
+    "SO3",
+    "SE2",
+    "SU2",
+    "ellipsoid",
+    "(SO3*R3)*S2",
+    "T*S2",
+    "H2",
+    "simplex3",
+    "SPD2",
+    "St42",
+    "Gr42",
+    "rank2-4x3",
+)
 def test_is_a_manifold(name, seeds):
     check = check_lie_group if isinstance(MANIFOLDS[name], MatrixLieGroup) else check_manifold
     check(MANIFOLDS[name], seeds=seeds, tolerance=1e-13)

@@ -74,8 +74,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/conditions.py",
-        "gap, stationarity = self._gap(assembled), self._stationarity(assembled)",
-        "stationarity, gap = self._gap(assembled), self._stationarity(assembled)",
+        "gap, stationarity = gap_of",
+        "stationarity, gap = gap_of",
         (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
     ),
     "a step is not restored to the manifold": Planted(
@@ -98,8 +98,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a matrix is singular from ten thousand times the tolerance on": Planted(
         "integrators/probing.py",
-        "tolerance(matrix, SINGULAR_POWER)].T",
-        "tolerance(matrix, SINGULAR_POWER) * 1e4].T",
+        "tolerance(matrix, REGULAR)].T",
+        "tolerance(matrix, REGULAR) * 1e4].T",
         (f"{PARTS}::test_directions_are_flat_through_the_power_of_the_rounding",),
     ),
     # Integrators of initial values.
@@ -135,6 +135,12 @@ PLANTED: dict[str, Planted] = {
         "v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)",
         "v[places[GOOD], j] * (v[places[FINITE], j] != 0)",
         (f"{STEPS}",),
+    ),
+    "the first ratio of steps is that of all unknowns": Planted(
+        "integrators/initial_value/kernels.py",
+        "else np.sqrt(ratio) if n == 1 else ratio",
+        "else ratio",
+        (f"{STEPS}::test_a_system_moves_the_same_beside_another_one_whose_steps_are_found_at_once",),
     ),
     "a Jacobian of lanes is inverted with its smallest pivots": Planted(
         "integrators/initial_value/inverse_kernels.py",
@@ -395,7 +401,7 @@ PLANTED: dict[str, Planted] = {
         ),
     ),
     "gaps are not asked of the nodes": Planted(
-        f"{ENGINE}/conditions.py",
+        f"{ENGINE}/residuals.py",
         "return np.maximum(gap, missed.max(axis=1))",
         "return gap",
         (f"{PARTS}::test_the_gap_has_the_defects_of_the_points",),

@@ -39,7 +39,13 @@ def marked(name: str):
 
 @pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])
 @pytest.mark.long(
-    "theta=0.3, polar-SO3", "theta=0.3, projection-H2", "theta=0.3, softmax-simplex3", "theta=0.5, exponential-S2"
+    "theta=0.3, polar-SO3",
+    "theta=0.3, projection-H2",
+    "theta=0.3, softmax-simplex3",
+    "theta=0.3, quadratic-SPD2",
+    "theta=0.5, exponential-S2",
+    "theta=0.0, addition-R2x3",
+    "theta=1.0, addition-R2x3",
 )
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
@@ -64,6 +70,7 @@ def test_the_lifts_over_every_retraction_are_symplectic(name, seeds):
 
 
 @pytest.mark.parametrize("theta", THETAS)
+@pytest.mark.usual("0.0", "0.3")
 @given(seed=SEEDS)
 def test_on_a_vector_space_the_lift_is_known(theta, seed):
     lift = CotangentLift(Theta(Exponential(Euclidean((2, 3))), theta))
@@ -85,6 +92,7 @@ def _both_inverses():
     return compiled(facts)
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_newtons_method_on_the_bundle_finds_the_closed_inverse(seed):
     w, _ = draw_bundle_tangent(Sphere(2), seed, 0.5)

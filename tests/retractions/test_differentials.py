@@ -34,6 +34,16 @@ def _derivatives(name):
 
 
 @pytest.mark.parametrize("name", CLOSED_FORMS)
+@pytest.mark.usual(
+    "exponential-S2",
+    "projection-S2",
+    "cayley-SO3",
+    "polar-SO3",
+    "projection-H2",
+    "quadratic-SPD2",
+    "qr-St42",
+    "projection-oblique32",
+)
 @given(seed=SEEDS, fraction=FRACTIONS)
 def test_closed_forms_are_the_derivatives(name, seed, fraction):
     x, _, frame = draw_point(CLOSED_FORMS[name].manifold, seed)

@@ -90,7 +90,7 @@ def test_newtons_method_finds_the_inverse_too(name, seed, fraction):
     np.testing.assert_allclose(found, v, atol=1e-13)
 
 
-@pytest.mark.parametrize("name", ["exponential-S2", "qr-SO3"])
+@pytest.mark.parametrize("name", ["exponential-S2", pytest.param("qr-SO3", marks=pytest.mark.slow)])
 @given(seed=SEEDS, fraction=FRACTIONS)
 def test_newtons_inverse_is_differentiated_by_the_implicit_function_theorem(name, seed, fraction):
     facts = newton_derivatives(name, seed, 0.2 * fraction)

@@ -69,7 +69,13 @@ ORDERS = {
 
 
 @pytest.mark.parametrize("name", ORDERS)
-@pytest.mark.long("correction of a product", "corrected softmax and projection")
+@pytest.mark.long(
+    "correction of a product",
+    "corrected softmax and projection",
+    "softmax and projection",
+    "stabilized Cayley",
+    "moved",
+)
 def test_the_order_is_measured(name):
     retraction, expected = ORDERS[name]
     measured = order(retraction)

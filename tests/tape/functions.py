@@ -26,6 +26,7 @@ SMOOTH = {
     "rounding": lambda x: (
         x * (jnp.floor(3 * x) + jnp.ceil(3 * x) + jnp.round(3 * x) + jnp.trunc(3 * x) + jnp.sign(x - 0.5))
     ),
+    "rounding away from zero": lambda x: x * jax.lax.round(3 * x, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
     "remainder": lambda x: jnp.fmod(3 * x, 0.7) * x + jnp.remainder(-3 * x, 0.7),
     "choice": lambda x: jnp.where((x > 0.4) & ~(x >= 0.9) | (x[0] <= 0.1), x**2, jnp.sin(x)),
     "switch": lambda x: jax.lax.switch((3 * x[0]).astype(int), [jnp.sin, jnp.cos, jnp.exp], x),
@@ -36,6 +37,18 @@ SMOOTH = {
     ),
     "associative": lambda x: jnp.cumsum(x) * jnp.cumprod(1 + x) + jax.lax.cummax(x) * jax.lax.cummin(x),
     "indices": lambda x: x[::-1] * x[jnp.array([2, 0, 0])] + x.at[1].set(x[0]).at[2].add(x[1]).at[0].multiply(3.0),
+    "indices of each row": lambda x: (
+        jax.vmap(lambda row, i: row[i])(jnp.outer(x, x), jnp.array([2, 0, 1]))
+        + jax.vmap(lambda row, i, a: row.at[i].set(a))(jnp.outer(x, x), jnp.array([2, 0, 1]), x)[1]
+    ),
+    "indices outside": lambda x: (
+        x.at[jnp.array([0, 5, 1])].get(mode="fill", fill_value=2.0) * x.at[jnp.array([0, 7])].set(x[:2])
+        + x.at[jnp.array([2, 7])].add(x[:2]) * x.at[jnp.array([0, 7])].set(x[1:], mode="clip")
+    ),
+    "indices of what is known": lambda x: (
+        x * jax.lax.fori_loop(0, 3, lambda i, c: c.at[i].add(i + 1.0).at[0].multiply(2.0).at[1].max(c[0]), jnp.ones(3))
+    ),
+    "no indices": lambda x: x * (1 + jnp.sum(jax.vmap(lambda i: jnp.outer(x, x)[i])(jnp.zeros(0, int)), axis=0)),
     "extrema": lambda x: (
         x.at[0].min(x[1]).at[1].max(x[2]) + x[jnp.argmax(x)] * x[jnp.argmin(x)] + jnp.max(x) * jnp.min(x)
     ),
@@ -49,6 +62,7 @@ SMOOTH = {
     "truth": lambda x: (
         jnp.where(jnp.all(x > 0) | jnp.any(x < 0), x, -x) * x + jnp.where(jnp.array([True, False, True]), x, 0.0)
     ),
+    "truth of numbers": lambda x: jnp.where(jax.lax.convert_element_type(jnp.floor(2 * x), bool), x, x**2),
     "products": lambda x: (
         jnp.einsum("i,ij,jk->k", x, jnp.outer(x, x), jnp.eye(3) * x) + jnp.cross(x, x**2) * jnp.dot(x, x)
     ),
@@ -74,10 +88,17 @@ SMOOTH = {
     "remat": lambda x: jax.checkpoint(jnp.sin)(x) * x,
     "relu": lambda x: jax.nn.relu(x - 0.5) + jax.nn.leaky_relu(x),
     "own rule": lambda x: _squared(x) + _cubed(x),
+    "own rule without a slope": lambda x: _steps(x[0]) * x + _steps(x),
+    "own rule of what is known": lambda x: (
+        x * jax.lax.fori_loop(0, 3, lambda i, c: c + _squared(i + 1.0) / (i + 2.0) ** 2, 0.0)
+    ),
     "whole numbers": lambda x: x * ((5 * x).astype(int) // 2 + (7 * x).astype(int) % 3),
     "complex": lambda x: _complex(x),
     "complex with a number as part": lambda x: jnp.real(
         jnp.outer(jax.lax.complex(x, 0.0), 1j * x) @ jax.lax.complex(x, 2.0)
+    ),
+    "complex entries": lambda x: jnp.real(
+        _pair(x)[(2 * x[0]).astype(int)] * jnp.concatenate([_pair(x), x, 1j * x])[2:5] * jax.lax.stop_gradient(_pair(x))
     ),
     "complex solve": lambda x: jnp.real(jnp.linalg.solve(_matrix(x) + 1j * jnp.eye(3), x * (1 + 2j))),
 }
@@ -105,8 +126,12 @@ def _right_sided(x):
     return jax.lax.linalg.triangular_solve(_matrix(x), x[None], left_side=False, lower=True, unit_diagonal=True)[0]
 
 
+def _pair(x):
+    return jax.lax.complex(x, x[::-1])
+
+
 def _complex(x):
-    z = jax.lax.complex(x, x[::-1])
+    z = _pair(x)
     w = jnp.conj(z) * jnp.exp(z) / (1 + z**2) - jnp.square(z) + z**-1 + jnp.log(2 + z)
     turned = jnp.where(x > 0.5, w, -z) @ jnp.outer(z, jnp.conj(z))
     return (
@@ -131,3 +156,11 @@ def _cubed(x):
 
 
 _cubed.defvjp(lambda x: (x**3, x), lambda x, t: (3 * t * x**2,))
+
+
+@jax.custom_jvp
+def _steps(x):
+    return jnp.floor(3 * x)
+
+
+_steps.defjvp(lambda primals, tangents: (_steps(*primals), jnp.zeros_like(*primals)))

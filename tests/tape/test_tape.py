@@ -203,6 +203,15 @@ def test_c_code_compiles_and_gives_the_same_values(tmp_path):
         assert float(energy) == pytest.approx(float(rotor((ROTOR, (1 + ROTOR, 0.5)))["energy"]), rel=1e-15)
 
 
+@jax.custom_jvp
+def turned(z):
+    return 1j * z
+
+
+turned.defjvp(lambda primals, tangents: (turned(*primals), 1j * tangents[0]))
+
+
+# By the names of the primitives, and what else is said.
 UNTRACEABLE = {
     "eigh": lambda x: jnp.linalg.eigh(jnp.outer(x, x))[0],
     "while": lambda x: jax.lax.while_loop(lambda c: c[0] < 3, lambda c: c * 2, x),
@@ -213,14 +222,37 @@ UNTRACEABLE = {
     "scatter": lambda x: x.at[jnp.argmax(x)].set(0.0),
     "scan": lambda x: jax.lax.fori_loop(0, 5000, lambda i, c: c * x, x),
     "cholesky": lambda x: jnp.linalg.cholesky(jnp.eye(20) * x[0]),
+    "cholesky of complex numbers": lambda x: jnp.linalg.cholesky(jnp.eye(3) + jnp.outer(1j * x, -1j * x)),
+    "qr with pivoting": lambda x: jax.scipy.linalg.qr(jnp.eye(3) + jnp.outer(x, x), pivoting=True)[1],
+    "while with more than 1000 iterations": lambda x: jax.lax.while_loop(
+        lambda c: c[0] < 1001, lambda c: (c[0] + 1, c[1] * x), (0, x)
+    )[1],
+    "pow of complex numbers": lambda x: (1j * x) ** 2.5,
+    "tan which has no rule for complex numbers": lambda x: jnp.tan(1j * x),
+    "reduce_prod of complex numbers": lambda x: jnp.prod(1j * x),
+    "custom_jvp_call of complex numbers": lambda x: turned(1j * x),
+    "and on the bits of whole numbers": lambda x: (3 * x).astype(int) & 1,
+    "dynamic_update_slice whose index depends on the input": lambda x: jax.lax.dynamic_update_slice(
+        x, x[:1], ((2 * x[0]).astype(int),)
+    ),
 }
 
 
 @pytest.mark.parametrize("name", UNTRACEABLE)
 def test_what_is_not_scalars_is_refused_by_the_name_of_the_primitive(name):
-    with pytest.raises(NotTraceableError, match="traced to scalars") as caught:
+    primitive, _, more = name.partition(" ")
+    with pytest.raises(NotTraceableError, match=f"traced to scalars.*{more}") as caught:
         Tape.trace(UNTRACEABLE[name], np.ones(3))
-    assert caught.value.primitive == name
+    assert caught.value.primitive == primitive
+
+
+def test_a_complex_number_that_becomes_a_real_one_loses_its_imaginary_part():
+    def real(x):
+        return jax.lax.convert_element_type((1 + 2j) * x, float) + x
+
+    with pytest.warns(np.exceptions.ComplexWarning, match="discards the imaginary part"):
+        tape = Tape.trace(real, np.ones(3))
+    np.testing.assert_allclose(tape(np.full((3, 2), 1.5)), 3.0)
 
 
 def test_a_loop_is_written_out_as_long_as_its_length_is_known():
@@ -248,6 +280,8 @@ def test_arguments_of_other_shapes_are_refused():
         tape(np.ones((3, 2)))
     with pytest.raises(ValueError, match="jacobian"):
         tape.gradient()
+    with pytest.raises(ValueError, match="argument 0 has 3 arrays"):
+        tape.push(0)
 
 
 def test_a_polar_retraction_of_frames_names_what_decided():

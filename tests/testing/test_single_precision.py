@@ -38,13 +38,13 @@ TOLERANCE = 450 * float(jnp.finfo(jnp.float32).eps)  # as many roundings as are 
 # Made in single precision: some have arrays. The slow ones have other closed forms, or take longer to compile.
 OBJECTS = {
     "SO(3)": lambda: check_lie_group(SO(3), tolerance=TOLERANCE),
-    "Gr(4, 2)": lambda: check_manifold(Grassmann(4, 2), tolerance=TOLERANCE),
     "inertia": lambda: check_metric(LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0]), tolerance=TOLERANCE),
-    "Cayley of SO(3)": lambda: check_retraction(Cayley(SO(3)), order=2, reach=3.0, tolerance=TOLERANCE),
     "projection of S2": lambda: check_retraction(Projection(Sphere(2)), order=2, reach=3.0, tolerance=TOLERANCE),
     "midpoint": lambda: check_discretization_map(Midpoint(Exponential(Sphere(2))), symmetric=True, tolerance=TOLERANCE),
 }
 SLOW_OBJECTS = {
+    "Gr(4, 2)": lambda: check_manifold(Grassmann(4, 2), tolerance=TOLERANCE),
+    "Cayley of SO(3)": lambda: check_retraction(Cayley(SO(3)), order=2, reach=3.0, tolerance=TOLERANCE),
     "SPD(2)": lambda: check_manifold(SPD(2), tolerance=TOLERANCE),
     "exponential of SO(3)": lambda: check_retraction(Exponential(SO(3)), order=2, reach=3.0, tolerance=TOLERANCE),
     "exponential of SO(4)": lambda: check_retraction(Exponential(SO(4)), order=2, reach=3.0, tolerance=TOLERANCE),
@@ -67,19 +67,12 @@ def test_what_is_right_in_double_precision_is_right_in_single(name):
     assert all(outcome.status in ("holds", "not applicable") for outcome in report.outcomes), report
 
 
-# One of each kind by default, all of the others with the slow tests.
+# One of each kind of object by default, all of the others with the slow tests.
 QUICK_MUTANTS = (
-    "a manifold whose projection is missing",
     "violations that are squared",
-    "violations without the absolute value",
-    "random points on a spiral",
     "a momentum with another sign than the generators",
     "a metric with twice the energy",
-    "`R(x, 1.01 v)`",
-    "an inverse valid only near zero, said to be valid farther",
     "an inverse that is wrong near the edge of its domain",
-    "an inverse of points outside the image",
-    "an inverse without its derivative by the base point",
     "a map with a wrong `theta`",
 )
 

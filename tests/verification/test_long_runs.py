@@ -23,6 +23,8 @@ from retrax.retractions import Addition, Cayley, CotangentLift, Euler, Midpoint,
 
 from tests.integrators.problems import SO3, SPHERE, pendulum_energy, rigid_body_energy
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 STEPS = 600
 MAPS = {"midpoint": Midpoint(Projection(SPHERE)), "euler": Euler(Projection(SPHERE))}
 WORST = {"midpoint": 4.7e-3, "euler": 5.0e-2}

@@ -14,6 +14,8 @@ from scipy.integrate import solve_ivp
 from tests.integrators.problems import INERTIA, SO3, SPHERE, at, pendulum_energy, rotation, top_energy
 from tests.support.numerics import slope
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 BLOCK = 20  # steps of one compiled call; a trajectory is a chain of calls
 REFINEMENTS = 2 ** np.arange(4)
 ORDERS = [pytest.param(0.0, 1, marks=pytest.mark.slow), (0.5, 2), pytest.param(1.0, 1, marks=pytest.mark.slow)]

@@ -13,6 +13,8 @@ from retrax.retractions import BundleRetraction, Cayley, Exponential, Midpoint
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SO3, SPHERE, half_square, rotation
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 
 def extrapolated(coarse: float, fine: float) -> float:
     """The limit, from a step and half that step of a method of order 2."""

@@ -18,7 +18,6 @@ HALF = 0.5  # of its spread: what it is moved aside by
 OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
 UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
 MET = 1e-8  # of the size of the nodes: of a guess that lacks less, what a step leaves is rounding
-STIFF = 1e6  # the shift with which Newton's step is the least that the constraints ask for
 WAVES = 3  # half periods in the horizon, and less
 
 
@@ -28,8 +27,7 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
     """
     lost = _is_far(conditions, assembled, step)
     if lost.any():
-        least, _, _ = conditions.eliminate(iterate, assembled, np.full(len(lost), STIFF))
-        lost &= _is_far(conditions, assembled, least)
+        lost &= _is_far(conditions, assembled, conditions.least_step(iterate, assembled))
     lost |= _is_unmet(conditions, iterate, assembled, step)
     asked, gap = (
         np.linalg.norm(found / conditions.measured.nodes[:, None], axis=2) for found in (assembled.asked, assembled.gap)

@@ -9,12 +9,14 @@ from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
-from .inequalities import VALUE, Held, Slacks, Surveyed, moved, turned
+from .inequalities import Held, Slacks, Surveyed, moved, turned
+from .residuals import gap_of, measures, stationarity_of
 from .scaling import SHARE, Units, natural_units
 from .share import followed
 from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Terminal
 
+LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
@@ -154,7 +156,8 @@ class Conditions:
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
-        gap, stationarity = self._gap(assembled), self._stationarity(assembled)
+        known = assembled, self.measured
+        gap, stationarity = gap_of(*known), stationarity_of(*known, self.data.steps, self.transcription)
         if self.barrier is None or iterate.slacks is None:
             return Residuals(gap, stationarity, Missed.none(len(gap)))
         return Residuals(gap, stationarity, self.barrier.missed(self._surveyed(iterate, assembled), iterate.slacks))
@@ -278,6 +281,10 @@ class Conditions:
         step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
         return self.completed(iterate, assembled, step), found.curvature, found.size
 
+    def least_step(self, iterate: Iterate, assembled: Assembled) -> Step:
+        """The least steps that the linearised constraints ask for, whatever these cost."""
+        return self.eliminate(iterate, assembled, np.full(len(assembled.gap), LEAST))[0]
+
     def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
         """The step with what it is of what was condensed, and of the slacks; and how much of it may be made."""
         blocks, steps = assembled.blocks, step.unknowns
@@ -378,50 +385,10 @@ class Conditions:
             gap[:, 1:] -= blocks.inner.after
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
+    def measures(self, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
+        """By what gaps are measured: in the coordinates of the nodes, (B, n), and entry by entry, (B, E)."""
+        return measures(assembled, self.measured)
+
     def _controls(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""
         return self.at_nodes.control_sizes(iterate.unknowns.controls)
-
-    def measures(self, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
-        """By what gaps are measured: in the coordinates of the nodes, (B, n), and entry by entry, (B, E)."""
-        extent = assembled.extent
-        own = np.maximum(extent.spreads, VALUE * extent.values)
-        along = np.maximum(extent.along(own), SHARE * self.measured.nodes)
-        return along, np.maximum(own, np.max(extent.support * along[:, :, None], axis=1, initial=0.0))
-
-    def _gap(self, assembled: Assembled) -> np.ndarray:
-        """Largest distance between ends that should meet, entry by entry of the ambient space.
-
-        An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its
-        unit.
-        """
-        along, entries = self.measures(assembled)
-        gap = (assembled.distance / np.where(entries > 0, entries, 1.0)).max(axis=1)
-        inner = assembled.blocks.inner
-        if inner is None:
-            return gap
-        missed = np.abs(inner.defect).sum(axis=2).max(axis=1) / np.where(along > 0, along, 1.0)
-        return np.maximum(gap, missed.max(axis=1))
-
-    def _stationarity(self, assembled: Assembled) -> np.ndarray:
-        """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by
-        coordinate.
-
-        Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate
-        sets the scale.
-        """
-        blocks, extent, d = assembled.blocks, assembled.extent, self.measured.unknowns
-        parts = d * extent.parts
-        # With a barrier that of the Hessian has no bound.
-        curvature = (d * d * extent.curvature).max(axis=1) if blocks.held is None else self.measured.cost
-        largest = np.maximum(parts.max(axis=1), curvature)
-        scale = np.maximum(parts, SHARE * largest[:, None])
-        found = (extent.slope * d / np.where(scale > 0, scale, 1.0)).max(axis=1)
-        inner = blocks.inner
-        if inner is None:
-            return found
-        weights = self.data.steps[:, :, None, None] * self.transcription.tableau.weights[:, None]
-        d = self.measured.nodes
-        scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * largest[:, None])
-        slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2))
-        return np.maximum(found, (slopes / np.where(scale > 0, scale, 1.0)).max(axis=1))

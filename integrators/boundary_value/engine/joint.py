@@ -8,7 +8,7 @@ import numpy as np
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER, Missed
 from .border import Response, Solved, responses, solve_border
-from .conditions import Conditions
+from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
 from .elimination import MANY
 from .inequalities import Slacks
@@ -283,6 +283,10 @@ class JointConditions:
             steps.append(phase.completed(iterate.parts[k], assembled.parts[k], step))
         step = self._joined(steps, moves, solved, parts, sum(counts) + coupled.values.shape[1])
         return step, curved / self.measured.cost, sizes
+
+    def least_step(self, iterate: JointIterate, assembled: JointAssembled) -> JointStep:
+        """The least steps that the linearised constraints ask for, whatever these cost."""
+        return self.eliminate(iterate, assembled, np.full(len(assembled.coupled.values), LEAST))[0]
 
     def _places(self, parts: list[Response]) -> tuple[np.ndarray, np.ndarray]:
         """Places of the free coordinates of all starts, and of all ends, among the coordinates of all of them."""

@@ -32,7 +32,6 @@ EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
-LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 CURVATURE = 1e-9
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
@@ -210,7 +209,7 @@ class _Search:
         vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
         vain &= (before.fraction / 2 < SHORTEST) & (conditions.length(step) > SHORTER * conditions.length(state.step))
         if vain.any():
-            least, _, _ = conditions.eliminate(state.iterate, state.assembled, np.full(len(vain), LEAST))
+            least = conditions.least_step(state.iterate, state.assembled)
             vain &= conditions.length(least) > SHORTER * conditions.length(state.step)
         if vain.any():
             step, shift, descends = merged(vain, (before.step, before.shift, before.descends), (step, shift, descends))

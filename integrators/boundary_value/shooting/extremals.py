@@ -23,9 +23,10 @@ from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
 from ...stages import ControlStage
+from ..checks import SingularChecks
 from ..engine.diagnosis import Diagnosis
 from ..guess import Guess, default_guess
-from ..solution import SingularArc, SingularChecks, Solution, Statistics
+from ..solution import SingularArc, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
 from .end_conditions import EndConditions, points_at_ends
 from .gauss_newton import Found, meet_conditions

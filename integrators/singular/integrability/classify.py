@@ -1,11 +1,9 @@
 """Classification of an optimal control problem: regular or singular, and where its singular extremals live."""
 
-from collections import Counter
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal, NamedTuple, overload
+from typing import TYPE_CHECKING, Literal, overload
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
@@ -21,21 +19,18 @@ from ...problem import OptimalControlProblem
 from ...results import warn_about_precision
 from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
-from .final import final_equations
 from .jets import Pair
 from .levels import Level, PointRanks, point_ranks, summarise
 from .points import Points, select, with_order
 from .search import make_consistent, points_beside
 from .starts import random_starts
+from .strata import Found, found_strata
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
 
 ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
-VANISHING_COSTATE = 1e-6
-SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
 MOST_PAIRED = 22  # points between each two of which a jump is looked for
-APART = 1e-7  # larger differences are clear: between, a curved piece may be nearly flat
 
 
 @overload
@@ -115,7 +110,7 @@ def _classify(
     with progress("classify", len(first.slow), "points", verbose) as advance:
         levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
-    strata = _strata(kept)
+    strata = found_strata(kept)
     jump = _jump(problem, first, strata)
     return Classification(
         problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump
@@ -168,25 +163,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 
-class _Found(NamedTuple):
-    """A point around which ``P^k`` stopped, in a batch of its own, and its ranks at all levels."""
-
-    points: Points
-    history: list[PointRanks]
-
-    @property
-    def ranks(self) -> PointRanks:
-        """At the last level."""
-        return self.history[-1]
-
-    @property
-    def trivial(self) -> bool:
-        """Whether the costate vanishes."""
-        sizes = self.points.sizes
-        return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
-
-
-def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Level], MorseTest | None, list[_Found]]:
+def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Level], MorseTest | None, list[Found]]:
     """The levels until ``P^k`` stops around each of its points or none is consistent, and the points where it stopped.
 
     ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
@@ -202,9 +179,9 @@ def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Leve
 
 def _through(
     first: Points, unit_costate: bool, levels: list[Level], advance: Advance
-) -> tuple[list[Level], MorseTest | None, list[_Found]]:
+) -> tuple[list[Level], MorseTest | None, list[Found]]:
     """What ``_run`` returns; ``levels`` are added to."""
-    points, morse, found = first, None, list[_Found]()
+    points, morse, found = first, None, list[Found]()
     while True:
         level = len(levels)
         if level > points.array.order:
@@ -219,7 +196,7 @@ def _through(
             morse = _morse(select(points, points.consistent))
         settled = [level > 0 and _new_equations(history) == 0 for history in histories]
         ended = [
-            _Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops
+            Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops
         ]
         found += ended
         left = np.setdiff1d(np.arange(len(points.slow)), reliable[settled])
@@ -314,94 +291,3 @@ def _morse(points: Points) -> MorseTest:
         hessian_singular_values=worst[1],
         gap=min(r.gap for r in ranks),
     )
-
-
-def _strata(found: list[_Found]) -> tuple[Stratum, ...]:
-    """Points clustered by piece, each cluster with the equations through its best conditioned point.
-
-    Pieces differ in their ranks at the last level, in the controls that they determine, or in their tangent spaces.
-    """
-    groups: dict[tuple[Signature, tuple[bool, ...]], list[_Found]] = {}
-    for item in found:
-        groups.setdefault((item.ranks.signature, tuple(item.ranks.determined)), []).append(item)
-    told = ([group] if any(item.points.slow for item in group) else _told_apart(group) for group in groups.values())
-    made = [_stratum(members) for pieces in told for members in pieces]
-    return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
-
-
-def _told_apart(group: list[_Found]) -> list[list[_Found]]:
-    """The pieces that points of equal ranks lie on, as far as their tangent spaces tell them apart.
-
-    The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it
-    is not, points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer
-    dimensions than it could bend in. Few points show no piece: beside a single one they are where that is flat to
-    rounding.
-    """
-    joint, clear = _joint_ranks([item.ranks.tangents for item in group])
-    if not clear:
-        return [group]
-    least, clusters = np.min(joint, axis=1), list[list[int]]()
-    for i in range(len(group)):
-        for cluster in clusters:
-            if joint[i, cluster[0]] == least[i] == least[cluster[0]] < np.max(joint):
-                cluster.append(i)
-                break
-        else:
-            clusters.append([i])
-    told = [cluster for cluster in clusters if len(cluster) >= FEWEST]
-    if len(told) < 2:
-        return [group]
-    rest = [i for i in range(len(group)) if not any(i in cluster for cluster in told)]
-    return [[group[i] for i in cluster] for cluster in (*told, rest) if cluster]
-
-
-def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
-    """Ranks of pairs of tangent spaces together, and whether all are clear; of one with itself more than of any
-    pair."""
-    count, (height, _) = len(tangents), tangents[0].shape
-    joint, (i, j) = np.full((count, count), height), np.triu_indices(count, 1)
-    if not len(i):
-        return joint, True
-    spaces = np.array(tangents)
-    values = np.linalg.svd(np.concatenate([spaces[i], spaces[j]], axis=2), compute_uv=False)
-    joint[i, j] = joint[j, i] = np.sum(values > SAME, axis=1)
-    return joint, not np.any((values > SAME) & (values <= APART))
-
-
-def _stratum(members: list[_Found]) -> Stratum:
-    # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
-    ((usual, _),) = Counter(_stops(item.history) for item in members).most_common(1)
-    (points, history), (k_f, base) = (
-        max((m for m in members if _stops(m.history) == usual), key=lambda m: m.ranks.gap),
-        usual,
-    )
-    ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
-    z, u, frame = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (points.at.z, points.at.control, points.at.frame))
-    return Stratum(
-        signature=ranks.signature,
-        count=len(members),
-        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
-        k_f=k_f,
-        k_f_base=base,
-        determined_at=tuple(
-            _first_level([bool(r.determined[a]) for r in history]) for a in range(points.at.jet.shape[-1])
-        ),
-        q=z[0],
-        p=z[1],
-        u=u,
-        kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), frame),
-        states=jax.tree.map(lambda *leaves: np.concatenate(leaves), *(item.points.at.z for item in members)),
-        equations=final_equations(points, base, history[base]),
-        feedback=final_equations(points, k_f, history[k_f]),
-    )
-
-
-def _stops(history: list[PointRanks]) -> tuple[int, int]:
-    """Levels from which on all ranks, and the codimension, are those of the last."""
-    last = history[-1].signature
-    k_f = next(k for k, r in enumerate(history) if r.signature == last)
-    return k_f, next(k for k, r in enumerate(history) if r.signature.codimension == last.codimension)
-
-
-def _first_level(determined: list[bool]) -> int | None:
-    return determined.index(True) if any(determined) else None

@@ -149,7 +149,7 @@ class Points:
         )
 
 
-def _function(function: Callable, *sizes: int) -> ca.Function:
+def _function(function: Callable[..., tuple[jax.Array, ...]], *sizes: int) -> ca.Function:
     """A function of flat vectors as one of columns."""
     return Tape.trace(function, *map(jnp.zeros, sizes)).to_casadi()
 

@@ -58,8 +58,8 @@ def _reduction(function: Callable[[ca.SX, ca.SX], ca.SX], start: float) -> Calla
     def rule(params: dict[str, Any], x: Entries) -> Entries:
         axes = tuple(params["axes"])
         if is_complex(x):
-            if start:
-                raise NotTraceableError("a reduction", "here of complex numbers")
+            if start:  # of a product: others of complex numbers there are none
+                raise NotTraceableError("reduce_prod", "here of complex numbers")
             return Complex(*(_reduced(function, part, axes, start) for part in parts(x)))
         return _reduced(function, x, axes, start)
 

@@ -39,7 +39,7 @@ def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_unordered("!=", condition, ir.Constant(condition.type, None)), a, b)
 
 
-def _truth(relation: str) -> Callable:
+def _truth(relation: str) -> Callable[..., Any]:
     def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
         one, none = (ir.Constant(v.type, value) for value in (_filled(v.type, 1.0), None))
         return b.select(b.fcmp_ordered(relation, x(), y()), one, none)
@@ -51,7 +51,7 @@ def _filled(kind: Any, value: float) -> Any:
     return [value] * kind.count if isinstance(kind, ir.VectorType) else value
 
 
-def _of_llvm(name: str) -> Callable:
+def _of_llvm(name: str) -> Callable[..., Any]:
     def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
         suffix = f"v{v.type.count}f64" if isinstance(v.type, ir.VectorType) else "f64"
         function = cgutils.get_or_insert_function(b.module, ir.FunctionType(v.type, [v.type]), f"{name}.{suffix}")
@@ -62,7 +62,7 @@ def _of_llvm(name: str) -> Callable:
 
 # Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
 # constant.
-_EMITTED: dict[int, Callable] = {
+_EMITTED: dict[int, Callable[..., Any]] = {
     MUL: lambda b, x, y, z, v: b.fmul(x(), y()),
     MUL_ADD: lambda b, x, y, z, v: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
     MUL_SUB: lambda b, x, y, z, v: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
@@ -111,7 +111,7 @@ def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: An
         for emit in _cases(builder, code, after):
             with cgutils.for_range_slice(builder, ir.Constant(count.type, 0), count, step) as (j, _):
 
-                def load(pointer: Any, j: Any = j) -> Callable:
+                def load(pointer: Any, j: Any = j) -> Callable[[], Any]:
                     return lambda: builder.load(builder.bitcast(builder.gep(pointer, [j]), kind.as_pointer()), align=8)
 
                 result = emit(builder, *map(load, operands), constant)

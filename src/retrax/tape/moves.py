@@ -176,7 +176,7 @@ def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
     outer = [axis for axis in range(rank) if axis not in d.offset_dims]
     order = np.argsort([*outer, *d.offset_dims])
     if not windows:
-        return np.zeros([0] * rank)
+        return np.transpose(np.zeros((*batch, *kept)), order)
     whole = moved(stacked(windows), lambda a: a.reshape(*batch, *kept))
     return moved(whole, lambda a: np.transpose(a, order))
 

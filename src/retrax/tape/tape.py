@@ -56,7 +56,7 @@ class Tape:
         self._results = [Leaf(tuple(v.shape), isinstance(v, Complex)) for v in values]
 
     @classmethod
-    def trace(cls, function: Callable, *examples: Any) -> Self:
+    def trace(cls, function: Callable[..., Any], *examples: Any) -> Self:
         """The tape of a JAX function of pytrees of arrays, whose result is a pytree of arrays.
 
         Raises ``NotTraceableError`` where the function calls what cannot be written as scalar operations, as LAPACK's

@@ -58,8 +58,8 @@ class Tracer:
         kind = np.dtype(eqn.outvars[0].aval.dtype).kind
         value = elementwise(name, {**params, "whole": kind in "iu", "truth": kind == "b"}, arrays)
         if value is None:
-            of = " of complex numbers" if any(is_complex(a) for a in arrays) else ""
-            raise NotTraceableError(name + of, "which has no rule")
+            of = " for complex numbers" if any(is_complex(a) for a in arrays) else ""
+            raise NotTraceableError(name, f"which has no rule{of}")
         return [value]
 
     def _scan(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:

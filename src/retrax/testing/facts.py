@@ -53,7 +53,7 @@ class Facts(ABC):
                 "try jax.ShapeDtypeStruct((2,), float)"
             )
         self.sampler = Sampler(manifold)
-        self.kernels: dict[str, Callable] = {}
+        self.kernels: dict[str, Callable[..., Any]] = {}
         self._samples: dict[str, list[Sample]] = {}
         self._measured: dict[tuple[str, str], Batch] = {}
         self._broken: dict[str, Exception] = {}

@@ -37,7 +37,7 @@ def _compiler_options() -> dict[str, int | bool]:
     return {option: value for option, value in _WISHES.items() if known(option)}
 
 
-def compiled(function: Callable) -> Callable:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``function`` compiled quickly, with numpy arrays as its values: in double precision, for what is made of them."""
     fast = jax.jit(function, compiler_options=_compiler_options())
     return lambda *arguments: jax.tree.map(_widened, fast(*arguments))
@@ -101,7 +101,7 @@ SHOWN = 3  # least errors that make a slope
 _COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
 
 
-def along(function: Callable, step: Any) -> jax.Array:
+def along(function: Callable[[jax.Array], jax.Array], step: Any) -> jax.Array:
     """Values of a function of a number at ``step NODES``, and at shorter steps: of shape ``(steps, nodes, ...)``."""
     times = step * jnp.asarray(SCALES[:, None] * NODES, working_precision())
     values = jax.vmap(function)(times.reshape(-1))

@@ -20,6 +20,8 @@ from retrax.retractions import Addition, Midpoint, default_retraction
 
 from tests.integrators.singular.cases import ONE, classified, known, martinet, scaled
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 FACTORS = (1.0, 1e3, 1e-3)
 SCALES = [*((x, f, 1.0) for x, f in product(FACTORS, FACTORS)), (1.0, 1.0, 1e3), (1.0, 1.0, 1e-3)]
 EMPTY = [name for name in SINGULAR if known(name).empty_at is not None]
@@ -221,7 +223,12 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         ("dummy control", (0, 0), (), (0, None)),
     ],
 )
-@pytest.mark.long("sphere-classes8-names8-determined_at8")
+@pytest.mark.long(
+    "sphere-classes8-names8-determined_at8",
+    "aly-chan-classes2-names2-determined_at2",
+    "curved arc-classes7-names7-determined_at7",
+    "massless particle-classes5-names5-determined_at5",
+)
 def test_classes_levels_and_controls(name, classes, names, determined_at):
     c = classified(name)
     assert (c.first_class, c.second_class) == classes
@@ -363,12 +370,11 @@ def test_wrong_input_is_refused_in_words(arguments, message):
 
 def test_under_a_transformation_it_says_that_it_runs_outside():
     made, midpoint = known("academic").problem, Midpoint(Addition(Euclidean(2)))
+    found = classified("academic")
     with pytest.raises(InvalidInputError, match=r"classify runs outside jit"):
         jax.jit(lambda cost: classify(scaled(made, (1.0, cost, 1.0))).stratum.q)(1.0)
     with pytest.raises(InvalidInputError, match=r"singular_integrator runs outside jit"):
-        jax.grad(
-            lambda k: singular_integrator(classified("academic"), midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta
-        )(1.0)
+        jax.grad(lambda k: singular_integrator(found, midpoint, gauge=lambda t, q, p: k * q[:1]).lift.theta)(1.0)
 
 
 def test_starts_near_what_is_no_state_are_refused():

@@ -88,7 +88,7 @@ def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
 
 @pytest.mark.parametrize("name", ["academic", "sphere"])
 @pytest.mark.parametrize("made", [L_H, S_H])
-@pytest.mark.usual("L_H-academic", "S_H-academic")
+@pytest.mark.usual("S_H-academic")
 def test_the_necessary_conditions_are_lagrangian(name, made):
     submanifold = made(known(name).problem)
     n = known(name).problem.manifold.dimension

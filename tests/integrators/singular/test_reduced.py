@@ -27,6 +27,8 @@ from tests.integrators.problems import SPHERE
 from tests.integrators.singular.cases import classified
 from tests.support.numerics import slope
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 STEPS = np.array([0.2, 0.1, 0.05])
 
 
@@ -340,6 +342,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("reason", REFUSED)
+@pytest.mark.long("singular in combinations", "rough", "not Euclidean")
 def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
     *problem, singular = REFUSED[reason]
     with pytest.raises(InvalidInputError, match=reason):

@@ -202,7 +202,7 @@ def isometries_keep_inner_products(facts: MetricFacts) -> Comparison | Inapplica
         back = unflat(metric.manifold)
         x, v, w = (back(sample[name]) for name in "xvw")
 
-        def product(isometry: Callable) -> tuple[jax.Array, jax.Array]:
+        def product(isometry: Callable[[Ambient], Ambient]) -> tuple[jax.Array, jax.Array]:
             y, push = jax.linearize(isometry, x)
             return metric.inner_product(y, push(v), push(w)), max_violation(metric.manifold, y)
 

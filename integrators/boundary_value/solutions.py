@@ -1,0 +1,97 @@
+"""The solutions of a batch: one after the other, and their arrays together."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Self, final, overload
+
+import jax
+import numpy as np
+
+from .batch_file import save_batch
+from .solution import Solution
+
+LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields that are lists
+SAME = 1e-6  # relative distance within which two extremals are one
+
+
+@final
+class Solutions(Sequence[Solution]):
+    """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
+
+    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and
+    ``solutions.success`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
+    """
+
+    def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
+        self._fields, self._member, self._places = fields, member, places
+        self._made: dict[int, Solution] = {}  # each when it is asked for, once
+
+    @classmethod
+    def of(cls, members: Sequence[Solution]) -> Self:
+        """The batch of these solutions."""
+        values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        return cls(stacked, members.__getitem__, range(len(members)))
+
+    def __reduce__(self) -> Any:
+        return Solutions.of, (tuple(self),)
+
+    def __len__(self) -> int:
+        return len(self._places)
+
+    @overload
+    def __getitem__(self, place: int) -> Solution: ...
+    @overload
+    def __getitem__(self, place: slice) -> "Solutions": ...
+    def __getitem__(self, place: int | slice) -> "Solution | Solutions":
+        if isinstance(place, slice):
+            chosen = self._places[place]
+            return Solutions(self._fields, self._whole, chosen)
+        return self._whole(self._places[place])
+
+    def _whole(self, k: int) -> Solution:
+        """The member that is number ``k`` of the whole batch."""
+        if k not in self._made:
+            self._made[k] = self._member(k)
+        return self._made[k]
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in {field.name for field in fields(Solution)}:
+            raise AttributeError(f"the solutions of a batch have no attribute {name!r}; try solutions[0].{name}")
+        if name in LISTED:  # the results are known before the members are made, which takes longer
+            known = self._fields.get(name)
+            return (
+                [getattr(member, name) for member in self]
+                if known is None
+                else [known[place] for place in self._places]
+            )
+        return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
+
+    def save(self, path: str | Path) -> None:
+        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
+        ``Solution.save``."""
+        save_batch(self, path)
+
+    @property
+    def converged(self) -> int:
+        """How many members meet their conditions."""
+        return int(np.sum(self.success))
+
+    @property
+    def distinct(self) -> int:
+        """How many different extremals there are among those that converged: states further apart than 1e-6 of their
+        extent."""
+        leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
+        flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
+        found: list[np.ndarray] = []
+        for states in flat:
+            if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
+                found.append(states)
+        return len(found)
+
+    def __repr__(self) -> str:
+        costs = self.cost[self.success]
+        span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
+        counts = f"{len(self)}, {self.converged} of them converged, {self.distinct} distinct"
+        return f"Solutions({counts}, {span}{self.times.shape[1] - 1} steps each)"
