@@ -10,6 +10,7 @@ from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 1e-2
+GENTLY, HALF = 0.1, 0.5  # of its distance to the infeasibility the funnel narrows by, for less cost or for less of that
 FOLLOWED = 0.75
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT = 1e-4, 1e-8
@@ -60,7 +61,7 @@ def funnelled(state: State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
     well = 1 - NARROWER * state.fraction * state.step.reach
     infeasibility = trial.infeasibility
     inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
-    return inside, np.where(cheaper, state.funnel, (infeasibility + state.funnel) / 2)
+    return inside, state.funnel + np.where(cheaper, GENTLY, HALF) * (infeasibility - state.funnel)
 
 
 def next_shift(state: State, good: np.ndarray, short: np.ndarray) -> np.ndarray:

@@ -64,6 +64,12 @@ class JointStep(NamedTuple):
     reach: np.ndarray
     followed: np.ndarray
 
+    @property
+    def of_multipliers(self) -> "JointStep":
+        """The whole step of the multipliers, and none of anything else."""
+        parts, reach = tuple(part.of_multipliers for part in self.parts), np.ones_like(self.reach)
+        return self._replace(parts=parts, moves=np.zeros_like(self.moves), reach=reach)
+
 
 class JointUnits(NamedTuple):
     """The units of all nodes, then of the equations, (B, n); and of the cost."""

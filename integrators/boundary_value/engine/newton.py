@@ -2,11 +2,12 @@
 
 A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]:
 where the step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo
-asks; else if it comes well into the funnel, which it narrows. The cost is that of the Lagrangian with the multipliers
-of the trial: the bare cost refuses good steps along curved constraints [Ulbrich 2004]. Accepted too is what brings the
-KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until the step
-has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to be cut,
-so that the next is as long as what was taken.
+asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
+bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
+from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
+brings the KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until
+the step has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to
+be cut, so that the next is as long as what was taken.
 """
 
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
 from .aside import aside, is_lost
 from .batches import merged, put, taken
 from .conditions import Conditions
+from .first_multipliers import with_first_multipliers
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
@@ -160,19 +162,23 @@ class _Search:
     def begun(self, given: Iterate) -> State:
         """The state at the guess, with a first step."""
         conditions = self.conditions
-        guess, assembled = self.first = conditions.begin(given)
-        residuals = conditions.residuals(guess, assembled)
-        count = len(residuals.gap)
+        guess, assembled = bare = conditions.begin(given)
+        count = len(assembled.cost)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
-        merit = Merit.of(conditions, guess, assembled)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0))
+        if guess is not bare[0]:
+            assembled = conditions.assemble(guess)
+            step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        self.first, residuals = (guess, assembled), conditions.residuals(guess, assembled)
+        merit = Merit.of(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
-                return self.begun(merged(self.lost, aside(conditions, guess, assembled), given))
+                return self.begun(merged(self.lost, aside(conditions, *bare), given))
         far = np.full(count, np.inf)
         numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit
@@ -225,7 +231,7 @@ class _Search:
         """
         iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= JAMMED) | ~state.step.finite
-        stuck &= conditions.is_hard(iterate, state.assembled)
+        stuck &= conditions.is_hard(iterate, state.assembled) & (state.residuals.largest > np.sqrt(self.tolerance))
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
             first, assembled = taken(self.first, state.member)

@@ -56,6 +56,12 @@ class Step(NamedTuple):
         """The share of the step that may be made, and that the inequalities let it go."""
         return self.share if self.turn is None else self.turn.reach
 
+    @property
+    def of_multipliers(self) -> "Step":
+        """The whole step of the multipliers on what is lacking, and none of anything else."""
+        inner = None if self.inner is None else (np.zeros_like(self.inner[0]), self.inner[1])
+        return self._replace(unknowns=np.zeros_like(self.unknowns), inner=inner, turn=None, share=1.0)
+
     def within(self, share: np.ndarray) -> "Step":
         """The step of which at most this share is made."""
         if self.turn is None:

@@ -118,10 +118,10 @@ def limited_slew() -> KnownProblem:
         time="s",
         cost="N^2 m^2 s",
         source=f"spacecraft of {BETTS}, section 6.8",
-        optimum=2548.438,
-        digits=7,
+        optimum=2548.437837,
+        digits=10,
         origin="limit of the discrete optima here as the steps shrink",
-        error=1e-6,
+        accuracy=1e-9,
     )
 
 
@@ -192,10 +192,10 @@ def reaction_wheels() -> KnownProblem:
         source=f"spacecraft of {BETTS}, section 6.8; F. L. Markley, J. L. Crassidis, Fundamentals of Spacecraft "
         "Attitude Determination "
         "and Control, Springer 2014, section 3.3.5",
-        optimum=2690.917,
-        digits=7,
+        optimum=2690.916536,
+        digits=10,
         origin="limit of the discrete optima here as the steps shrink",
-        error=1e-6,
+        accuracy=1e-9,
     )
 
 

@@ -51,7 +51,6 @@ def turnpike() -> KnownProblem:
         digits=12,
         origin="closed form: u = -1, 0, 1 with switches at 1 and 3/2",
         formula="3 / 8",
-        error=1e-7,
     )
 
 
@@ -107,7 +106,7 @@ def bryson_denham() -> KnownProblem:
         digits=12,
         origin="closed form, on the ceiling from 1/3 to 2/3",
         formula="4 / (9 l)",
-        error=1e-6,
+        accuracy=1e-9,
     )
 
 
@@ -138,10 +137,10 @@ def van_der_pol() -> KnownProblem:
         source="J. Andersson, J. Gillis, G. Horn, J. Rawlings, M. Diehl, CasADi: a software framework for nonlinear "
         "optimization and "
         "optimal control, Math. Prog. Comp. 11, 2019, 1-36, section 6",
-        optimum=3.61518,
-        digits=6,
+        optimum=3.615181368,
+        digits=10,
         origin="limit of the discrete optima here as the steps shrink, and collocation of order 6 with IPOPT",
-        error=1e-4,
+        accuracy=1e-9,
     )
 
 
@@ -165,7 +164,7 @@ def fuller() -> KnownProblem:
         optimum=0.134196915284,
         digits=12,
         origin="closed form: a finite arc and a self-similar chattering one, x = -0.44462 v |v| where it switches",
-        error=5e-5,
+        accuracy=1e-9,
     )
 
 

@@ -124,7 +124,6 @@ def half_plane_geodesic() -> KnownProblem:
         digits=12,
         origin="closed form",
         formula="arccosh(1 + |q1 - q0|^2 / (2 y0 y1))^2 / (2 T)",
-        error=1e-7,
     )
 
 
@@ -177,7 +176,6 @@ def sub_riemannian_rotations() -> KnownProblem:
         digits=12,
         origin="closed form",
         formula="phi (4 pi - phi) / (2 T)",
-        error=1e-7,
     )
 
 
@@ -227,7 +225,6 @@ def grushin() -> KnownProblem:
         digits=12,
         origin="closed form: x = sqrt(2 y / pi) sin(pi t)",
         formula="pi y / T",
-        error=1e-6,
     )
 
 
@@ -260,7 +257,6 @@ def three_levels() -> KnownProblem:
         digits=12,
         origin="closed form",
         formula="3 pi^2 / (8 T)",
-        error=1e-7,
     )
 
 
@@ -291,7 +287,6 @@ def phase_gate() -> KnownProblem:
         digits=12,
         origin="closed form",
         formula="phi (4 pi - phi) / (2 T)",
-        error=1e-7,
     )
 
 

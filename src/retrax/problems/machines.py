@@ -85,9 +85,9 @@ def pendulum() -> KnownProblem:
         time="sqrt(l/g)",
         source="K. J. Astrom, K. Furuta, Swinging up a pendulum by energy control, Automatica 36, 2000, 287-295",
         optimum=1.212590596,
-        error=1e-7,
         digits=9,
         origin="collocation of order 8 with IPOPT, from several guesses",
+        accuracy=1e-9,
     )
 
 
@@ -122,7 +122,7 @@ def cart_pole() -> KnownProblem:
         optimum=58.80766746,
         digits=10,
         origin="collocation of order 8 with IPOPT, 40 and 80 steps, from several guesses",
-        error=1e-6,
+        accuracy=1e-9,
     )
 
 
@@ -152,10 +152,10 @@ def quadrotor() -> KnownProblem:
         source="vehicle of T. Lee, M. Leok, N. H. McClamroch, Geometric tracking control of a quadrotor UAV on SE(3), "
         "CDC 2010, "
         "5420-5425, with body axis 3 upward",
-        optimum=0.4860228,
-        digits=7,
+        optimum=0.486022835,
+        digits=9,
         origin="limit of the discrete optima here as the steps shrink",
-        error=1e-6,
+        accuracy=1e-9,
     )
 
 
@@ -249,8 +249,8 @@ def robot_arm() -> KnownProblem:
         controls={"u": "forces and torques, scaled"},
         source="E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, "
         "ANL/MCS-TM-273, 2004, 8",
-        optimum=9.1409,
-        digits=5,
+        optimum=9.140911746,
+        digits=10,
         origin="limit of the discrete optima here as the steps shrink; published as 9.14138, on a coarse mesh",
-        error=5e-5,
+        accuracy=1e-9,
     )

@@ -131,7 +131,7 @@ def rolling_ball() -> KnownProblem:
         optimum=18.7959493,
         digits=9,
         origin="collocation of order 8 with IPOPT, from several guesses",
-        error=1e-7,
+        accuracy=1e-9,
     )
 
 
@@ -160,7 +160,6 @@ def zermelo() -> KnownProblem:
         optimum=5.45786526356,
         digits=12,
         origin="shooting with the closed form of the heading, tan a = tan a0 + t; published as 5.46",
-        error=1e-7,
     )
 
 

@@ -1,0 +1,48 @@
+"""Guesses from which nothing but a search over the whole trajectory arrives: states drawn at random."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Guess, OptimalControlProblem, Solver
+from retrax.manifolds import SE, Euclidean, Product
+from retrax.retractions import Midpoint, default_retraction
+from scipy.spatial.transform import Rotation
+
+STEPS = 30
+
+
+@pytest.fixture(scope="module")
+def docking():
+    """A free body with forces and moments, from rest to rest at a pose half a turn away."""
+    group = SE(3)
+    Q, inertia = group * Euclidean(6), np.array([1.0, 1.7, 2.3, 2.0, 2.0, 2.0])
+
+    def dynamics(q, u):
+        pose, twist = q
+        momentum = inertia * twist
+        turn = jnp.concatenate([jnp.cross(momentum[:3], twist[:3]), jnp.cross(momentum[3:], twist[:3])])
+        return pose @ group.hat(twist), (u + turn) / inertia
+
+    problem = OptimalControlProblem(Q, dynamics, lambda _, u: u @ u / 2, 6)
+    return Solver(problem, Midpoint(default_retraction(Q)), STEPS), problem
+
+
+def scattered(manifold: Product, seed: int) -> Guess:
+    """States drawn at random, each by itself, and random controls."""
+    draw = np.random.default_rng([1, seed])
+    states = []
+    for _ in range(STEPS):
+        key = jax.random.key(int(draw.integers(2**31)))
+        states.append((np.asarray(manifold.factors[0].random_point(key)), draw.standard_normal(6)))
+    return Guess(tuple(map(np.stack, zip(*states, strict=True))), 2 * draw.standard_normal((STEPS, 6)))
+
+
+@pytest.mark.parametrize("seed", [3, 4, 7, 9])
+def test_docking_arrives_from_scattered_states(docking, seed):
+    solver, problem = docking
+    pose = SE(3).pose(Rotation.from_rotvec([2.9, 0.3, -0.4]).as_matrix(), np.array([3.0, -2.0, 1.0]))
+    rest = np.zeros(6)
+    guess = scattered(problem.manifold, seed)
+    solution = solver.solve((np.eye(4), rest), (np.asarray(pose), rest), 5.0, guess=guess, throw=False)
+    assert solution.success, solution.result
