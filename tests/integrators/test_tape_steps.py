@@ -98,6 +98,16 @@ def test_both_fail_at_the_same_step_or_both_succeed(name):
     assert np.array_equal(*failed)
 
 
+@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+def test_a_step_fails_exactly_where_its_equations_have_no_solution(evaluator):
+    """``c = h (c^2 + 1) / 2`` has none for ``h > 1``, and Newton's method then wanders through finite numbers."""
+    method = SymplecticIntegrator(lifted(default_retraction(Euclidean(1))))
+    sizes = 1 + np.array([-0.5, -0.01, -1e-4, -1e-6, 1e-6, 1e-4, 0.01, 1.0])
+    starts = np.zeros((len(sizes), 1)), np.ones((len(sizes), 1))
+    path = integrate_many(lambda q, p: p[0] * (q[0] ** 2 + 1), method, starts, sizes, 1, evaluator=evaluator)
+    np.testing.assert_array_equal(path.failed_step, np.where(sizes > 1, 0, -1))
+
+
 @pytest.mark.parametrize("name", ["rotations", "sphere", "sphere, order 6"])
 @pytest.mark.parametrize("size", [0.3, 3.0])
 def test_what_steps_before_tell_of_the_next_one_changes_nothing(name, size):
