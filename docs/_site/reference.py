@@ -69,9 +69,12 @@ def link(document: str) -> str:
 
 
 def comment(module: ModuleType, name: str) -> str:
-    """The comment behind the line that defines a constant; raises where there is none."""
+    """The comment behind the line that defines a constant, or above it; raises where there is none."""
     for path in sorted(Path(str(module.__file__)).parent.rglob("*.py")):
-        found = re.search(rf"^{name}\b[^#\n]*=[^#\n]*# (.*)$", path.read_text(), re.MULTILINE)
+        text = path.read_text()
+        found = re.search(rf"^{name}\b[^#\n]*=[^#\n]*# (.*)$", text, re.MULTILINE)
+        found = found or re.search(rf"((?:^# .*\n)+)^{name}\b[^#\n]*=", text, re.MULTILINE)
         if found:
-            return found[1][0].upper() + found[1][1:] + "."
-    raise LookupError(f"{module.__name__}.{name} has no comment behind the line that defines it, expected what it is")
+            words = " ".join(line.removeprefix("# ") for line in found[1].splitlines()).removesuffix(".")
+            return words[0].upper() + words[1:] + "."
+    raise LookupError(f"{module.__name__}.{name} has no comment at the line that defines it, expected what it is")

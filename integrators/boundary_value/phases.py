@@ -33,6 +33,7 @@ from .regular_extremals import phase_of
 
 HORIZON = "horizon"
 TOO_FAR = 1e6  # from its guess, without success: a duration that tends to zero or grows without bound
+FARTHEST = 1e10  # from the guess that was given, with success
 LOST = (
     "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to "
     "leave the phase out, another guess of its duration, or a lower or an upper bound."
@@ -114,20 +115,21 @@ class _Task:
             scaled = [_scaled(phase, factor) for phase in phases]
             if all(scaled):
                 found = self._in_own_units([phase for phase in scaled if phase], options)
-                if found.success or found.result == sentence("stopped"):
+                near = found.success and not _strayed(phases, found, FARTHEST)
+                if near or found.result == sentence("stopped"):
                     return found
         return first
 
     def _in_own_units(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
         judged."""
-        solution = self.solved(phases, options)
+        solution, given = self.solved(phases, options), phases
         for _ in range(AGAIN):
-            if not (solution.success and _strayed(phases, solution, FAR)):
+            if not (solution.success and _strayed(phases, solution, FAR)) or _strayed(given, solution, FARTHEST):
                 break
             phases = [_near(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
             solution = self.solved(phases, options)
-        lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR)
+        lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR) or _strayed(given, solution, FARTHEST)
         if not lost:
             return solution
         return solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))

@@ -15,7 +15,7 @@ from .composition import Composition
 from .integrator import Integrator, SymplecticIntegrator
 from .step import StepResult
 
-RESTORED = 3  # each time what is left is squared: of a tenth of a point's size less than its root of rounding
+RESTORED = 3  # each time what a point lacks is squared: a tenth of its size becomes rounding
 
 
 @final
