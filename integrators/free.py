@@ -83,3 +83,16 @@ def _real(name: str, value: Any) -> np.ndarray:
     array = np.array(array, float)
     array.setflags(write=False)
     return array
+
+
+def near(value: Any, found: Any) -> Any:
+    """What may be free, guessed as it was found, between its bounds."""
+    return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
+
+
+def scaled(value: Any, factor: float) -> Any:
+    """What may be free, a number, guessed so many times as large; None where that is outside its bounds."""
+    if not is_free(value):
+        return value
+    guess = factor * value.guess
+    return near(value, guess) if value.lower <= guess <= value.upper else None

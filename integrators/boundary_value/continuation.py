@@ -12,7 +12,7 @@ from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...retractions import default_retraction
 from ..evaluator import Automatic
-from ..free import Free, guessed, is_free
+from ..free import guessed, is_free, near
 from ..layout import Layout
 from ..options import known_options
 from ..results import Result
@@ -218,10 +218,6 @@ def _change(a: Any, b: Any) -> np.ndarray:
 
 def _informed(given: Given, last: Solution) -> Given:
     """The problem with what is free first guessed as it was found last."""
-
-    def near(value: Any, found: Any) -> Any:
-        return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
-
     horizon, parameters = jax.tree.map(
         near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free
     )

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ..free import Free, guessed, is_free
+from ..free import guessed, is_free, near, scaled
 from ..results import sentence
 from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
@@ -81,10 +81,10 @@ class Formulated:
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
-            guess = factor * horizon.guess
-            if horizon.lower <= guess <= horizon.upper:
-                near = asked._replace(horizon=Free(guess, horizon.lower, horizon.upper))
-                found = self._in_own_units(near, self._solved(near, options, *choice), options, *choice)
+            guess = scaled(horizon, factor)
+            if guess is not None:
+                again = asked._replace(horizon=guess)
+                found = self._in_own_units(again, self._solved(again, options, *choice), options, *choice)
                 effort = _sum(effort, found.statistics)
                 if found.success or found.result == sentence("stopped"):
                     return self._renewed(found, statistics=effort)
@@ -104,9 +104,9 @@ class Formulated:
                 return self._with_its_hamiltonian(asked, solution)
             if not 0 < solution.horizon < np.inf:
                 break
-            horizon = Free(np.clip(solution.horizon, horizon.lower, horizon.upper), horizon.lower, horizon.upper)
-            before, near = solution.statistics, self._near(asked.parameters, solution)
-            asked = asked._replace(horizon=horizon, guess=solution, parameters=near)
+            before = solution.statistics
+            parameters = jax.tree.map(near, asked.parameters, solution.parameters, is_leaf=is_free)
+            asked = asked._replace(horizon=near(horizon, solution.horizon), guess=solution, parameters=parameters)
             solution = self._solved(asked, options, *choice)
             solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
@@ -198,15 +198,6 @@ class Formulated:
         """Keep what belongs to a solution for another record of it."""
         if solution in self._found:
             self._found[changed] = self._found[solution]
-
-    @staticmethod
-    def _near(parameters: Any, solution: Solution) -> Any:
-        """Parameters of which those that are free are guessed as they were found."""
-
-        def near(asked: Any, found: Any) -> Any:
-            return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
-
-        return jax.tree.map(near, parameters, solution.parameters, is_leaf=is_free)
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:

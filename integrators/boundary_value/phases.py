@@ -12,7 +12,7 @@ from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...reading import reads_once
 from ..boundary_conditions import BoundaryConditions, boundary_words, linked
-from ..free import Free, guessed, is_free
+from ..free import guessed, is_free, near, scaled
 from ..functions import real_vector, require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
@@ -112,11 +112,12 @@ class _Task:
         if first.success or not free or first.result == sentence("stopped"):
             return first
         for factor in MAGNITUDES:
-            scaled = [_scaled(phase, factor) for phase in phases]
-            if all(scaled):
-                found = self._in_own_units([phase for phase in scaled if phase], options)
-                near = found.success and not _strayed(phases, found, FARTHEST)
-                if near or found.result == sentence("stopped"):
+            durations = [scaled(phase.duration, factor) for phase in phases]
+            if all(duration is not None for duration in durations):
+                pairs = zip(phases, durations, strict=True)
+                found = self._in_own_units([phase._replace(duration=duration) for phase, duration in pairs], options)
+                settled = found.success and not _strayed(phases, found, FARTHEST)
+                if settled or found.result == sentence("stopped"):
                     return found
         return first
 
@@ -229,26 +230,13 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
 
 def _near(phase: Phase, solution: Any) -> Phase:
     """The phase with guesses as they were found."""
-    duration = phase.duration
-    if is_free(duration):
-        duration = Free(np.clip(solution.horizon, duration.lower, duration.upper), duration.lower, duration.upper)
-    return phase._replace(duration=duration, guess=solution)
+    return phase._replace(duration=near(phase.duration, solution.horizon), guess=solution)
 
 
 def _strayed(phases: Sequence[Phase], solution: PhasedSolution, far: float) -> list[int]:
     """The phases whose duration is further than so many times from its guess."""
     free = [k for k, phase in enumerate(phases) if is_free(phase.duration)]
     return [k for k in free if not 1 / far < solution.phases[k].horizon / phases[k].duration.guess < far]
-
-
-def _scaled(phase: Phase, factor: float) -> Phase | None:
-    """The phase with another guess of its duration, if that is free; None if it is outside its bounds."""
-    duration = phase.duration
-    if not is_free(duration):
-        return phase
-    guess = factor * duration.guess
-    inside = duration.lower <= guess <= duration.upper
-    return phase._replace(duration=Free(guess, duration.lower, duration.upper)) if inside else None
 
 
 def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:

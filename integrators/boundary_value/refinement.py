@@ -11,7 +11,7 @@ from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.tolerances import EPS
 from ...retractions import Gauss
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER
-from ..free import Free, is_free
+from ..free import is_free, near
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
 from .arguments import Method, fractions_of
@@ -191,10 +191,6 @@ class Refinement:
 
     def _near(self, solution: Solution) -> Asked:
         """What is asked for, guessed as it was found."""
-
-        def near(asked: Any, found: Any) -> Any:
-            return Free(np.clip(found, asked.lower, asked.upper), asked.lower, asked.upper) if is_free(asked) else asked
-
         parameters = jax.tree.map(near, self.asked.parameters, solution.parameters, is_leaf=is_free)
         return self.asked._replace(
             horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters
