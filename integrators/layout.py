@@ -34,11 +34,8 @@ class Layout:
             [np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))]
         )
         # Of matrices, or whole arrays.
+        self.columns = numbers  # of the entries
         self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
-        self._sorted, self._first = (
-            np.argsort(numbers, kind="stable"),
-            np.searchsorted(np.sort(numbers), np.arange(sum(counts))),
-        )
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":
@@ -59,10 +56,6 @@ class Layout:
     def flat_frame(self, frame: Frame) -> Array:
         """The entries of the vectors of a frame, shape ``(n, size)``, in a function that is traced."""
         return jax.vmap(self.flat)(frame)
-
-    def largest_in_columns(self, entries: np.ndarray) -> np.ndarray:
-        """The largest entry of each column of a point's arrays, along the last axis."""
-        return np.maximum.reduceat(entries[..., self._sorted], self._first, axis=-1)
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""

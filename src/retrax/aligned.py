@@ -1,11 +1,15 @@
 """Arrays that begin where a cache line begins, so that no vector of the processor lies across two of them."""
 
 import math
+import threading
 from collections.abc import Sequence
 
 import numpy as np
 
 LINE = 8  # numbers in a cache line
+KEPT = 2**19  # numbers of a thread: larger arrays are made anew, which takes no time beside their use
+
+Shapes = tuple[tuple[int, ...], ...]
 
 
 def aligned(*shape: int) -> np.ndarray:
@@ -21,4 +25,28 @@ def aligned_all(shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
     for shape, size in zip(shapes, sizes, strict=True):
         found.append(room[first : first + size].reshape(shape))
         first += -(-size // LINE) * LINE
+    return found
+
+
+class _Scratch(threading.local):
+    def __init__(self) -> None:
+        self.known: dict[Shapes, list[np.ndarray]] = {}
+        self.size = 0
+
+
+_scratch = _Scratch()
+
+
+def scratch(shapes: Shapes) -> list[np.ndarray]:
+    """Arrays of these shapes, of numbers that are not set, for a kernel to work in: the next call in the thread for the
+    same shapes returns the same ones."""
+    found = _scratch.known.get(shapes)
+    if found is not None:
+        return found
+    found, size = aligned_all(shapes), sum(map(math.prod, shapes))
+    if size <= KEPT:
+        if _scratch.size + size > KEPT:
+            _scratch.known, _scratch.size = {}, 0
+        _scratch.known[shapes] = found
+        _scratch.size += size
     return found

@@ -28,11 +28,12 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
 
     All ranges but the last are multiples of ``unit`` long.
     """
+    if count * work < 2 * WORTH_A_THREAD:  # the system is asked only where it matters: that takes as long as a kernel
+        run(range(count))
+        return
     units = -(-count // unit)
-    parts = max(1, int(min(units, count * work // WORTH_A_THREAD)))
-    if parts > 1:  # the system is asked only where it matters: that takes as long as a small kernel
-        parts = 1 if _alone.get() else min(parts, os.cpu_count() or 1)
-    if parts == 1:
+    parts = 1 if _alone.get() else int(min(units, count * work // WORTH_A_THREAD, os.cpu_count() or 1))
+    if parts <= 1:
         run(range(count))
         return
     ends = [min(count, unit * (units * k // parts)) for k in range(parts + 1)]

@@ -30,7 +30,7 @@ def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembl
     if slacks is None:
         return assembled.blocks
     free = slacks._replace(slacks=np.full_like(slacks.slacks, np.inf))  # inequalities this far away have no stiffness
-    around = assembled.nodes, assembled.costates, assembled.terminal, assembled.initial
+    around = assembled.nodes, assembled.costates, assembled.paid
     return conditions.blocks(iterate._replace(slacks=free), *around)
 
 

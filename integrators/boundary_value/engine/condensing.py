@@ -12,7 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
-from ....aligned import aligned
+from ....aligned import aligned, scratch
 from ....threads import in_threads
 from .arrays import plain, whole
 from .elimination import BlockSystem
@@ -113,8 +113,8 @@ def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: T
     arrays = _steps(points), _steps(ends), table
 
     def run(part: range) -> None:
-        work = aligned(p, whole(p) + width), aligned(q, width), aligned(q, width), np.empty(p), aligned(z, width)
-        condensing_kernels.condense(part.start, part.stop, *arrays, work, kept, _steps(blocks))
+        work = scratch(((p, whole(p) + width), (q, width), (q, width), (p,), (z, width)))
+        condensing_kernels.condense(part.start, part.stop, *arrays, tuple(work), kept, _steps(blocks))
 
     in_threads(run, steps, p * p * (p + z) + s * q * z * (2 * n + z))
     return Parts(*blocks), Condensed(points, ends, table, kept)

@@ -8,14 +8,14 @@ import numpy as np
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
-from .extent import extent
+from .extent import extent, meeting
 from .inequalities import Held, Slacks, Surveyed, moved, turned
-from .residuals import gap_of, measures, stationarity_of
+from .residuals import Measures, measures
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
-from .system import Assembled, Ends, Iterate, Paid, Residuals, Step, pay, turned_by
-from .transcription import Blocks, Data, Moves, Nodes, Terminal
+from .system import Assembled, Ends, Iterate, Residuals, Step, pay, turned_by
+from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
@@ -64,8 +64,7 @@ class Conditions:
 
     def paid(self, nodes: np.ndarray) -> Paid:
         """The costs of the first and of the last node."""
-        given = self.data.parameters
-        return self.at_nodes.initial(nodes[:, 0], given), self.at_nodes.terminal(nodes[:, -1], given)
+        return self.at_nodes.paid(nodes[:, 0], nodes[:, -1], self.data.parameters)
 
     def reached(self, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
         """The first and the last node of an iterate."""
@@ -76,26 +75,23 @@ class Conditions:
     def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
         problem."""
-        nodes, gaps, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
-        initial, terminal = self.paid(nodes) if paid is None else paid
-        covectors = turned_by(iterate.costates, terminal, initial, 1)
+        nodes, gaps, largest, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
+        paid = self.paid(nodes) if paid is None else paid
+        covectors = turned_by(iterate.costates, paid, 1)
         along = gaps if far is None else far[0] * gaps
         frames, gap, coordinates, costates = self.at_nodes.in_frames(nodes, self._fixed, along, covectors)
         asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
-        costates = turned_by(costates, terminal, initial, -1)
-        blocks = self.blocks(iterate, nodes, costates, terminal, initial)
-        cost = blocks.costs.sum(axis=1) + terminal.value + (0.0 if initial is None else initial.value)
-        ends = terminal, initial, np.abs(gaps).max(axis=1), extent(nodes, frames, coordinates, gap, blocks)
+        costates = turned_by(costates, paid, -1)
+        blocks = self.blocks(iterate, nodes, costates, paid)
+        cost = sum((end.value for end in paid if end is not None), blocks.costs.sum(axis=1))
+        ends = paid, largest, extent(nodes, frames, coordinates, gap, blocks)
         return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
 
-    def blocks(
-        self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, last: Terminal, first: Terminal | None
-    ) -> Blocks:
-        """The blocks of the steps, with the costs of the last node and of the first."""
+    def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, paid: Paid) -> Blocks:
+        """The blocks of the steps, with the costs of the first node and of the last."""
         blocks = self.transcription.blocks(iterate.unknowns, nodes, costates, self.data, iterate.slacks)
-        pay(blocks, -1, last, blocks.right[:, -1])
-        if first is not None:
-            pay(blocks, 0, first, blocks.left[:, 0])
+        pay(blocks, -1, paid[1], blocks.right[:, -1])
+        pay(blocks, 0, paid[0], blocks.left[:, 0])
         return blocks
 
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
@@ -106,7 +102,7 @@ class Conditions:
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         covectors = assembled.coordinates + part[:, None, None] * multipliers
         costates = (covectors[:, :, None] @ assembled.frames)[:, :, 0]
-        costates = turned_by(costates, assembled.terminal, assembled.initial, -1)
+        costates = turned_by(costates, assembled.paid, -1)
         slacks = iterate.slacks
         if slacks is not None and step.turn is not None:
             slacks = moved(slacks, step.turn, fraction)
@@ -150,8 +146,8 @@ class Conditions:
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
-        known = assembled, self.measured
-        gap, stationarity = gap_of(*known), stationarity_of(*known, self.data.steps, self.transcription)
+        found = self.measures(assembled)
+        gap, stationarity = found.gap, found.stationarity
         if self.barrier is None or iterate.slacks is None:
             return Residuals(gap, stationarity, Missed.none(len(gap)))
         return Residuals(gap, stationarity, self.barrier.missed(self._surveyed(iterate, assembled), iterate.slacks))
@@ -258,9 +254,8 @@ class Conditions:
         turned = (step.multipliers * assembled.gap).sum(axis=(1, 2))
         inner = blocks.inner
         if inner is not None:
-            ahead += (assembled.terminal.slope * inner.after[:, -1]).sum(axis=1)
-            if assembled.initial is not None:
-                ahead += (assembled.initial.slope * inner.before[:, 0]).sum(axis=1)
+            for end, moved in zip(assembled.paid, (inner.before[:, 0], inner.after[:, -1]), strict=True):
+                ahead += 0.0 if end is None else (end.slope * moved).sum(axis=1)
             velocities, multipliers = step.inner
             direct = inner.kept[2][..., : step.unknowns.shape[2]]
             within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
@@ -314,15 +309,17 @@ class Conditions:
     def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
         """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which
         move."""
-        moved = np.einsum("bnz,bz->bn", assembled.blocks.right[:, -1], step.unknowns[:, -1])
-        if assembled.blocks.inner is not None:
-            moved += assembled.blocks.inner.after[:, -1]
-        turned = np.array(step.multipliers)
-        turned[:, -1] -= np.einsum("bnj,bj->bn", assembled.terminal.curvature, moved)
-        if assembled.initial is not None:
-            begun = np.einsum("bnz,bz->bn", assembled.blocks.left[:, 0], step.unknowns[:, 0])
-            begun += 0.0 if assembled.blocks.inner is None else assembled.blocks.inner.before[:, 0]
-            turned[:, 0] += np.einsum("bnj,bj->bn", assembled.initial.curvature, begun)
+        if assembled.paid == (None, None):
+            return step.multipliers
+        turned, (initial, terminal), blocks = np.array(step.multipliers), assembled.paid, assembled.blocks
+        if terminal is not None:
+            moved = np.einsum("bnz,bz->bn", blocks.right[:, -1], step.unknowns[:, -1])
+            moved += 0.0 if blocks.inner is None else blocks.inner.after[:, -1]
+            turned[:, -1] -= np.einsum("bnj,bj->bn", terminal.curvature, moved)
+        if initial is not None:
+            begun = np.einsum("bnz,bz->bn", blocks.left[:, 0], step.unknowns[:, 0])
+            begun += 0.0 if blocks.inner is None else blocks.inner.before[:, 0]
+            turned[:, 0] += np.einsum("bnj,bj->bn", initial.curvature, begun)
         return turned
 
     def length(self, step: Step) -> np.ndarray:
@@ -343,27 +340,30 @@ class Conditions:
 
     def _nodes(
         self, begins: np.ndarray, finishes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
-        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before.
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
+        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before; and
+        the largest of that, entry by entry.
 
         Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes
         nearer by turning away. Then the gap along the arc is that along the chord times an array, and moves it by
         another one.
         """
-        first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])[:, None]
-        last = np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])[:, None]
-        nodes, after = np.concatenate([first, finishes], axis=1), np.concatenate([begins, last], axis=1)
-        gaps = after - nodes
-        nodes[:, -1:] = last
-        columns = self.at_nodes.layout.largest_in_columns
-        far = np.any(
-            columns(np.abs(gaps)) > FAR * columns(np.abs(nodes).max(axis=1, keepdims=True, initial=0.0)), axis=2
-        )
-        if not far.any():
-            return nodes, gaps, None
-        arcs, shares = np.ones_like(gaps), np.ones_like(gaps)
-        nodes[far], arcs[far], shares[far] = self.at_nodes.amid(after[far] - gaps[far], after[far])
-        return nodes, gaps, (arcs, shares)
+        met = meeting(begins, finishes, self._ends, self.at_nodes.layout.columns, FAR)
+        if met.far is None:
+            return met.nodes, met.gaps, met.largest, None
+        arcs, shares, far = np.ones_like(met.gaps), np.ones_like(met.gaps), met.far
+        # The node there is the end of the step before, but for the last one.
+        before = np.array(met.nodes)
+        before[:, -1] -= met.gaps[:, -1]
+        amid = before[far], before[far] + met.gaps[far]
+        met.nodes[far], arcs[far], shares[far] = self.at_nodes.amid(*amid)
+        return met.nodes, met.gaps, met.largest, (arcs, shares)
+
+    @cached_property
+    def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The ends as the kernels take them."""
+        ends = self.ends
+        return np.array(ends.start), np.array(ends.end), np.array(ends.start_entries), np.array(ends.end_entries)
 
     @cached_property
     def _fixed(self) -> np.ndarray:
@@ -385,9 +385,9 @@ class Conditions:
             gap[:, 1:] -= blocks.inner.after
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
-    def measures(self, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
-        """By what gaps are measured: in the coordinates of the nodes, (B, n), and entry by entry, (B, E)."""
-        return measures(assembled, self.measured)
+    def measures(self, assembled: Assembled) -> Measures:
+        """What gaps are measured by, and how large they and the slopes of the Lagrangian are so."""
+        return measures(assembled, self.measured, self.data.steps, self.transcription)
 
     def _controls(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""

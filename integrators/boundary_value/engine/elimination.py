@@ -7,7 +7,7 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ....aligned import aligned_all
+from ....aligned import scratch
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from ....threads import in_threads
 from .arrays import LANES, plain, whole
@@ -101,11 +101,11 @@ def eliminate(
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
     rows, width, bases, size = _rows(n, z, columns)
-    shapes = (2 * n, whole(z)), (rows, width), (columns, rows), (2, width)
-    work, factors = aligned_all(shapes), aligned_all([(count, size), (count, width)])
+    shapes = (2 * n, whole(z)), (rows, width), (columns, rows), (2, width), (count, size), (count, width)
+    *work, kept, sizes = scratch(shapes)
     for array in work:
         array.fill(0.0)
-    return tuple(work), (factors[0], bases, factors[1], np.empty((count, rows), np.int64))
+    return tuple(work), (kept, bases, sizes, np.empty((count, rows), np.int64))
 
 
 @cache

@@ -3,7 +3,7 @@
 from typing import NamedTuple, final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ....aligned import aligned_all
 from ....threads import in_threads
@@ -38,6 +38,37 @@ class Extent(NamedTuple):
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
+
+
+@final
+class Meeting(NamedTuple):
+    """Where the steps of trajectories meet."""
+
+    nodes: Float[np.ndarray, "B N+1 E"]
+    gaps: Float[np.ndarray, "B N+1 E"]
+    largest: Float[np.ndarray, "B E"]  # of the gaps
+    far: Bool[np.ndarray, "B N+1"] | None  # which gaps are far; None where none is
+
+
+def meeting(
+    begins: Float[np.ndarray, "B N E"],
+    finishes: Float[np.ndarray, "B N E"],
+    ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
+    columns: np.ndarray,
+    share: float,
+) -> Meeting:
+    """The nodes of trajectories, and the gaps between the end of the step before each and the beginning of the next.
+
+    ``ends``: the first and the last point, (B, E), and which of their entries are prescribed; ``columns``: of the
+    entries of a point. A gap is far where a column of it is more than a share of the largest one of the nodes.
+    """
+    from . import extent_kernels
+
+    batch, count, size = begins.shape
+    nodes, gaps, largest, *work = aligned_all([(batch, count + 1, size)] * 2 + [(batch, size), (size,), (size,)])
+    far = np.empty((batch, count + 1), bool)
+    any_far = extent_kernels.meet(begins, finishes, ends, columns, share, tuple(work), (nodes, gaps, far, largest))
+    return Meeting(nodes, gaps, largest, far if any_far else None)
 
 
 _LEAST = (-np.inf, -np.inf, *[0.0] * 7)  # what the fields begin with

@@ -1,4 +1,6 @@
-"""Compiled pass over a trajectory and its KKT system that finds what is largest in them."""
+"""Compiled passes over trajectories and their KKT systems that find what is largest in them."""
+
+import numpy as np
 
 from .factors import compiled, inner
 
@@ -7,6 +9,52 @@ from .factors import compiled, inner
 def larger(a: float, b: float) -> float:
     """The larger of both; what is not a number stays."""
     return b if b > a or b != b else a
+
+
+@inner
+def _far(gaps: np.ndarray, columns: np.ndarray, widest: np.ndarray, share: float, work: np.ndarray) -> bool:
+    """Whether a column of a gap is larger than a share of the largest one of the nodes."""
+    for e in range(columns.size):
+        work[columns[e]] = 0.0
+    for e in range(columns.size):
+        work[columns[e]] = larger(work[columns[e]], abs(gaps[e]))
+    for e in range(columns.size):
+        if work[columns[e]] > share * widest[columns[e]]:
+            return True
+    return False
+
+
+@compiled
+def meet(
+    begins: np.ndarray, finishes: np.ndarray, ends: tuple, columns: np.ndarray, share: float, work: tuple, out: tuple
+) -> bool:
+    """The nodes of trajectories, the gaps there, whether each is far, and the largest gap entry by entry; and whether
+    any is far.
+
+    ``ends``: points, and which of their entries are prescribed; ``columns``: of the entries; ``work``: room for two
+    numbers of each column; ``out``: nodes, gaps, far, largest.
+    """
+    (start, end, start_entries, end_entries), (nodes, gaps, far, largest), (widest, own) = ends, out, work
+    (batch, count, size), any_far = nodes.shape, False
+    for m in range(batch):
+        for e in range(size):
+            widest[columns[e]], largest[m, e] = 0.0, 0.0
+        for k in range(count):
+            for e in range(size):
+                before = finishes[m, k - 1, e] if k > 0 else begins[m, 0, e]
+                after = begins[m, k, e] if k < count - 1 else finishes[m, k - 1, e]
+                if k == 0 and start_entries[e]:
+                    before = start[m, e]
+                if k == count - 1 and end_entries[e]:
+                    after = end[m, e]
+                nodes[m, k, e] = before if k < count - 1 else after
+                gaps[m, k, e] = after - before
+                widest[columns[e]] = larger(widest[columns[e]], abs(nodes[m, k, e]))
+                largest[m, e] = larger(largest[m, e], abs(gaps[m, k, e]))
+        for k in range(count):
+            far[m, k] = _far(gaps[m, k], columns, widest, share, own)
+            any_far |= far[m, k]
+    return any_far
 
 
 @compiled
@@ -44,3 +92,38 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
                 parts[m, i] = larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
                 slopes[m, i] = larger(slopes[m, i], abs(slope[m, k, i]))
                 curvature[m, i] = larger(curvature[m, i], abs(hessian[m, k, i, i]))
+
+
+@compiled
+def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[float, float], out: tuple) -> None:
+    """How far trajectories are from their conditions, relative to what these are made of.
+
+    ``extent``: highest, lowest, support, parts, slope, curvature; ``units``: of the nodes and of the unknowns, and what
+    sets the scale of the slopes where their parts vanish, zero where the curvature does; ``shares``: of a value, and of
+    a unit; ``out``: sizes by which gaps are measured along the coordinates and entry by entry, the gap, the
+    stationarity, and that scale.
+    """
+    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least), (value, share) = extent, units, shares
+    (along, entries, gap, stationarity, scale), (batch, n, size) = out, support.shape
+    for m in range(batch):
+        for e in range(size):
+            values = larger(highest[m, e], lowest[m, e])
+            entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
+        for a in range(n):
+            along[m, a] = share * nodes[m, a]
+            for e in range(size):
+                along[m, a] = larger(along[m, a], support[m, a, e] * entries[m, e])
+        gap[m], stationarity[m], scale[m] = 0.0, 0.0, least[m]
+        for e in range(size):
+            for a in range(n):
+                entries[m, e] = larger(entries[m, e], support[m, a, e] * along[m, a])
+            gap[m] = larger(gap[m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))
+        for i in range(unknowns.shape[1]):
+            d = unknowns[m, i]
+            scale[m] = larger(scale[m], d * parts[m, i])
+            if least[m] == 0:
+                scale[m] = larger(scale[m], d * d * curvature[m, i])
+        for i in range(unknowns.shape[1]):
+            d = unknowns[m, i]
+            size_of_parts = larger(d * parts[m, i], share * scale[m])
+            stationarity[m] = larger(stationarity[m], slope[m, i] * d / (size_of_parts if size_of_parts > 0 else 1.0))

@@ -187,11 +187,11 @@ class JointConditions:
         """By how much the equations between the ends are missed, relative to what the trajectories change them by."""
         coupled, count, begin = assembled.coupled, self.coupling.count, 0
         sizes = [phase.measures(system) for phase, _, system in self._each(iterate, assembled)]
-        along = np.concatenate([size for size, _ in sizes for _ in range(2)], axis=1)
+        along = np.concatenate([size.along for size in sizes for _ in range(2)], axis=1)
         unit = np.sum(np.abs(coupled.jacobian[:, :count]) * along[:, None], axis=2)
         missed = [np.abs(coupled.values[:, :count]) / np.where(unit > 0, unit, 1.0)]
         for link, size in zip(self.coupling.links, self.coupling.sizes[1:], strict=True):
-            entries = sizes[link.target // 2][1][:, :size]
+            entries = sizes[link.target // 2].entries[:, :size]
             missed.append(np.abs(coupled.apart[:, begin : begin + size]) / np.where(entries > 0, entries, 1.0))
             begin += size
         return np.max(np.concatenate(missed, axis=1), axis=1, initial=0.0)

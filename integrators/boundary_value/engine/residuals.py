@@ -1,55 +1,53 @@
 """How far an iterate is from satisfying its conditions, relative to what these are made of."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
+from ....aligned import aligned_all
 from .inequalities import VALUE
 from .scaling import SHARE, Units
 from .system import Assembled
 
 
-def measures(assembled: Assembled, units: Units) -> tuple[np.ndarray, np.ndarray]:
-    """By what gaps are measured: in the coordinates of the nodes, (B, n), and entry by entry, (B, E)."""
-    extent = assembled.extent
-    own = np.maximum(extent.spreads, VALUE * extent.values)
-    along = np.maximum(extent.along(own), SHARE * units.nodes)
-    return along, np.maximum(own, np.max(extent.support * along[:, :, None], axis=1, initial=0.0))
+class Measures(NamedTuple):
+    """What gaps are measured by, and the largest of what is left in each trajectory.
 
-
-def gap_of(assembled: Assembled, units: Units) -> np.ndarray:
-    """Largest distance between ends that should meet, entry by entry of the ambient space.
-
-    An entry is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of its
-    unit.
+    An entry of a gap is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of
+    its unit; the derivative of the Lagrangian by the parts that cancel in it, coordinate by coordinate, or, where all
+    parts vanish, as the costates do at an optimum of the cost itself, by its curvature in any coordinate.
     """
-    along, entries = measures(assembled, units)
-    gap = (assembled.distance / np.where(entries > 0, entries, 1.0)).max(axis=1)
-    inner = assembled.blocks.inner
-    if inner is None:
-        return gap
-    missed = np.abs(inner.defect).sum(axis=2).max(axis=1) / np.where(along > 0, along, 1.0)
-    return np.maximum(gap, missed.max(axis=1))
+
+    along: Float[np.ndarray, "B n"]  # in the coordinates of the nodes
+    entries: Float[np.ndarray, "B E"]
+    gap: Float[np.ndarray, " B"]  # between ends that should meet, entry by entry of the ambient space
+    stationarity: Float[np.ndarray, " B"]
+    scale: Float[np.ndarray, " B"]  # of the parts of the derivative
 
 
-def stationarity_of(assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any) -> np.ndarray:
-    """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
+def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any) -> Measures:
+    """How far iterates are from meeting at their nodes and points, and from stationarity."""
+    from . import extent_kernels
 
-    Where all parts vanish, as the costates do at an optimum of the cost itself, its curvature in any coordinate sets
-    the scale.
-    """
-    blocks, extent, d = assembled.blocks, assembled.extent, units.unknowns
-    parts = d * extent.parts
-    # With a barrier that of the Hessian has no bound.
-    curvature = (d * d * extent.curvature).max(axis=1) if blocks.held is None else units.cost
-    largest = np.maximum(parts.max(axis=1), curvature)
-    scale = np.maximum(parts, SHARE * largest[:, None])
-    found = (extent.slope * d / np.where(scale > 0, scale, 1.0)).max(axis=1)
-    inner = blocks.inner
-    if inner is None:
-        return found
+    extent, (batch, size), n = assembled.extent, assembled.distance.shape, assembled.gap.shape[2]
+    found = Measures(*aligned_all([(batch, n), (batch, size), (batch,), (batch,), (batch,)]))
+    # With a barrier the curvature of the Hessian has no bound.
+    least = np.zeros(batch) if assembled.blocks.held is None else units.cost
+    sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature
+    of = units.nodes, units.unknowns, least
+    extent_kernels.measure(sizes, assembled.distance, of, (VALUE, SHARE), found)
+    return found if assembled.blocks.inner is None else _with_points(found, assembled, units, steps, transcription)
+
+
+def _with_points(
+    found: Measures, assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any
+) -> Measures:
+    """The measures with what the points of the steps lack, which was condensed."""
+    inner, d = assembled.blocks.inner, units.nodes
+    missed = np.abs(inner.defect).sum(axis=2).max(axis=1) / np.where(found.along > 0, found.along, 1.0)
     weights = steps[:, :, None, None] * transcription.tableau.weights[:, None]
-    d = units.nodes
-    scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * largest[:, None])
-    slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2))
-    return np.maximum(found, (slopes / np.where(scale > 0, scale, 1.0)).max(axis=1))
+    scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * found.scale[:, None])
+    slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2)) / np.where(scale > 0, scale, 1.0)
+    gap, stationarity = np.maximum(found.gap, missed.max(axis=1)), np.maximum(found.stationarity, slopes.max(axis=1))
+    return found._replace(gap=gap, stationarity=stationarity)

@@ -44,7 +44,7 @@ def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k:
     alone = Slacks.none(held.values.shape)
     alone.slacks.fill(np.inf)  # else it has a stiffness beside its curvature
     alone.multipliers[..., k] = 1.0
-    around = assembled.nodes, assembled.costates, assembled.terminal, assembled.initial
+    around = assembled.nodes, assembled.costates, assembled.paid
     pulled = conditions.blocks(iterate._replace(slacks=alone), *around).hessian - assembled.blocks.hessian
     curvature = np.diagonal(pulled, axis1=2, axis2=3)[..., n:].reshape(*held.values.shape[:3], -1)
     slope, value = held.jacobian[..., k, -curvature.shape[3] :], np.abs(held.values[..., k, None])

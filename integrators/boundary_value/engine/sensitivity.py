@@ -46,6 +46,15 @@ class Derivatives(NamedTuple):
     smallest: np.ndarray  # (B,), pivot of the elimination
 
 
+class _EndCost(NamedTuple):
+    """Of the cost of an end: its curvature, (B, n, n), and the derivatives by horizon and parameters of its slope, (B,
+    n, K), and value, (B, K)."""
+
+    held: np.ndarray
+    mixed: np.ndarray
+    slope: np.ndarray
+
+
 @final
 class Sensitivities:
     """The derivatives of extremals of one problem and method, traced once."""
@@ -57,8 +66,12 @@ class Sensitivities:
         )
         n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
         m, u = nodes.problem.controls.dimension, nodes.control.size
-        names = ["final_cost", *([] if nodes.problem.initial_cost is None else ["first_cost"])]
-        self._paid = [evaluator.derivatives(partial(self._cost_of, name), n + k, e, k) for name in names]
+        costs = {"first_cost": nodes.problem.initial_cost, "final_cost": nodes.problem.terminal_cost}
+        made = (
+            None if cost is None else evaluator.derivatives(partial(self._cost_of, name), n + k, e, k)
+            for name, cost in costs.items()
+        )
+        self._paid = tuple(made)
         self._turned = evaluator.values(self._turned_of, u, m)
         self._carried = evaluator.values(self._carried_of, e, e, e, e)
 
@@ -70,13 +83,10 @@ class Sensitivities:
         fractions = data.steps / np.sum(data.steps, axis=1)[:, None]
         share = np.concatenate([fractions[:, :, None], np.ones((*data.steps.shape, data.parameters.shape[1]))], axis=2)
         own = Columns(*(a * (share if a.ndim == 3 else share[:, :, None]) for a in own))
-        (curvature, slope), first, *_ = self._of_ends(assembled, data.parameters)
-        right, held = blocks.right[:, -1], assembled.terminal.curvature
+        first, last = self._of_ends(assembled, data.parameters)
         z = blocks.hessian.shape[3]
-        own.slope[:, -1, :z] += right.mT @ (held @ own.end[:, -1] + curvature)
-        initial = assembled.initial
-        if initial is not None:
-            own.slope[:, 0, :z] += blocks.left[:, 0].mT @ (initial.curvature @ own.begin[:, 0] + first[0])
+        own.slope[:, -1, :z] += blocks.right[:, -1].mT @ (last.held @ own.end[:, -1] + last.mixed)
+        own.slope[:, 0, :z] += blocks.left[:, 0].mT @ (first.held @ own.begin[:, 0] + first.mixed)
         gap = np.zeros((*assembled.gap.shape, 2 * n + share.shape[2]))
         gap[:, :-1, :, 2 * n :] += own.begin
         gap[:, 1:, :, 2 * n :] -= own.end
@@ -87,12 +97,11 @@ class Sensitivities:
         steps, multipliers = found.steps[:, :, :z], found.multipliers
         moved = self._moved(blocks, own, steps)
         turned = np.array(multipliers)
-        turned[:, -1] -= held @ moved[:, -1]
-        turned[:, -1, :, 2 * n :] -= curvature
-        if initial is not None:
-            turned[:, 0] += initial.curvature @ moved[:, 0]
-            turned[:, 0, :, 2 * n :] += first[0]
-        lagrangian = np.sum(own.lagrangian, axis=1) + slope + first[1]
+        turned[:, -1] -= last.held @ moved[:, -1]
+        turned[:, -1, :, 2 * n :] -= last.mixed
+        turned[:, 0] += first.held @ moved[:, 0]
+        turned[:, 0, :, 2 * n :] += first.mixed
+        lagrangian = np.sum(own.lagrangian, axis=1) + last.slope + first.slope
         ends = assembled.coordinates[:, 0], assembled.coordinates[:, -1]
         cost = np.concatenate([-ends[0], ends[1], lagrangian], axis=1)
         return Derivatives(
@@ -106,18 +115,21 @@ class Sensitivities:
         end[..., -own.end.shape[3] :] += own.end[:, -1:]
         return np.concatenate([begin, end], axis=1)
 
-    def _of_ends(self, assembled: Assembled, parameters: np.ndarray) -> list[tuple[Any, Any]]:
-        """Derivatives by horizon and parameters of the slopes, (B, n, K), and values, (B, K), of terminal and initial
-        cost."""
-        n, found = self.nodes.problem.manifold.dimension, list[tuple[Any, Any]]()
-        ends: Any = (-1, assembled.terminal), (0, assembled.initial)
-        for function, (place, paid) in zip(self._paid, ends, strict=False):
+    def _of_ends(self, assembled: Assembled, parameters: np.ndarray) -> list["_EndCost"]:
+        """The derivatives of the costs of the first and of the last node."""
+        n, batch, found = self.nodes.problem.manifold.dimension, len(parameters), list[_EndCost]()
+        columns = 1 + parameters.shape[1]
+        for function, place, paid in zip(self._paid, (0, -1), assembled.paid, strict=True):
+            if function is None or paid is None:
+                shapes = (batch, n, n), (batch, n, columns), (batch, columns)
+                found.append(_EndCost(*map(np.zeros, shapes)))
+                continue
             hessian, gradient, *_ = function.at(1, assembled.nodes[:, place], parameters)
             _require_unchanged((hessian[:, :n, :n], paid.curvature), (gradient[:, :n], paid.slope))
-            rows, none = hessian[:, :n, n:], np.zeros((len(hessian), 1))
-            mixed = np.concatenate([np.zeros((*rows.shape[:2], 1)), rows], axis=2)
-            found.append((mixed, np.concatenate([none, gradient[:, n:]], axis=1)))
-        return [*found, (0.0, 0.0)]
+            rows, none = hessian[:, :n, n:], np.zeros((batch, 1))
+            mixed = np.concatenate([np.zeros((batch, n, 1)), rows], axis=2)
+            found.append(_EndCost(paid.curvature, mixed, np.concatenate([none, gradient[:, n:]], axis=1)))
+        return found
 
     def _ambient(self, assembled: Assembled, moved: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""

@@ -7,9 +7,7 @@ import numpy as np
 from .barrier import Missed
 from .extent import Extent
 from .inequalities import Slacks, Turn
-from .transcription import Blocks, Terminal
-
-Paid = tuple[Terminal | None, Terminal]  # what the first and the last node cost
+from .transcription import Blocks, Paid, Terminal
 
 
 class Iterate(NamedTuple):
@@ -32,8 +30,7 @@ class Assembled(NamedTuple):
     nodes: np.ndarray  # (B, N + 1, E)
     costates: np.ndarray
     cost: np.ndarray
-    terminal: Terminal
-    initial: Terminal | None
+    paid: Paid
     distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
     extent: Extent
 
@@ -106,17 +103,22 @@ class Ends(NamedTuple):
     end_coordinates: np.ndarray
 
 
-def turned_by(costates: np.ndarray, terminal: Terminal, initial: Terminal | None, sign: int) -> np.ndarray:
+def turned_by(costates: np.ndarray, paid: Paid, sign: int) -> np.ndarray:
     """Covectors at the nodes with the derivatives of the costs of the ends added to them, or taken from them."""
-    turned = np.array(costates)
-    turned[:, -1] += sign * terminal.derivative
+    if paid == (None, None):
+        return costates
+    turned, (initial, terminal) = np.array(costates), paid
+    if terminal is not None:
+        turned[:, -1] += sign * terminal.derivative
     if initial is not None:
         turned[:, 0] -= sign * initial.derivative
     return turned
 
 
-def pay(blocks: Blocks, place: int, paid: Terminal, end: np.ndarray) -> None:
+def pay(blocks: Blocks, place: int, paid: Terminal | None, end: np.ndarray) -> None:
     """Add the cost of an end to the blocks of the step there; ``end``: the derivative of that, shape (B, n, z)."""
+    if paid is None:
+        return
     blocks.hessian[:, place] += end.mT @ paid.curvature @ end
     blocks.gradient[:, place] += np.einsum("bn,bnz->bz", paid.slope, end)
     if blocks.inner is not None:  # what the condensed velocities move the end by, the slope of its cost is moved with

@@ -91,6 +91,7 @@ class Terminal(NamedTuple):
     curvature: np.ndarray
 
 
+Paid = tuple[Terminal | None, Terminal | None]  # what the first and the last node cost, if anything
 AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
 
 
@@ -241,18 +242,12 @@ class Nodes:
         """
         return self._in_frame.at(2, nodes, fixed, gaps, covectors)
 
-    def terminal(self, last: np.ndarray, parameters: np.ndarray) -> Terminal:
-        """The terminal cost at last nodes, shape (B, E)."""
-        if "final_cost" not in self._paid:
-            count, n = len(last), self.dimension
-            return Terminal(np.zeros(count), np.zeros(last.shape), np.zeros((count, n)), np.zeros((count, n, n)))
-        return Terminal(*self._paid["final_cost"].at(1, last, parameters))
-
-    def initial(self, first: np.ndarray, parameters: np.ndarray) -> Terminal | None:
-        """The initial cost at first nodes, shape (B, E), if there is one."""
-        if "first_cost" not in self._paid:
-            return None
-        return Terminal(*self._paid["first_cost"].at(1, first, parameters))
+    def paid(self, first: np.ndarray, last: np.ndarray, parameters: np.ndarray) -> Paid:
+        """The initial cost at first nodes and the terminal cost at last nodes, shape (B, E), where there are such."""
+        costs = (self._paid.get(name) for name in ("first_cost", "final_cost"))
+        ends = zip(costs, (first, last), strict=True)
+        first_cost, final_cost = (cost and Terminal(*cost.at(1, end, parameters)) for cost, end in ends)
+        return first_cost, final_cost
 
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
         """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s,

@@ -13,7 +13,7 @@ import casadi as ca
 import jax
 import numpy as np
 
-from ..aligned import aligned
+from ..aligned import scratch
 from ..threads import in_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
@@ -252,7 +252,8 @@ class Tape:
         def run(part: range) -> None:
             blocks = -(-len(part) // max(machine.LANES, min(MOST_LANES, MEMORY // max(1, p.size))))
             lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
-            machine.run(p.codes, p.registers, p.values, ends, aligned(p.size, lanes), part.start, part.stop)
+            (registers,) = scratch(((p.size, lanes),))
+            machine.run(p.codes, p.registers, p.values, ends, registers, part.start, part.stop)
 
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
