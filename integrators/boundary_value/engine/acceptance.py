@@ -1,7 +1,7 @@
 """Where the iterates of Newton's method stand, whether a trial is accepted inside the funnel, and with which shift to
 go on."""
 
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, final
 
 import numpy as np
 
@@ -11,9 +11,13 @@ from .system import Assembled, Iterate, Residuals, Step
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 1e-2
 GENTLY, HALF = 0.1, 0.5  # of its distance to the infeasibility the funnel narrows by, for less cost or for less of that
+RECORD, FAST = 0.9, 1e-2  # times the best residual so far
+SHORTEST = 2.0**-4  # a share of a step
 FOLLOWED = 0.75
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT = 1e-4, 1e-8
+RULES = ARMIJO, SWITCH, NARROWER, GENTLY, HALF, RECORD, FAST, SHORTEST
+SHIFTS = RAISE, LOWER, FOLLOWED, FIRST_SHIFT, SMALLEST_SHIFT
 
 
 class Merit(NamedTuple):
@@ -51,24 +55,28 @@ class State(NamedTuple):
     done: np.ndarray
 
 
-def funnelled(state: State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
-    """Whether the trial is accepted inside the funnel, and the funnel after it."""
-    before = state.merit
-    held = before.held + state.fraction * state.turned
-    promised = -state.fraction * (state.promised - state.step.reach * held)
-    cheaper = promised >= SWITCH * before.infeasibility**2
-    decreases = trial.cost + trial.held <= before.cost + held - ARMIJO * promised
-    well = 1 - NARROWER * state.fraction * state.step.reach
-    infeasibility = trial.infeasibility
-    inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
-    return inside, state.funnel + np.where(cheaper, GENTLY, HALF) * (infeasibility - state.funnel)
+@final
+class Judgement(NamedTuple):
+    """Whether trials are accepted, whether their steps are done with, and with what the members go on."""
+
+    good: np.ndarray
+    done_with: np.ndarray
+    funnel: np.ndarray
+    shift: np.ndarray  # less after a whole step, more after one that was cut, and where none was short enough
+    fraction: np.ndarray
+    best: np.ndarray
 
 
-def next_shift(state: State, good: np.ndarray, short: np.ndarray) -> np.ndarray:
-    """Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough."""
-    some = np.maximum(state.shift, FIRST_SHIFT)
-    made = state.fraction * state.step.followed
-    cut = np.where(made <= 0.25, some * np.minimum(0.5 / made, RAISE), state.shift)
-    less = np.where(state.shift < SMALLEST_SHIFT, 0.0, state.shift / LOWER)
-    taken_ = np.where(made >= FOLLOWED, less, cut)
-    return np.where(good, taken_, np.where(short, np.maximum(RAISE * state.shift, FIRST_SHIFT), state.shift))
+def judged(
+    state: State, trial: Merit, residual: np.ndarray, cost: np.ndarray, first: bool, tolerance: float
+) -> Judgement:
+    """The judgement of trials of some residuals and costs; ``first``: no trial was judged before."""
+    from . import acceptance_kernels
+
+    step, count = state.step, len(residual)
+    made = state.descends, state.promised, state.turned, step.reach, step.followed, state.fraction
+    standing = state.funnel, state.best, state.shift, residual, cost
+    out, told = tuple(np.empty((4, count))), tuple(np.empty((2, count), bool))
+    given = made, tuple(state.merit), tuple(trial), standing
+    acceptance_kernels.judge(*given, first, tolerance, RULES, SHIFTS, out, told)
+    return Judgement(*told, *out)

@@ -51,13 +51,16 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Ite
     system = BlockSystem(hessian, blocks.left, blocks.right, slope, gaps, one, np.zeros((batch, n)))
     found = eliminate(system, Units(np.concatenate([one, sizes], axis=1), one, np.ones(batch)))
     every = np.ones(batch, bool)
-    step = Step(found.steps[..., 0], np.zeros(found.multipliers.shape[:3]), every, every, every)
+    step = Step(found.steps[..., 0], np.zeros(found.multipliers.shape[:3]), found.largest, every, every, every)
     far = _moves(conditions, assembled, step)
     # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
     far = np.sort(np.where(far > 0, far, np.inf), axis=0)
     middle = far[np.maximum(np.isfinite(far).sum(axis=0) - 1, 0) // 2, range(batch)]
     size = np.where(np.isfinite(middle), HALF / middle, 0.0)
-    step = step._replace(unknowns=np.where(found.finite[:, :1, None], size[:, None, None] * step.unknowns, 0.0))
+    steps, largest = (
+        np.where(found.finite, size[:, None] * a, 0.0) for a in (step.unknowns.reshape(batch, -1), step.largest)
+    )
+    step = step._replace(unknowns=steps.reshape(step.unknowns.shape), largest=largest)
     completed = conditions.completed(iterate._replace(slacks=None), assembled, step)
     return conditions.move(iterate._replace(slacks=None), assembled, completed, np.ones(batch))
 
@@ -89,7 +92,7 @@ def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarr
     Pieces are the arrays, but for the entries that a coordinate of their own moves: they may have other units.
     """
     extent, n = assembled.extent, assembled.gap.shape[2]
-    along = np.abs(step.unknowns[..., :n]).max(axis=1)
+    along = step.largest[:, :n]
     moved = (along[:, :, None] * extent.support).max(axis=1)
     touches = np.any(extent.support > 0, axis=0)
     alone = np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)

@@ -250,8 +250,8 @@ class Conditions:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
         go."""
         blocks = assembled.blocks
-        ahead = (blocks.gradient * step.unknowns).sum(axis=(1, 2))
-        turned = (step.multipliers * assembled.gap).sum(axis=(1, 2))
+        ahead = np.einsum("bkz,bkz->b", blocks.gradient, step.unknowns)
+        turned = np.einsum("bkn,bkn->b", step.multipliers, assembled.gap)
         inner = blocks.inner
         if inner is not None:
             for end, moved in zip(assembled.paid, (inner.before[:, 0], inner.after[:, -1]), strict=True):
@@ -272,8 +272,8 @@ class Conditions:
     ) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
         found = eliminate(self.system(iterate, assembled), self.measured, shift, self._scales(assembled))
-        steps, multipliers, count = found.steps[..., 0], found.multipliers[..., 0], found.multipliers[0].size
-        step = Step(steps, multipliers, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
+        both, count = (found.steps[..., 0], found.multipliers[..., 0], found.largest), found.multipliers[0].size
+        step = Step(*both, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
         return self.completed(iterate, assembled, step), found.curvature, found.size
 
     def least_step(self, iterate: Iterate, assembled: Assembled) -> Step:
@@ -324,7 +324,7 @@ class Conditions:
 
     def length(self, step: Step) -> np.ndarray:
         """The largest entry of a step in its unit, shape (B,)."""
-        return (np.abs(step.unknowns).max(axis=1) / self.measured.unknowns).max(axis=1)
+        return (step.largest / self.measured.unknowns).max(axis=1)
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.
@@ -334,7 +334,7 @@ class Conditions:
         """
         extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
-        largest = np.abs(step.unknowns).max(axis=1) / np.maximum(own, SHARE * units)
+        largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
         return largest.max(axis=1), (spread / units).max(axis=1)
 

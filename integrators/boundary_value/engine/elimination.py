@@ -45,7 +45,7 @@ class BlockSolution(NamedTuple):
 
     ``finite``: which columns are found, the others are NaN; ``negative``: number of negative eigenvalues; ``smallest``:
     size of the smallest pivot, rows scaled to one size; ``curvature``, ``size``: ``sum_k d_k' (H_k + shift S) d_k`` and
-    ``sum_k d_k' S d_k`` of the first column, in units.
+    ``sum_k d_k' S d_k`` of the first column, in units; ``largest``: its largest step of each unknown.
     """
 
     steps: Float[np.ndarray, "B N z k"]
@@ -55,6 +55,7 @@ class BlockSolution(NamedTuple):
     smallest: Float[np.ndarray, " B"]
     curvature: Float[np.ndarray, " B"]
     size: Float[np.ndarray, " B"]
+    largest: Float[np.ndarray, "B z"]
 
 
 def eliminate(
@@ -85,17 +86,16 @@ def eliminate(
     )
     given = tuple(map(plain, system)), (plain(units.unknowns), 1 / units.nodes, plain(units.cost)), raised
     steps, multipliers = np.empty((batch, count, z, columns)), np.empty((batch, count + 1, n, columns))
-    out = BlockSolution(steps, multipliers, np.empty((batch, columns), bool), *np.empty((4, batch)))
+    finite, largest = np.empty((batch, columns), bool), np.zeros((batch, z))
+    negative, smallest, curvature, size = told = tuple(np.empty((4, batch)))
+    out = steps, multipliers, finite, largest
 
     def run(part: range) -> None:
         places = _places(count, n, z, columns)
-        for m in part:
-            *of, found = (tuple(a[m] if a.ndim > 1 else a[m : m + 1] for a in arrays) for arrays in (*given, out[:3]))
-            out.negative[m], out.smallest[m] = kernels.forward(*of, WEIGHT * count, *places)
-            out.curvature[m], out.size[m] = kernels.backward(*of, WEIGHT * count, *places, found)
+        kernels.solve(part.start, part.stop, *given, WEIGHT * count, *places, out, told)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
-    return out
+    return BlockSolution(steps, multipliers, finite, negative, smallest, curvature, size, largest)
 
 
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:

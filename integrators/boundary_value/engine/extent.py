@@ -5,7 +5,6 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ....aligned import aligned_all
 from ....threads import in_threads
 from .arrays import plain
 from .transcription import Blocks
@@ -65,13 +64,10 @@ def meeting(
     from . import extent_kernels
 
     batch, count, size = begins.shape
-    nodes, gaps, largest, *work = aligned_all([(batch, count + 1, size)] * 2 + [(batch, size), (size,), (size,)])
-    far = np.empty((batch, count + 1), bool)
-    any_far = extent_kernels.meet(begins, finishes, ends, columns, share, tuple(work), (nodes, gaps, far, largest))
+    nodes, gaps = np.empty((2, batch, count + 1, size))
+    largest, far, work = np.empty((batch, size)), np.empty((batch, count + 1), bool), np.empty((2, size))
+    any_far = extent_kernels.meet(begins, finishes, ends, columns, share, work, (nodes, gaps, far, largest))
     return Meeting(nodes, gaps, largest, far if any_far else None)
-
-
-_LEAST = (-np.inf, -np.inf, *[0.0] * 7)  # what the fields begin with
 
 
 def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:
@@ -80,10 +76,11 @@ def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: 
 
     batch, count, n, z = blocks.left.shape
     e = nodes.shape[2]
-    shapes = (batch, e), (batch, e), (batch, n, e), (batch, n), (batch, n), (batch,), (batch, z), (batch, z), (batch, z)
-    found = Extent(*aligned_all(shapes))
-    for part, least in zip(found, _LEAST, strict=True):
-        part.fill(least)
+    highest, lowest = np.full((2, batch, e), -np.inf)
+    missing, lacking = np.zeros((2, batch, n))
+    parts, slope, curvature = np.zeros((3, batch, z))
+    support, held = np.zeros((batch, n, e)), np.zeros(batch)
+    found = Extent(highest, lowest, support, missing, lacking, held, parts, slope, curvature)
     trajectory = tuple(map(plain, (nodes, frames, coordinates, gap)))
     arrays = tuple(map(plain, (blocks.hessian, blocks.left, blocks.right, blocks.slope, blocks.gradient)))
 

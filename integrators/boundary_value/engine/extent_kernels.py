@@ -18,15 +18,22 @@ def _far(gaps: np.ndarray, columns: np.ndarray, widest: np.ndarray, share: float
         work[columns[e]] = 0.0
     for e in range(columns.size):
         work[columns[e]] = larger(work[columns[e]], abs(gaps[e]))
+    far = False
     for e in range(columns.size):
         if work[columns[e]] > share * widest[columns[e]]:
-            return True
-    return False
+            far = True
+    return far
 
 
 @compiled
 def meet(
-    begins: np.ndarray, finishes: np.ndarray, ends: tuple, columns: np.ndarray, share: float, work: tuple, out: tuple
+    begins: np.ndarray,
+    finishes: np.ndarray,
+    ends: tuple,
+    columns: np.ndarray,
+    share: float,
+    work: np.ndarray,
+    out: tuple,
 ) -> bool:
     """The nodes of trajectories, the gaps there, whether each is far, and the largest gap entry by entry; and whether
     any is far.
@@ -34,7 +41,7 @@ def meet(
     ``ends``: points, and which of their entries are prescribed; ``columns``: of the entries; ``work``: room for two
     numbers of each column; ``out``: nodes, gaps, far, largest.
     """
-    (start, end, start_entries, end_entries), (nodes, gaps, far, largest), (widest, own) = ends, out, work
+    (start, end, start_entries, end_entries), (nodes, gaps, far, largest), widest, own = ends, out, work[0], work[1]
     (batch, count, size), any_far = nodes.shape, False
     for m in range(batch):
         for e in range(size):
@@ -103,7 +110,11 @@ def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[flo
     a unit; ``out``: sizes by which gaps are measured along the coordinates and entry by entry, the gap, the
     stationarity, and that scale.
     """
-    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least), (value, share) = extent, units, shares
+    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least), (value, share) = (
+        extent,
+        units,
+        shares,
+    )
     (along, entries, gap, stationarity, scale), (batch, n, size) = out, support.shape
     for m in range(batch):
         for e in range(size):

@@ -320,7 +320,7 @@ class JointConditions:
         moved[:, part.free[1]] = end
         multipliers[:, -1] = -(force + part.weight * moved)
         finite = np.all(np.isfinite(steps), axis=(1, 2)) & np.all(np.isfinite(multipliers), axis=(1, 2))
-        return Step(steps, multipliers, finite, finite, finite)
+        return Step(steps, multipliers, np.abs(steps).max(axis=1), finite, finite, finite)
 
     @staticmethod
     def _curved(

@@ -14,7 +14,8 @@ Units = tuple[np.ndarray, np.ndarray, np.ndarray]
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Factors = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Raised = tuple[np.ndarray, np.ndarray]
-Out = tuple[np.ndarray, np.ndarray, np.ndarray]
+Out = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+Told = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
 @inner
@@ -112,17 +113,11 @@ def _keep(v: np.ndarray, rows: np.ndarray, k: int, bases: np.ndarray, last: int)
             copy_vector(rows, k, bases[i] + j, v, i, j)
 
 
-@compiled
-def forward(
+@inner
+def _forward(
     system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors
 ) -> tuple[int, float]:
-    """Factorise a system step after step; the number of negative pivots and the size of the smallest.
-
-    ``system``: Hessians, left, right, slopes, gaps, and 1 where a coordinate of either end is fixed; ``units``: of the
-    unknowns, inverse ones of the nodes, and of the cost; ``raised``: the shift, and the diagonal that it raises;
-    ``work``: left and right of a step, the front, columns of unknowns, room for two rows; ``factors``: the rows of all
-    steps, their bases, their units, and the swaps.
-    """
+    """Factorise a system step after step; the number of negative pivots and the size of the smallest."""
     (ends, v, _, f), (rows, bases, sizes, swaps) = work, factors
     (count, n, z), negative, smallest = system[1].shape, 0, np.inf
     _open(v, n, z, system[5])
@@ -167,14 +162,15 @@ def _refuse(j: int, steps: np.ndarray, multipliers: np.ndarray) -> bool:
     return False
 
 
-@compiled
-def backward(
+@inner
+def _backward(
     system: System, units: Units, raised: Raised, weight: float, work: Work, factors: Factors, out: Out
 ) -> tuple[float, float]:
     """Steps and multipliers from the last to the first; ``sum_k d_k' H_k d_k`` and the size of the first column, in
     units.
 
-    The weights' share is taken out of the multipliers. ``out``: steps, multipliers, and which columns are finite.
+    The weights' share is taken out of the multipliers. ``out``: steps, multipliers, which columns are finite, and the
+    largest step of each unknown in the first.
     """
     (hessian, left, right, _, _, _, end), (d, g, cost), (_, _, x, f) = system, units, work
     (rows, bases, sizes, swaps), (count, n, z), zero = factors, left.shape, np.int64(0)
@@ -198,6 +194,8 @@ def backward(
         curvature += _curvature(hessian[k], f[0])
         for i in range(z):
             size += raised[1][i] * x[0, i] * x[0, i]
+            if not abs(f[0, i]) <= out[3][i]:
+                out[3][i] = abs(f[0, i])
     for j in range(x.shape[0]):
         for a in range(n):
             out[1][0, a, j] = x[j, z + a] * (cost[0] * g[a])
@@ -205,4 +203,35 @@ def backward(
         out[2][j] = _refuse(j, out[0], out[1])
     if not out[2][0]:
         size = np.nan
+        out[3][:] = np.nan
     return curvature / cost[0] + raised[0][0] * size, size
+
+
+@compiled
+def solve(
+    first: int,
+    last: int,
+    system: System,
+    units: Units,
+    raised: Raised,
+    weight: float,
+    work: Work,
+    factors: Factors,
+    out: Out,
+    told: Told,
+) -> None:
+    """Solve the systems of the members ``first`` to ``last``, one after the other.
+
+    ``system``: Hessians, left, right, slopes, gaps, and 1 where a coordinate of either end is fixed; ``units``: of the
+    unknowns, inverse ones of the nodes, and of the cost; ``raised``: the shift, and the diagonal that it raises;
+    ``work``: left and right of a step, the front, columns of unknowns, room for two rows; ``factors``: the rows of all
+    steps, their bases, their units, and the swaps; ``told``: negative pivots, the smallest one, curvature and size.
+    """
+    hessian, left, right, slope, gap, start, end = system
+    d, g, cost = units
+    for m in range(first, last):
+        own = hessian[m], left[m], right[m], slope[m], gap[m], start[m], end[m]
+        of, shifted = (d[m], g[m], cost[m : m + 1]), (raised[0][m : m + 1], raised[1][m])
+        found = out[0][m], out[1][m], out[2][m], out[3][m]
+        told[0][m], told[1][m] = _forward(own, of, shifted, weight, work, factors)
+        told[2][m], told[3][m] = _backward(own, of, shifted, weight, work, factors, found)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, final
 import jax
 import numpy as np
 
-from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
+from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
 from .aside import aside, is_lost
 from .batches import merged, put, taken
 from .conditions import Conditions
@@ -24,9 +24,7 @@ from .first_multipliers import with_first_multipliers
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
-RECORD = 0.9
-SHORTEST, SHORTER = 2.0**-4, 0.5  # a share of a step; what a shift has to shorten it to
-FAST = 1e-2
+SHORTER = 0.5  # what a shift has to shorten a step to
 SHRINKS = 0.1
 EXACT = 64.0  # times the machine epsilon: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
@@ -259,30 +257,15 @@ class _Search:
     ) -> tuple[State, np.ndarray, np.ndarray]:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed
         again."""
-        probe = (self.trials == 1) & ~state.descends & (trial.slacks is None)
-        residual = found.largest
         merit = Merit.of(conditions, trial, assembled)
-        improves, narrowed = funnelled(state, merit)
-        record = residual <= np.maximum(RECORD * state.best, self.tolerance)
-        accepted = np.where(probe, residual <= FAST * state.best, improves | record)
-        good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
-        funnel = np.where(
-            good & ~improves, np.maximum(state.funnel, merit.infeasibility), np.where(good, narrowed, state.funnel)
+        found_now = judged(
+            state, merit, found.largest, assembled.cost, self.trials == 1 and trial.slacks is None, self.tolerance
         )
-        short = ~good & (state.fraction / 2 < SHORTEST)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
-        iterate, kept, reached, merit = merged(good, new, old)
-        state = state._replace(
-            iterate=iterate,
-            assembled=kept,
-            residuals=reached,
-            merit=merit,
-            funnel=funnel,
-            shift=next_shift(state, good, short),
-            fraction=np.where(good | short | probe, 1.0, state.fraction / 2),
-            best=np.where(good, np.minimum(state.best, residual), state.best),
-        )
-        return state, good, good | short | probe
+        iterate, kept, reached, merit = merged(found_now.good, new, old)
+        going_on = dict(zip(Judgement._fields[2:], found_now[2:], strict=True))
+        state = state._replace(iterate=iterate, assembled=kept, residuals=reached, merit=merit, **going_on)
+        return state, found_now.good, found_now.done_with
 
     def regularised(
         self,

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ....aligned import aligned_all
 from .inequalities import VALUE
 from .scaling import SHARE, Units
 from .system import Assembled
@@ -31,7 +30,7 @@ def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcriptio
     from . import extent_kernels
 
     extent, (batch, size), n = assembled.extent, assembled.distance.shape, assembled.gap.shape[2]
-    found = Measures(*aligned_all([(batch, n), (batch, size), (batch,), (batch,), (batch,)]))
+    found = Measures(np.empty((batch, n)), np.empty((batch, size)), *np.empty((3, batch)))
     # With a barrier the curvature of the Hessian has no bound.
     least = np.zeros(batch) if assembled.blocks.held is None else units.cost
     sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature

@@ -196,7 +196,8 @@ class _OneStageColumns:
         hessian, gradient, left, right, _, limits, _, _, cost, _ = found
         _require_unchanged((cost[:, :, 0], blocks.costs), (left[..., :z], blocks.left))
         own, mixed = hessian[:, :, :z, :z], hessian[:, :, :z, z:]
-        free = slice(0 if assembled.initial is None else 1, -1)  # the steps at the ends have the costs of these too
+        first, last = (int(paid is not None) for paid in assembled.paid)
+        free = slice(first, own.shape[1] - last)  # the steps at the ends have the costs of these too
         _require_unchanged((own[:, free], blocks.hessian[:, free]))
         return Columns(
             np.concatenate([mixed, limits[..., z:]], axis=2), left[..., z:], right[..., z:], gradient[:, :, z:]

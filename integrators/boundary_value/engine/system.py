@@ -40,6 +40,7 @@ class Step(NamedTuple):
 
     unknowns: np.ndarray
     multipliers: np.ndarray
+    largest: np.ndarray  # of each unknown, shape (B, z)
     strict: np.ndarray  # positive definite on the null space of the constraints, beyond rounding
     convex: np.ndarray  # the inertia is that of one that is
     finite: np.ndarray
@@ -57,7 +58,8 @@ class Step(NamedTuple):
     def of_multipliers(self) -> "Step":
         """The whole step of the multipliers on what is lacking, and none of anything else."""
         inner = None if self.inner is None else (np.zeros_like(self.inner[0]), self.inner[1])
-        return self._replace(unknowns=np.zeros_like(self.unknowns), inner=inner, turn=None, share=1.0)
+        none = np.zeros_like(self.unknowns), np.zeros_like(self.largest)
+        return self._replace(unknowns=none[0], largest=none[1], inner=inner, turn=None, share=1.0)
 
     def within(self, share: np.ndarray) -> "Step":
         """The step of which at most this share is made."""

@@ -70,6 +70,16 @@ def test_the_inertia_follows_an_eigenvalue_of_the_reduced_hessian_through_zero(s
         assert solution.negative[m] == np.sum(np.linalg.eigvalsh(matrix(tilted, m)) < 0)
 
 
+def test_the_largest_steps_are_those_of_the_first_column():
+    solution = eliminate(random_system(3, SIZES, (0, 0)))
+    np.testing.assert_array_equal(solution.largest, np.abs(solution.steps[..., 0]).max(axis=1))
+    broken = random_system(3, SIZES, (0, 0))
+    broken.gap[1, 2] = np.nan
+    largest = eliminate(broken).largest
+    assert np.isnan(largest[1]).all()
+    np.testing.assert_array_equal(largest[[0, 2]], solution.largest[[0, 2]])
+
+
 def test_a_shift_raises_the_hessian_by_its_scales():
     rng, system = np.random.default_rng(2), random_system(2, SIZES, convex=False)
     shift, scales = np.array([0.0, 0.5, 40.0]), 0.1 + rng.random((3, 5))
@@ -96,7 +106,11 @@ def test_units_are_applied_as_if_the_system_were_written_in_them(free):
     )
     shift = np.array([0.0, 0.1, 2.0])
     solution, plain = eliminate(own, units, shift), eliminate(system, shift=shift)
-    in_units = solution._replace(steps=solution.steps / d.swapaxes(2, 3), multipliers=solution.multipliers * (g / cost))
+    in_units = solution._replace(
+        steps=solution.steps / d.swapaxes(2, 3),
+        multipliers=solution.multipliers * (g / cost),
+        largest=solution.largest / units.unknowns,
+    )
     for name, ours, theirs in zip(solution._fields, in_units, plain, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-8, err_msg=name)
     steps, multipliers, *_ = eliminate(own, units)
