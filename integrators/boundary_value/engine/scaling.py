@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, final
 import numpy as np
 from jaxtyping import Float
 
+from ....aligned import scratch
 from .arrays import plain, whole
 
 if TYPE_CHECKING:
@@ -82,9 +83,9 @@ def _variances(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> np.
 
     batch, count, n, z = system.left.shape
     left, right, variance = plain(system.left), plain(system.right), plain(variance)
-    shapes = (n, 2 * whole(n)), (n, n), (n,), (2, n, n), (2, n, z - n), (n, n)
-    work = tuple(map(np.empty, shapes))
-    swaps, g, out = np.empty(n, np.int64), np.empty((2, n, n)), np.empty((batch, 2, 2, count, n))
+    width = whole(n)
+    shapes = (n, 2 * width), (n, n), (n,), (2, n, width), (2, z, width), (2, n, width), (n, z)
+    work, swaps, out = tuple(scratch(shapes)), np.empty(n, np.int64), np.empty((batch, 2, 2, count, n))
     for m in range(batch):
-        scaling_kernels.gramians(left[m], right[m], variance[m], work, swaps, g, out[m])
+        scaling_kernels.gramians(left[m], right[m], variance[m], work, swaps, out[m])
     return out
