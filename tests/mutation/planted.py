@@ -74,8 +74,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/conditions.py",
-        "gap, stationarity = gap_of",
-        "stationarity, gap = gap_of",
+        "gap, stationarity = found.gap, found.stationarity",
+        "gap, stationarity = found.stationarity, found.gap",
         (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
     ),
     "a step is not restored to the manifold": Planted(
@@ -368,9 +368,9 @@ PLANTED: dict[str, Planted] = {
     ),
     # Newton's method.
     "anything that is finite is accepted": Planted(
-        f"{ENGINE}/newton.py",
-        "accepted = np.where(probe, residual <= FAST * state.best, improves | record)",
-        "accepted = np.where(probe, residual <= FAST * state.best, residual < np.inf)",
+        f"{ENGINE}/acceptance_kernels.py",
+        "accepted = improves or residual[m] <= max(record * best[m], tolerance)",
+        "accepted = residual[m] < np.inf",
         (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
     ),
     "success is claimed wherever residuals are small": Planted(
@@ -402,8 +402,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "gaps are not asked of the nodes": Planted(
         f"{ENGINE}/residuals.py",
-        "return np.maximum(gap, missed.max(axis=1))",
-        "return gap",
+        "np.maximum(found.gap, missed.max(axis=1))",
+        "found.gap",
         (f"{PARTS}::test_the_gap_has_the_defects_of_the_points",),
     ),
     "fixed coordinates of the ends are free": Planted(
