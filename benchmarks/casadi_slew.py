@@ -51,12 +51,15 @@ def midpoint_step(h, torque_variables):
     """The function ``(x0, x1, u) -> (residual, cost)`` of one step, ``u`` empty where the torque is eliminated."""
     x0, x1 = ca.SX.sym("x0", STATE), ca.SX.sym("x1", STATE)
     u = ca.SX.sym("u", 3 if torque_variables else 0)
+    torque = u if torque_variables else midpoint_torque(h, x0[4:], x1[4:])
+    return ca.Function("step", [x0, x1, u], [_residual(h, x0, x1, u), h / 2 * ca.sumsqr(torque)])
+
+
+def _residual(h, x0, x1, u):
+    """What the rule lacks in a step, without the second equation where the torque ``u`` is empty."""
     q, w = (x0[:4] + x1[:4]) / 2, (x0[4:] + x1[4:]) / 2
-    residual = x1[:4] - x0[:4] - h / 2 * quaternion_product(q, ca.vertcat(0, w))
-    torque = midpoint_torque(h, x0[4:], x1[4:])
-    if torque_variables:
-        residual, torque = ca.vertcat(residual, h * (torque - u)), u
-    return ca.Function("step", [x0, x1, u], [residual, h / 2 * ca.sumsqr(torque)])
+    turned = x1[:4] - x0[:4] - h / 2 * quaternion_product(q, ca.vertcat(0, w))
+    return ca.vertcat(turned, h * (midpoint_torque(h, x0[4:], x1[4:]) - u)) if u.numel() else turned
 
 
 def explicit_step(h):
@@ -165,9 +168,46 @@ class CasadiSlew:
         self.iterations = stats["iter_count"]
         if not stats["success"]:
             raise RuntimeError(f"the slew in {self.steps} steps did not converge: {stats['return_status']}")
+        return self._of(found)
+
+    def _of(self, found):
         z = np.asarray(found["x"]).ravel()
+        return float(found["f"]) * TORQUE_UNIT**2 * HORIZON, self._nodes(z)
+
+    def _nodes(self, z):
         nodes = np.vstack([z[:-STATE].reshape(self.steps, -1)[:, :STATE], z[-STATE:]])
-        return float(found["f"]) * TORQUE_UNIT**2 * HORIZON, nodes / np.array([1.0] * 4 + [HORIZON] * 3)
+        return nodes / np.array([1.0] * 4 + [HORIZON] * 3)
+
+
+class LeastTimeSlew(CasadiSlew):
+    """The slew in the least time with limited torques: the horizon is an unknown too, the last one.
+
+    ``solve`` starts from the guess and ``HORIZON``, and returns the least horizon, s, and the node states.
+    """
+
+    def __init__(self, steps, torque_limit, guess="linear"):
+        super().__init__(steps, guess, torque_variables=True, torque_limit=torque_limit)
+
+    def _build(self, jit, options):
+        horizon, h = ca.MX.sym("T"), ca.SX.sym("h")
+        x0, x1, u = ca.SX.sym("x0", STATE), ca.SX.sym("x1", STATE), ca.SX.sym("u", 3)
+        step = ca.Function("step", [x0, x1, u, h], [_residual(h, x0, x1, u)])
+        z = ca.MX.sym("z", self._stride * self.steps + STATE)
+        table = ca.reshape(z[:-STATE], self._stride, self.steps)
+        x = ca.horzcat(table[:STATE, :], z[-STATE:])
+        each = ca.repmat(horizon / self.steps, 1, self.steps)
+        residuals = step.map(self.steps)(x[:, :-1], x[:, 1:], table[STATE:, :], each)
+        program = {"x": ca.vertcat(z, horizon), "f": horizon, "g": ca.vec(residuals)}
+        return ca.nlpsol("slew", "ipopt", program, self._defaults(jit) | options)
+
+    def _start_and_bounds(self):
+        own = super()._start_and_bounds()
+        ends = {"x0": 1.0, "lbx": 0.0, "ubx": np.inf}
+        return own | {name: ca.vertcat(own[name], value) for name, value in ends.items()}
+
+    def _of(self, found):
+        z = np.asarray(found["x"]).ravel()
+        return float(z[-1]) * HORIZON, self._nodes(z[:-1])
 
 
 class FatropSlew(CasadiSlew):

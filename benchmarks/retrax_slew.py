@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from repropagation import ANGLE, AXIS, INERTIA, Torque
-from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Gauss, Midpoint
 
@@ -15,7 +15,7 @@ STATES = SO(3) * Euclidean(3)  # attitude, body rate (rad/s)
 RETRACTION = Cayley(STATES)
 
 
-def slew_problem(inertia=INERTIA, torque_limit=None):
+def slew_problem(inertia=INERTIA, torque_limit=None, cost=lambda q, u: u @ u / 2):
     """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew; limits of each torque,
     N m."""
     bounds = None if torque_limit is None else (-torque_limit, torque_limit)
@@ -25,7 +25,7 @@ def slew_problem(inertia=INERTIA, torque_limit=None):
         attitude, rate = q
         return attitude @ hat(rate), (u - jnp.cross(rate, inertia * rate)) / inertia
 
-    return OptimalControlProblem(STATES, dynamics, lambda q, u: u @ u / 2, controls=3, control_bounds=bounds)
+    return OptimalControlProblem(STATES, dynamics, cost, controls=3, control_bounds=bounds)
 
 
 def turns(angles, axes):
@@ -59,6 +59,20 @@ class RetraxSlew:
     def torque(self):
         """The control of the last solution."""
         return polynomials(self.found.times, self.found.stage_times, self.found.controls)
+
+
+class LeastTimeSlew:
+    """The slew in the least time with limited torques, by the midpoint scheme; built once."""
+
+    def __init__(self, steps, torque_limit, tolerance=1e-8):
+        problem = slew_problem(torque_limit=torque_limit, cost=lambda q, u: 1.0)
+        self.solver, self.tolerance = Solver(problem, Midpoint(RETRACTION), steps), tolerance
+        self.start, self.end = at_rest(np.eye(3)), at_rest(turns(np.array([ANGLE]), AXIS[None])[0])
+
+    def solve(self):
+        """The least horizon in s, from a guess of ``HORIZON``; raises if the solver does not converge."""
+        self.found = self.solver.solve(self.start, self.end, Free(HORIZON), tolerance=self.tolerance)
+        return self.found.cost
 
 
 def polynomials(times, stage_times, controls):

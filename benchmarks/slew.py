@@ -1,6 +1,7 @@
 """The rest-to-rest slew beside CasADi with IPOPT and FATROP: warm, for a new problem, cold, many at once, and long.
 
-    python benchmarks/slew.py [--only warm limited new cold many long] [--steps 100 200 400] [--repeats 21]
+    python benchmarks/slew.py [--only warm limited fastest new cold many batch long] [--steps 100 200 400]
+        [--repeats 21]
 
 All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero),
 in one run, calls taken in turns; medians. One JSON line a case.
@@ -8,10 +9,12 @@ in one run, calls taken in turns; medians. One JSON line a case.
 - ``warm``: a solve with everything built, the whole call.
 - ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT
   alone.
+- ``fastest``: in the least time with each torque within 50 N m; IPOPT alone.
 - ``new``: in a running process that solved another problem before, from a body of other inertia to its first solution.
 - ``cold``: a new process from its start to the first solution, and its peak memory.
 - ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad
   as propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
+- ``batch``: 256 such slews in 100 midpoint steps with each torque within 16 N m, all at once; how many are solved.
 - ``long``: time per step from 100 to 10 000 steps.
 """
 
@@ -26,9 +29,10 @@ import time
 from pathlib import Path
 
 COLD = "--cold"
-CASES = ("warm", "limited", "new", "cold", "many", "long")
+CASES = ("warm", "limited", "fastest", "new", "cold", "many", "batch", "long")
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
-LIMIT = 10.0  # N m
+LIMIT, STRONG, OF_A_BATCH = 10.0, 50.0, 16.0  # N m
+BATCH = 256  # slews
 COUNT, LARGEST_ERROR = 1024, 1e-6  # slews; rad
 STAGES, FEW = (3, 4), (4, 5, 6, 8, 10, 12, 16, 20)  # of collocation; the fewest steps that reach the error are taken
 MOST = 0.99  # of the slews that reach it: a solver that ends elsewhere from some guess does so with any number of steps
@@ -84,10 +88,23 @@ def limited(steps, repeats):
     from retrax_slew import RetraxSlew
 
     ours, other = RetraxSlew(steps, torque_limit=LIMIT), CasadiSlew(steps, torque_variables=True, torque_limit=LIMIT)
+    return {"case": "limited", **beside_ipopt(ours, other, steps, repeats)}
+
+
+def fastest(steps, repeats):
+    """The same for the least time with limited torques: the costs are seconds."""
+    import casadi_slew
+    import retrax_slew
+
+    pair = retrax_slew.LeastTimeSlew(steps, STRONG), casadi_slew.LeastTimeSlew(steps, STRONG)
+    return {"case": "fastest", **beside_ipopt(*pair, steps, repeats)}
+
+
+def beside_ipopt(ours, other, steps, repeats):
+    """Median milliseconds of a warm solve of both sides, iterations and costs."""
     costs = {"retrax": ours.solve(), "IPOPT": other.solve()[0]}
     medians = in_turns({"retrax": ours.solve, "IPOPT": other.solve}, repeats)
     return {
-        "case": "limited",
         "steps": steps,
         "median_ms": {name: round(1e3 * value, 3) for name, value in medians.items()},
         "iterations": {"retrax": ours.found.statistics.iterations, "IPOPT": other.iterations},
@@ -247,6 +264,22 @@ def many():
     return {"case": f"{COUNT} slews", **rows}
 
 
+def batch(repeats):
+    """Milliseconds a slew of a batch with limited torques."""
+    import numpy as np
+    from retrax_slew import HORIZON, RetraxSlew, at_rest, turns
+
+    angles, axes = random_targets()
+    slew, ends = RetraxSlew(100, torque_limit=OF_A_BATCH), at_rest(turns(angles[:BATCH], axes[:BATCH]))
+
+    def call():
+        return slew.solver.solve_many(at_rest(np.eye(3)), ends, HORIZON, tolerance=TOLERANCE)
+
+    solved = int(np.sum(call().success))
+    seconds = statistics.median(timed(call) for _ in range(repeats))
+    return {"case": f"{BATCH} limited slews", "ms_each": round(1e3 * seconds / BATCH, 3), "solved": solved}
+
+
 def long(repeats):
     """Microseconds a step of ours with 100 to 10 000 steps, midpoint scheme."""
     from retrax_slew import RetraxSlew
@@ -273,10 +306,12 @@ def main():
     few = max(3, options.repeats // 4)
     runs = [("warm", lambda steps=steps: warm(steps, options.repeats)) for steps in options.steps]
     runs += [("limited", lambda steps=steps: limited(steps, options.repeats)) for steps in options.steps]
+    runs += [("fastest", lambda steps=steps: fastest(steps, few)) for steps in options.steps]
     runs += [
         ("new", lambda: new_problem(few)),
         ("cold", lambda: cold(few)),
         ("many", many),
+        ("batch", lambda: batch(few)),
         ("long", lambda: long(few)),
     ]
     for name, run in runs:
