@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from .batches import taken
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, Slacks, stiffness
 from .scaling import Units
@@ -22,6 +23,8 @@ from .transcription import Blocks
 
 if TYPE_CHECKING:
     from .conditions import Conditions
+
+TOGETHER = 16  # members: the large systems of more do not fit into the caches
 
 
 def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> Blocks:
@@ -58,6 +61,15 @@ def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: A
 
     An inequality counts by its stiffness: as a constraint where it is active, not at all elsewhere.
     """
+    members = np.arange(len(assembled.gap))
+    parts = np.array_split(members, -(-len(members) // TOGETHER))
+    if len(parts) > 1:
+        each = (_is_isolated_minimum(conditions.of(part), *taken((iterate, assembled), part)) for part in parts)
+        return np.concatenate(list(each))
+    return _is_isolated_minimum(conditions, iterate, assembled)
+
+
+def _is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
     blocks, held = of_lagrangian(conditions, iterate, assembled), assembled.blocks.inequalities
     batch, count, stages, c = held.values.shape
     slope = np.zeros((batch, count, blocks.hessian.shape[3] + stages * c, 1))
