@@ -39,6 +39,7 @@ class Layout:
             np.argsort(numbers, kind="stable"),
             np.searchsorted(np.sort(numbers), np.arange(sum(counts))),
         )
+        self._columns = numbers
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":
@@ -63,6 +64,10 @@ class Layout:
     def largest_in_columns(self, entries: np.ndarray) -> np.ndarray:
         """The largest entry of each column of a point's arrays, along the last axis."""
         return np.maximum.reduceat(entries[..., self._sorted], self._first, axis=-1)
+
+    def in_their_columns(self, entries: np.ndarray) -> np.ndarray:
+        """The largest entry of the column that each is in."""
+        return self.largest_in_columns(entries)[..., self._columns]
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""

@@ -5,6 +5,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
@@ -143,8 +144,11 @@ class Conditions:
             changes = own * np.where(ways > 0, ways, 1.0) ** 2
             curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
-        fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
+        # Beside the size of its column, unless it has units of its own, what a coordinate moves by may be rounding.
+        sizes = np.where(extent.alone, 0.0, self.at_nodes.layout.in_their_columns(extent.values))
+        fallback = np.concatenate([extent.along(np.maximum(extent.values, sizes)), controls], axis=1)
         spreads = extent.along(extent.spreads)
+        spreads = np.where(spreads > EPS**HALF * extent.along(sizes), spreads, 0.0)
         system = self.system(iterate, assembled)
         return natural_units(system, blocks.gradient, spreads, controls, fallback, curved)
 

@@ -35,6 +35,15 @@ class Extent(NamedTuple):
         """From the lowest to the highest value of each, shape (B, E)."""
         return self.highest + self.lowest
 
+    @property
+    def alone(self) -> np.ndarray:
+        """Which entries have a coordinate of their own, which moves nothing else, shape (E,).
+
+        They may have other units than those beside them.
+        """
+        touches = np.any(self.support > 0, axis=0)
+        return np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)
+
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
