@@ -243,6 +243,14 @@ class Conditions:
             missing = missing + lacking / np.mean(self.data.steps, axis=1)
         return missing
 
+    def shortfall(self, assembled: Assembled) -> np.ndarray:
+        """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
+        inner, units = assembled.blocks.inner, self.measured.nodes
+        most = (assembled.extent.lacking / units).max(axis=1, initial=0.0)
+        if inner is None:
+            return most
+        return np.maximum(most, (np.abs(inner.defect) / units[:, None, None]).max(axis=(1, 2, 3)))
+
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
         blocks, held = assembled.blocks, np.array(assembled.extent.held)

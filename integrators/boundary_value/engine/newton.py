@@ -263,7 +263,9 @@ class _Search:
         residual = found.largest
         merit = Merit.of(conditions, trial, assembled)
         improves, narrowed = funnelled(state, merit)
+        # Relative to a trajectory that grows without bound all residuals get less.
         record = residual <= np.maximum(RECORD * state.best, self.tolerance)
+        record &= conditions.shortfall(assembled) <= state.funnel
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
         funnel = np.where(
