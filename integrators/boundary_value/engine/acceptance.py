@@ -9,6 +9,7 @@ from .conditions import Conditions
 from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
+RECORD = 0.9
 SWITCH, NARROWER = 1e-3, 1e-2
 GENTLY, HALF = 0.1, 0.5  # of its distance to the infeasibility the funnel narrows by, for less cost or for less of that
 FOLLOWED = 0.75
@@ -62,6 +63,16 @@ def funnelled(state: State, trial: Merit) -> tuple[np.ndarray, np.ndarray]:
     infeasibility = trial.infeasibility
     inside = np.where(cheaper, decreases & (infeasibility <= state.funnel), infeasibility <= well * state.funnel)
     return inside, state.funnel + np.where(cheaper, GENTLY, HALF) * (infeasibility - state.funnel)
+
+
+def is_record(state: State, residual: np.ndarray, shortfall: np.ndarray, tolerance: float) -> np.ndarray:
+    """Whether a trial brings the residual well below the best so far while nothing alone lacks more than the funnel.
+
+    All together may lack more, as where what an end lacks is shared among the nodes. But residuals are relative to the
+    trajectory and its multipliers: where these grow without bound they get less, however much is lacking.
+    """
+    inside = shortfall <= np.maximum(state.funnel, tolerance)
+    return inside & (residual <= np.maximum(RECORD * state.best, tolerance))
 
 
 def next_shift(state: State, good: np.ndarray, short: np.ndarray) -> np.ndarray:

@@ -5,13 +5,12 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ....manifolds.numerics.tolerances import EPS, HALF
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
-from .residuals import gap_of, measures, stationarity_of
+from .residuals import gap_of, measures, shortfall_of, stationarity_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
@@ -144,13 +143,10 @@ class Conditions:
             changes = own * np.where(ways > 0, ways, 1.0) ** 2
             curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
-        # Beside the size of its column, unless it has units of its own, what a coordinate moves by may be rounding.
-        sizes = np.where(extent.alone, 0.0, self.at_nodes.layout.in_their_columns(extent.values))
-        fallback = np.concatenate([extent.along(np.maximum(extent.values, sizes)), controls], axis=1)
-        spreads = extent.along(extent.spreads)
-        spreads = np.where(spreads > EPS**HALF * extent.along(sizes), spreads, 0.0)
+        moved, sizes = extent.moved(self.at_nodes.layout)
+        fallback = np.concatenate([sizes, controls], axis=1)
         system = self.system(iterate, assembled)
-        return natural_units(system, blocks.gradient, spreads, controls, fallback, curved)
+        return natural_units(system, blocks.gradient, moved, controls, fallback, curved)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
@@ -245,11 +241,7 @@ class Conditions:
 
     def shortfall(self, assembled: Assembled) -> np.ndarray:
         """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
-        inner, units = assembled.blocks.inner, self.measured.nodes
-        most = (assembled.extent.lacking / units).max(axis=1, initial=0.0)
-        if inner is None:
-            return most
-        return np.maximum(most, (np.abs(inner.defect) / units[:, None, None]).max(axis=(1, 2, 3)))
+        return shortfall_of(assembled, self.measured)
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""

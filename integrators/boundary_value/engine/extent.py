@@ -6,7 +6,9 @@ import numpy as np
 from jaxtyping import Float
 
 from ....aligned import aligned_all
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ....threads import in_threads
+from ...layout import Layout
 from .arrays import plain
 from .transcription import Blocks
 
@@ -47,6 +49,16 @@ class Extent(NamedTuple):
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
+
+    def moved(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """What each coordinate of the nodes moves by, zero where that is rounding, and its size, shape (B, n).
+
+        Beside the size of its column it may be rounding, as the tilt of an attitude that turns about one axis.
+        """
+        columns = np.where(self.alone, 0.0, layout.in_their_columns(self.values))
+        moved = self.along(self.spreads)
+        moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)
+        return moved, self.along(np.maximum(self.values, columns))
 
 
 _LEAST = (-np.inf, -np.inf, *[0.0] * 7)  # what the fields begin with

@@ -5,9 +5,9 @@ where the step promises less cost by more than a share of the squared infeasibil
 asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
 bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
 from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
-brings the KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until
-the step has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to
-be cut, so that the next is as long as what was taken.
+brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than the funnel. Indefinite
+reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs no inertia [Chiang,
+Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was taken.
 """
 
 from collections.abc import Callable
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple, final
 import jax
 import numpy as np
 
-from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, next_shift
+from .acceptance import FIRST_SHIFT, RAISE, Merit, State, funnelled, is_record, next_shift
 from .aside import aside, is_lost
 from .batches import merged, put, taken
 from .conditions import Conditions
@@ -24,7 +24,6 @@ from .first_multipliers import with_first_multipliers
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
-RECORD = 0.9
 SHORTEST, SHORTER = 2.0**-4, 0.5  # a share of a step; what a shift has to shorten it to
 FAST = 1e-2
 SHRINKS = 0.1
@@ -263,9 +262,7 @@ class _Search:
         residual = found.largest
         merit = Merit.of(conditions, trial, assembled)
         improves, narrowed = funnelled(state, merit)
-        # Relative to a trajectory that grows without bound all residuals get less.
-        record = residual <= np.maximum(RECORD * state.best, self.tolerance)
-        record &= conditions.shortfall(assembled) <= state.funnel
+        record = is_record(state, residual, conditions.shortfall(assembled), self.tolerance)
         accepted = np.where(probe, residual <= FAST * state.best, improves | record)
         good = accepted & np.isfinite(residual) & np.isfinite(assembled.cost)
         funnel = np.where(

@@ -32,6 +32,14 @@ def gap_of(assembled: Assembled, units: Units) -> np.ndarray:
     return np.maximum(gap, missed.max(axis=1))
 
 
+def shortfall_of(assembled: Assembled, units: Units) -> np.ndarray:
+    """The most that a node or a point of a step lacks in a coordinate, in its unit, whatever the trajectory is like."""
+    inner, most = assembled.blocks.inner, (assembled.extent.lacking / units.nodes).max(axis=1, initial=0.0)
+    if inner is None:
+        return most
+    return np.maximum(most, (np.abs(inner.defect) / units.nodes[:, None, None]).max(axis=(1, 2, 3), initial=0.0))
+
+
 def stationarity_of(assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any) -> np.ndarray:
     """Largest entry of the Lagrangian's derivative relative to the parts that cancel in it, coordinate by coordinate.
 
