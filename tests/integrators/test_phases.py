@@ -48,32 +48,49 @@ def test_bang_bang_arcs_of_a_double_integrator():
     assert "phase 1" in str(again)
 
 
+BODY, ANGLE, AXIS = SO(3) * Euclidean(3), 2.0, np.array([0.0, 0.0, 1.0])
+TARGET = np.array([[np.cos(ANGLE), -np.sin(ANGLE), 0], [np.sin(ANGLE), np.cos(ANGLE), 0], [0, 0, 1.0]])
+
+
+def turning(q, u, torque):
+    return q[0] @ hat(q[1]), torque * AXIS + 0 * q[1]
+
+
+def turned(a, b, torque):
+    return jnp.stack([(TARGET.T @ b[0])[0, 1], b[1][2]])
+
+
+BY_TORQUE = BODY, turning, lambda q, u, torque: 1.0, 0
+TURNS = OptimalControlProblem(*BY_TORQUE), OptimalControlProblem(*BY_TORQUE, boundary_constraints={"end": turned})
+
+
+def turn(attitude, guesses):
+    method, end = Gauss(4, Cayley(BODY)), (Free(TARGET), Free(np.zeros(3)))
+    return [
+        Phase(TURNS[0], method, 4, Free(guesses[0]), start=(attitude, np.zeros(3)), parameters=1.0),
+        Phase(TURNS[1], method, 4, Free(guesses[1]), end=end, parameters=-1.0),
+    ]
+
+
 @pytest.mark.slow
 def test_bang_bang_arcs_of_an_attitude():
     """A turn by a about a principal axis with ``|u| = 1``: two arcs of ``sqrt(a)``."""
-    body = SO(3) * Euclidean(3)
-    angle, axis, method = 2.0, jnp.array([0.0, 0.0, 1.0]), Gauss(4, Cayley(body))
-    target = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
-
-    def turning(q, u, torque):
-        return q[0] @ hat(q[1]), torque * axis + 0 * q[1]
-
-    def arrived(a, b, torque):
-        return jnp.stack([(target.T @ b[0])[0, 1], b[1][2]])
-
-    given = body, turning, lambda q, u, torque: 1.0, 0
-    arcs = OptimalControlProblem(*given), OptimalControlProblem(*given, boundary_constraints={"end": arrived})
-    start, end = (np.eye(3), np.zeros(3)), (Free(target), Free(np.zeros(3)))
-    found = solve_phases(
-        [
-            Phase(arcs[0], method, 4, Free(1.2), start=start, parameters=1.0),
-            Phase(arcs[1], method, 4, Free(1.0), end=end, parameters=-1.0),
-        ]
-    )
-    np.testing.assert_allclose(found.durations, np.sqrt(angle), rtol=1e-9)
+    found = solve_phases(turn(np.eye(3), (1.2, 1.0)))
+    np.testing.assert_allclose(found.durations, np.sqrt(ANGLE), rtol=1e-9)
     # dT by angle and rate.
     np.testing.assert_allclose(found.phases[1].multipliers["end"], np.sqrt([0.5, 1.0]), rtol=1e-8)
     assert found.strict_minimum
+
+
+@pytest.mark.parametrize("tilt", [0.0, 1e-15, 1e-12, 1e-9, 1e-8, 1.5e-8, 2e-8, 3e-8, 1e-7, 1e-5, 1e-3, 0.1])
+@pytest.mark.usual("1e-12")
+def test_a_tilt_of_any_size_that_nothing_moves_measures_nothing(tilt):
+    """A body that is tilted by d turns about its axis by ``atan2(sin a cos d, cos a)``."""
+    attitude = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
+    angle = np.arctan2(np.sin(ANGLE) * np.cos(tilt), np.cos(ANGLE))
+    for guesses in ((1.2, 1.0), (0.3, 2.0)):
+        found = solve_phases(turn(attitude, guesses))
+        np.testing.assert_allclose(found.durations, np.sqrt(angle), rtol=1e-8)
 
 
 @pytest.mark.slow
@@ -138,6 +155,18 @@ def test_a_stage_that_is_best_left_out_is_named():
         solve_phases(phases, links)
     found = solve_phases([phases[0]._replace(duration=Free(0.05, lower=0.01)), phases[1]], links)
     assert found.durations[0] == pytest.approx(0.01, rel=1e-5)
+
+
+@pytest.mark.parametrize("first", [0.02, 0.05, 0.15, 0.5])
+@pytest.mark.usual("0.15")
+def test_a_stage_tends_to_its_bound_from_afar(first):
+    """From whatever guess of the durations the first stage takes its least time, and the second is not left out."""
+    for second in (0.1, 0.3, 0.45):
+        phases, links = rocket(0.35, first)
+        phases = [phases[0]._replace(duration=Free(first, lower=0.01)), phases[1]._replace(duration=Free(second))]
+        found = solve_phases(phases, links)
+        assert found.durations[0] == pytest.approx(0.01, rel=1e-5)
+        assert -found.cost == pytest.approx(0.64 * np.exp(-(2.5 + 3 * np.log(0.99)) / 2), rel=1e-6)
 
 
 def refracted(manifold, method, dynamics, ends, height):

@@ -369,9 +369,21 @@ PLANTED: dict[str, Planted] = {
     # Newton's method.
     "anything that is finite is accepted": Planted(
         f"{ENGINE}/acceptance_kernels.py",
-        "accepted = improves or residual[m] <= max(record * best[m], tolerance)",
+        "accepted = improves or (inside and residual[m] <= max(record * best[m], tolerance))",
         "accepted = residual[m] < np.inf",
         (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
+    ),
+    "a record leads anywhere": Planted(
+        f"{ENGINE}/acceptance_kernels.py",
+        "inside = shortfall[m] <= max(funnel[m], tolerance)",
+        "inside = shortfall[m] < np.inf",
+        (f"{PHASES}::test_a_stage_tends_to_its_bound_from_afar",),
+    ),
+    "what is rounding measures a coordinate": Planted(
+        f"{ENGINE}/extent.py",
+        "moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)",
+        "moved = np.where(moved > 0 * self.along(columns), moved, 0.0)",
+        (f"{PHASES}::test_a_tilt_of_any_size_that_nothing_moves_measures_nothing",),
     ),
     "success is claimed wherever residuals are small": Planted(
         f"{ENGINE}/newton.py",

@@ -68,14 +68,20 @@ class Judgement(NamedTuple):
 
 
 def judged(
-    state: State, trial: Merit, residual: np.ndarray, cost: np.ndarray, first: bool, tolerance: float
+    state: State,
+    trial: Merit,
+    reached: tuple[np.ndarray, np.ndarray, np.ndarray],
+    first: bool,
+    tolerance: float,
 ) -> Judgement:
-    """The judgement of trials of some residuals and costs; ``first``: no trial was judged before."""
+    """The judgement of trials; ``reached``: their residuals, what each lacks most alone, and their costs; ``first``: no
+    trial was judged before.
+    """
     from . import acceptance_kernels
 
-    step, count = state.step, len(residual)
+    step, count = state.step, len(state.funnel)
     made = state.descends, state.promised, state.turned, step.reach, step.followed, state.fraction
-    standing = state.funnel, state.best, state.shift, residual, cost
+    standing = state.funnel, state.best, state.shift, *reached
     out, told = tuple(np.empty((4, count))), tuple(np.empty((2, count), bool))
     given = made, tuple(state.merit), tuple(trial), standing
     acceptance_kernels.judge(*given, first, tolerance, RULES, SHIFTS, out, told)

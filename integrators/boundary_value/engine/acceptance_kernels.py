@@ -33,14 +33,14 @@ def judge(
 
     ``step``: whether it descends, the changes of the cost and of the multipliers on what is lacking that it promises,
     how far it may go, what of it is followed, and the fraction of it that was tried; ``before``, ``trial``:
-    infeasibility, cost and multipliers on what is lacking; ``standing``: funnel, best residual, shift, and the residual
-    and the cost of the trial; ``first``: no trial was judged before; ``rules``, ``shifts``: the constants, in their
-    order; ``out``: funnel, shift, fraction and best residual
-    to go on with; ``told``: whether the trial is accepted, and whether its step is done with.
+    infeasibility, cost and multipliers on what is lacking; ``standing``: funnel, best residual, shift, and of the trial
+    the residual, what is lacking most alone, and the cost; ``first``: no trial was judged before; ``rules``,
+    ``shifts``: the constants, in their order; ``out``: funnel, shift, fraction and best residual to go on with;
+    ``told``: whether the trial is accepted, and whether its step is done with.
     """
     descends, promises, turns, reach, followed, fraction = step
     (missing, cost, held), (missing_now, cost_now, held_now) = before, trial
-    funnel, best, shift, residual, whole = standing
+    funnel, best, shift, residual, shortfall, whole = standing
     armijo, switch, narrower, gently, half, record, fast, shortest = rules
     for m in range(fraction.size):
         part, now = fraction[m], missing_now[m]
@@ -51,7 +51,10 @@ def judge(
         if cheaper:
             improves = cost_now[m] + held_now[m] <= cost[m] + turned - armijo * promised and now <= funnel[m]
         probe = first and not descends[m]
-        accepted = improves or residual[m] <= max(record * best[m], tolerance)
+        # All together may lack more than the funnel, as where what an end lacks is shared among the nodes. But
+        # residuals are relative to the multipliers too: where these grow they get less, however much is lacking.
+        inside = shortfall[m] <= max(funnel[m], tolerance)
+        accepted = improves or (inside and residual[m] <= max(record * best[m], tolerance))
         if probe:
             accepted = residual[m] <= fast * best[m]
         good = accepted and np.isfinite(residual[m]) and np.isfinite(whole[m])

@@ -94,9 +94,7 @@ def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarr
     extent, n = assembled.extent, assembled.gap.shape[2]
     along = step.largest[:, :n]
     moved = (along[:, :, None] * extent.support).max(axis=1)
-    touches = np.any(extent.support > 0, axis=0)
-    alone = np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)
-    entries = np.arange(len(alone))
+    alone, entries = extent.alone, np.arange(extent.support.shape[2])
     arrays = (entries[place] for place in conditions.at_nodes.layout.places)
     pieces = [piece for own in arrays for piece in (own[~alone[own]], *own[alone[own], None]) if piece.size]
     spread = np.array([extent.spreads[:, piece].max(axis=1) for piece in pieces])

@@ -10,7 +10,7 @@ from .barrier import DEARER, Barrier, Missed
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent, meeting
 from .inequalities import Held, Slacks, Surveyed, moved, turned
-from .residuals import Measures, measures
+from .residuals import Measures, measures, shortfall_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
@@ -139,10 +139,10 @@ class Conditions:
             changes = own * np.where(ways > 0, ways, 1.0) ** 2
             curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
-        fallback = np.concatenate([extent.along(extent.values), controls], axis=1)
-        spreads = extent.along(extent.spreads)
+        moved, sizes = extent.moved(self.at_nodes.layout)
+        fallback = np.concatenate([sizes, controls], axis=1)
         system = self.system(iterate, assembled)
-        return natural_units(system, blocks.gradient, spreads, controls, fallback, curved)
+        return natural_units(system, blocks.gradient, moved, controls, fallback, curved)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
@@ -234,6 +234,10 @@ class Conditions:
             lacking = self._surveyed(iterate, assembled).missing
             missing = missing + lacking / np.mean(self.data.steps, axis=1)
         return missing
+
+    def shortfall(self, assembled: Assembled) -> np.ndarray:
+        """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
+        return shortfall_of(assembled, self.measured)
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""

@@ -5,7 +5,9 @@ from typing import NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ....threads import in_threads
+from ...layout import Layout
 from .arrays import plain
 from .transcription import Blocks
 
@@ -34,9 +36,28 @@ class Extent(NamedTuple):
         """From the lowest to the highest value of each, shape (B, E)."""
         return self.highest + self.lowest
 
+    @property
+    def alone(self) -> np.ndarray:
+        """Which entries have a coordinate of their own, which moves nothing else, shape (E,).
+
+        They may have other units than those beside them.
+        """
+        touches = np.any(self.support > 0, axis=0)
+        return np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)
+
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
+
+    def moved(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+        """What each coordinate of the nodes moves by, zero where that is rounding, and its size, shape (B, n).
+
+        Beside the size of its column it may be rounding, as the tilt of an attitude that turns about one axis.
+        """
+        columns = np.where(self.alone, 0.0, layout.in_their_columns(self.values))
+        moved = self.along(self.spreads)
+        moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)
+        return moved, self.along(np.maximum(self.values, columns))
 
 
 @final

@@ -240,6 +240,11 @@ class JointConditions:
         )
         return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
 
+    def shortfall(self, assembled: JointAssembled) -> np.ndarray:
+        """The most that a node, a point or an equation between the ends lacks, in its unit, shape (B,)."""
+        most = [phase.shortfall(part) for phase, part in zip(self.phases, assembled.parts, strict=True)]
+        return np.max([*most, np.max(np.abs(assembled.coupled.values) / self._rows, axis=1, initial=0.0)], axis=0)
+
     @property
     def _rows(self) -> np.ndarray:
         """The units of the equations."""

@@ -5,9 +5,9 @@ where the step promises less cost by more than a share of the squared infeasibil
 asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
 bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
 from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
-brings the KKT residual below nine tenths of the best so far. Indefinite reduced Hessians: the diagonal is raised until
-the step has positive curvature, a test that needs no inertia [Chiang, Zavala 2016], and further after steps that had to
-be cut, so that the next is as long as what was taken.
+brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than the funnel. Indefinite
+reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs no inertia [Chiang,
+Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was taken.
 """
 
 from collections.abc import Callable
@@ -258,9 +258,8 @@ class _Search:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed
         again."""
         merit = Merit.of(conditions, trial, assembled)
-        found_now = judged(
-            state, merit, found.largest, assembled.cost, self.trials == 1 and trial.slacks is None, self.tolerance
-        )
+        reached_now = found.largest, conditions.shortfall(assembled), assembled.cost
+        found_now = judged(state, merit, reached_now, self.trials == 1 and trial.slacks is None, self.tolerance)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
         iterate, kept, reached, merit = merged(found_now.good, new, old)
         going_on = dict(zip(Judgement._fields[2:], found_now[2:], strict=True))

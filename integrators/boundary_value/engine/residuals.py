@@ -25,6 +25,14 @@ class Measures(NamedTuple):
     scale: Float[np.ndarray, " B"]  # of the parts of the derivative
 
 
+def shortfall_of(assembled: Assembled, units: Units) -> np.ndarray:
+    """The most that a node or a point of a step lacks in a coordinate, in its unit, whatever the trajectory is like."""
+    inner, most = assembled.blocks.inner, (assembled.extent.lacking / units.nodes).max(axis=1, initial=0.0)
+    if inner is None:
+        return most
+    return np.maximum(most, (np.abs(inner.defect) / units.nodes[:, None, None]).max(axis=(1, 2, 3), initial=0.0))
+
+
 def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any) -> Measures:
     """How far iterates are from meeting at their nodes and points, and from stationarity."""
     from . import extent_kernels
