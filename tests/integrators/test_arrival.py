@@ -44,5 +44,7 @@ def test_docking_arrives_from_scattered_states(docking, seed):
     pose = SE(3).pose(Rotation.from_rotvec([2.9, 0.3, -0.4]).as_matrix(), np.array([3.0, -2.0, 1.0]))
     rest = np.zeros(6)
     guess = scattered(problem.manifold, seed)
-    solution = solver.solve((np.eye(4), rest), (np.asarray(pose), rest), 5.0, guess=guess, throw=False)
+    ends = (np.eye(4), rest), (np.asarray(pose), rest)
+    # From so far off it takes 30 to 115 iterations, and rounding alone changes their number by twenty.
+    solution = solver.solve(*ends, 5.0, guess=guess, throw=False, max_iterations=200)
     assert solution.success, solution.result
