@@ -133,7 +133,7 @@ class _OnTape(Evaluated):
         _ = tape.program
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
-        key, (known, plan) = (axes, *(a.shape for a in arguments)), self._planned
+        key, (known, plan) = (axes, *[a.shape for a in arguments]), self._planned
         if plan is None or known != key:
             plan = _Plan.of(axes, key[1:], self.tape.shapes)
             self._planned = key, plan
@@ -142,7 +142,7 @@ class _OnTape(Evaluated):
         ]
         values = np.empty(plan.size)
         self.tape.run(plan.count, (np.concatenate(rows), plan.sources, values, plan.targets))
-        return tuple(values[first:last].reshape(shape) for first, last, shape in plan.values)
+        return tuple([values[first:last].reshape(shape) for first, last, shape in plan.values])
 
 
 @final

@@ -35,6 +35,7 @@ class Layout:
         )
         # Of matrices, or whole arrays.
         self.columns = numbers  # of the entries
+        self.in_arrays = np.equal(self.array_of_columns[numbers], np.arange(len(own))[:, None]).astype(float)
         self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
 
     @classmethod

@@ -87,15 +87,11 @@ class Start:
 
     def _even(self, states: np.ndarray, spaced: np.ndarray) -> np.ndarray:
         """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point."""
-        fine = np.ones(len(states), bool)
-        for place in self.layout.places:
-            flat = states[:, :, place]
-            change = flat[:, 1:] - flat[:, :-1]
-            lengths = np.sqrt(np.einsum("bke,bke->bk", change, change))
-            rounding = default_tolerance() * np.max(np.abs(flat), axis=(1, 2), initial=0.0)
-            mean = np.sum(lengths, axis=1) / max(lengths.shape[1], 1)
-            fine &= np.max(lengths / spaced, axis=1, initial=0.0) <= UNEVEN * mean + rounding
-        return fine
+        change = states[:, 1:] - states[:, :-1]
+        lengths, sizes = (np.sqrt((a * a) @ self.layout.in_arrays.T) for a in (change, states))
+        mean = lengths.sum(axis=1) / max(len(spaced), 1)
+        longest = (lengths / spaced[:, None]).max(axis=1, initial=0.0)
+        return np.all(longest <= UNEVEN * mean + default_tolerance() * sizes.max(axis=1, initial=0.0), axis=1)
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it
