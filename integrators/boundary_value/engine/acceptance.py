@@ -16,7 +16,7 @@ SHORTEST = 2.0**-4  # a share of a step
 FOLLOWED = 0.75
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT = 1e-4, 1e-8
-RULES = ARMIJO, SWITCH, NARROWER, GENTLY, HALF, RECORD, FAST, SHORTEST
+RULES = NARROWER, RECORD, FAST, SHORTEST, ARMIJO, SWITCH, GENTLY, HALF
 SHIFTS = RAISE, LOWER, FOLLOWED, FIRST_SHIFT, SMALLEST_SHIFT
 
 
@@ -57,14 +57,14 @@ class State(NamedTuple):
 
 @final
 class Judgement(NamedTuple):
-    """Whether trials are accepted, whether their steps are done with, and with what the members go on."""
+    """With what the members go on, whether trials are accepted, and whether their steps are done with."""
 
-    good: np.ndarray
-    done_with: np.ndarray
     funnel: np.ndarray
     shift: np.ndarray  # less after a whole step, more after one that was cut, and where none was short enough
     fraction: np.ndarray
     best: np.ndarray
+    good: np.ndarray
+    done_with: np.ndarray
 
 
 def judged(
@@ -82,7 +82,7 @@ def judged(
     step, count = state.step, len(state.funnel)
     made = state.descends, state.promised, state.turned, step.reach, step.followed, state.fraction
     standing = state.funnel, state.best, state.shift, *reached
-    out, told = tuple(np.empty((4, count))), tuple(np.empty((2, count), bool))
+    found = Judgement(*np.empty((4, count)), *np.empty((2, count), bool))
     given = made, tuple(state.merit), tuple(trial), standing
-    acceptance_kernels.judge(*given, first, tolerance, RULES, SHIFTS, out, told)
-    return Judgement(*told, *out)
+    acceptance_kernels.judge(*given, first, tolerance, (RULES, SHIFTS), tuple(found))
+    return found

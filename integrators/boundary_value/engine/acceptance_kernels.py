@@ -16,6 +16,22 @@ def _next_shift(shift: float, made: float, good: bool, short: bool, rules: tuple
     return max(shift, first) * min(0.5 / made, raised) if made <= 0.25 else shift
 
 
+@inner
+def _improves(
+    now: tuple[float, float, float], before: tuple[float, float, float], promised: float, funnel: tuple, rules: tuple
+) -> tuple[bool, float]:
+    """Whether a trial is accepted inside the funnel, and how wide that is then.
+
+    ``now``, ``before``: infeasibility, cost and the multipliers on what is lacking; ``promised``: how much less cost;
+    ``funnel``: its width, and the share of this that is well inside.
+    """
+    (width, well), (armijo, switch, gently, half) = funnel, rules
+    if promised >= switch * before[0] * before[0]:
+        less = now[1] + now[2] <= before[1] + before[2] - armijo * promised
+        return less and now[0] <= width, width + gently * (now[0] - width)
+    return now[0] <= well * width, width + half * (now[0] - width)
+
+
 @compiled
 def judge(
     step: tuple,
@@ -24,32 +40,27 @@ def judge(
     standing: tuple,
     first: bool,
     tolerance: float,
-    rules: tuple,
-    shifts: tuple,
+    constants: tuple,
     out: tuple,
-    told: tuple,
 ) -> None:
     """Whether the trials of the members are accepted, and with what they go on.
 
     ``step``: whether it descends, the changes of the cost and of the multipliers on what is lacking that it promises,
-    how far it may go, what of it is followed, and the fraction of it that was tried; ``before``, ``trial``:
-    infeasibility, cost and multipliers on what is lacking; ``standing``: funnel, best residual, shift, and of the trial
-    the residual, what is lacking most alone, and the cost; ``first``: no trial was judged before; ``rules``,
-    ``shifts``: the constants, in their order; ``out``: funnel, shift, fraction and best residual to go on with;
-    ``told``: whether the trial is accepted, and whether its step is done with.
+    how far it may go, what of it is followed, and the fraction that was tried; ``before``, ``trial``: as in
+    ``_improves``; ``standing``: funnel, best residual, shift, and of the trial its residual, what lacks most alone,
+    and the cost; ``first``: no trial was judged before; ``out``: funnel, shift, fraction and best residual to go on
+    with, whether the trial is accepted, and whether its step is done with.
     """
     descends, promises, turns, reach, followed, fraction = step
     (missing, cost, held), (missing_now, cost_now, held_now) = before, trial
     funnel, best, shift, residual, shortfall, whole = standing
-    armijo, switch, narrower, gently, half, record, fast, shortest = rules
+    rules, shifts = constants
+    narrower, record, fast, shortest = rules[:4]
     for m in range(fraction.size):
-        part, now = fraction[m], missing_now[m]
+        part, now = fraction[m], (missing_now[m], cost_now[m], held_now[m])
         turned = held[m] + part * turns[m]
-        promised = -part * (promises[m] - reach[m] * turned)
-        cheaper = promised >= switch * missing[m] * missing[m]
-        improves = now <= (1 - narrower * part * reach[m]) * funnel[m]
-        if cheaper:
-            improves = cost_now[m] + held_now[m] <= cost[m] + turned - armijo * promised and now <= funnel[m]
+        promised, room = -part * (promises[m] - reach[m] * turned), (funnel[m], 1 - narrower * part * reach[m])
+        improves, narrowed = _improves(now, (missing[m], cost[m], turned), promised, room, rules[4:])
         probe = first and not descends[m]
         # All together may lack more than the funnel, as where what an end lacks is shared among the nodes. But
         # residuals are relative to the multipliers too: where these grow they get less, however much is lacking.
@@ -59,11 +70,8 @@ def judge(
             accepted = residual[m] <= fast * best[m]
         good = accepted and np.isfinite(residual[m]) and np.isfinite(whole[m])
         short = not good and part / 2 < shortest
-        out[0][m] = funnel[m]
-        if good:
-            narrowed = funnel[m] + (gently if cheaper else half) * (now - funnel[m])
-            out[0][m] = narrowed if improves else max(funnel[m], now)
+        out[0][m] = (narrowed if improves else max(funnel[m], now[0])) if good else funnel[m]
         out[1][m] = _next_shift(shift[m], part * followed[m], good, short, shifts)
         out[2][m] = 1.0 if good or short or probe else part / 2
         out[3][m] = min(best[m], residual[m]) if good else best[m]
-        told[0][m], told[1][m] = good, good or short or probe
+        out[4][m], out[5][m] = good, good or short or probe

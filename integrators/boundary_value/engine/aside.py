@@ -10,6 +10,7 @@ import numpy as np
 
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
+from .extent import alone
 from .scaling import SHARE, Units
 from .system import Assembled, Iterate, Step
 
@@ -94,9 +95,9 @@ def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarr
     extent, n = assembled.extent, assembled.gap.shape[2]
     along = step.largest[:, :n]
     moved = (along[:, :, None] * extent.support).max(axis=1)
-    alone, entries = extent.alone, np.arange(extent.support.shape[2])
+    single, entries = alone(extent.support.max(axis=0)), np.arange(extent.support.shape[2])
     arrays = (entries[place] for place in conditions.at_nodes.layout.places)
-    pieces = [piece for own in arrays for piece in (own[~alone[own]], *own[alone[own], None]) if piece.size]
+    pieces = [piece for own in arrays for piece in (own[~single[own]], *own[single[own], None]) if piece.size]
     spread = np.array([extent.spreads[:, piece].max(axis=1) for piece in pieces])
     far = np.array([moved[:, piece].max(axis=1) for piece in pieces])
     return np.where(spread > 0, far / np.where(spread > 0, spread, 1.0), np.inf)

@@ -46,9 +46,8 @@ def solved(
     ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c,
     k).
     """
-    units, ends = conditions.measured, (conditions.ends.start_coordinates, conditions.ends.end_coordinates)
-    fixed = (np.broadcast_to(a, (len(gap), a.size)) for a in ends)
-    system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *fixed)
+    units = conditions.measured
+    system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *conditions.fixed_ends)
     if iterate.slacks is not None:
         limits = conditions.transcription.limits(blocks, conditions.data)
         system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)

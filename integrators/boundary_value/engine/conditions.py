@@ -377,9 +377,14 @@ class Conditions:
         fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
         return fixed
 
+    @property
+    def fixed_ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """1 for the coordinates of the first node that are prescribed, and for those of the last, shape (B, n)."""
+        return self._fixed[:, 0], self._fixed[:, -1]
+
     def system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
         """The equations of Newton's step."""
-        blocks, fixed = assembled.blocks, (self._fixed[:, 0], self._fixed[:, -1])
+        blocks, fixed = assembled.blocks, self.fixed_ends
         gap, slope = assembled.asked, blocks.slope
         if blocks.pushed is not None and iterate.slacks is not None:
             slope = blocks.pushed[..., 0] + iterate.slacks.barrier[:, None, None] * blocks.pushed[..., 1]

@@ -36,15 +36,6 @@ class Extent(NamedTuple):
         """From the lowest to the highest value of each, shape (B, E)."""
         return self.highest + self.lowest
 
-    @property
-    def alone(self) -> np.ndarray:
-        """Which entries have a coordinate of their own, which moves nothing else, shape (E,).
-
-        They may have other units than those beside them.
-        """
-        touches = np.any(self.support > 0, axis=0)
-        return np.any(touches & (touches.sum(axis=0) == 1) & (touches.sum(axis=1, keepdims=True) == 1), axis=0)
-
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
@@ -54,10 +45,18 @@ class Extent(NamedTuple):
 
         Beside the size of its column it may be rounding, as the tilt of an attitude that turns about one axis.
         """
-        columns = np.where(self.alone, 0.0, layout.in_their_columns(self.values))
+        columns = np.where(alone(self.support), 0.0, layout.in_their_columns(self.values))
         moved = self.along(self.spreads)
         moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)
         return moved, self.along(np.maximum(self.values, columns))
+
+
+def alone(support: Float[np.ndarray, "*shape n E"]) -> Bool[np.ndarray, "*shape E"]:
+    """Which entries have a coordinate of their own, which moves nothing else: they may have other units than those
+    beside them."""
+    touches = support > 0
+    own = touches & (touches.sum(axis=-2, keepdims=True) == 1) & (touches.sum(axis=-1, keepdims=True) == 1)
+    return np.any(own, axis=-2)
 
 
 @final

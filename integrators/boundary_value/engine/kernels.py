@@ -199,11 +199,9 @@ def _backward(
     for j in range(x.shape[0]):
         for a in range(n):
             out[1][0, a, j] = x[j, z + a] * (cost[0] * g[a])
-    for j in range(x.shape[0]):
         out[2][j] = _refuse(j, out[0], out[1])
     if not out[2][0]:
-        size = np.nan
-        out[3][:] = np.nan
+        size, out[3][:] = np.nan, np.nan
     return curvature / cost[0] + raised[0][0] * size, size
 
 

@@ -262,7 +262,7 @@ class _Search:
         found_now = judged(state, merit, reached_now, self.trials == 1 and trial.slacks is None, self.tolerance)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
         iterate, kept, reached, merit = merged(found_now.good, new, old)
-        going_on = dict(zip(Judgement._fields[2:], found_now[2:], strict=True))
+        going_on = dict(zip(Judgement._fields[:4], found_now[:4], strict=True))
         state = state._replace(iterate=iterate, assembled=kept, residuals=reached, merit=merit, **going_on)
         return state, found_now.good, found_now.done_with
 

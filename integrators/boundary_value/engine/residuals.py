@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from .arrays import plain
 from .inequalities import VALUE
 from .scaling import SHARE, Units
 from .system import Assembled
@@ -42,7 +43,7 @@ def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcriptio
     # With a barrier the curvature of the Hessian has no bound.
     least = np.zeros(batch) if assembled.blocks.held is None else units.cost
     sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature
-    of = units.nodes, units.unknowns, least
+    of = plain(units.nodes), units.unknowns, least
     extent_kernels.measure(sizes, assembled.distance, of, (VALUE, SHARE), found)
     return found if assembled.blocks.inner is None else _with_points(found, assembled, units, steps, transcription)
 

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem
+from retrax.integrators.boundary_value.engine.extent import Extent
 from retrax.integrators.boundary_value.engine.scaling import natural_units
+from retrax.integrators.layout import Layout
+from retrax.manifolds import Sphere
 
 from .systems import random_system
 
@@ -41,3 +44,15 @@ def test_members_do_not_know_of_each_other():
     for m in range(3):
         alone = natural_units(BlockSystem(*(a[m : m + 1] for a in system)), *(a[m : m + 1] for a in others))
         assert all(np.array_equal(a[m], b[0]) for a, b in zip(together, alone, strict=True))
+
+
+def test_what_a_coordinate_moves_does_not_know_of_other_members():
+    layout = Layout.of(Sphere(2))
+    support = np.array([[[1.0, 0, 0], [0, 1, 0]], [[0.8, 0.1, 0.6], [0.1, 0.9, 0.4]]])
+    highest, lowest = np.array([[1e-12, 0, 1], [0.5, 0.6, 0.7]]), np.array([[0, 0, -1.0], [0.1, 0.1, 0.1]])
+    none, one = np.zeros((2, 2)), np.zeros(2)
+    both = Extent(highest, lowest, support, none, none, one, none, none, none)
+    for m in range(2):
+        alone = Extent(*(a[m : m + 1] for a in both))
+        for together, own in zip(both.moved(layout), alone.moved(layout), strict=True):
+            np.testing.assert_array_equal(together[m], own[0])
