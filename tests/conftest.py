@@ -86,7 +86,7 @@ def few_memory_maps():
 
 @pytest.fixture(scope="session")
 def reading():
-    """One for all modules: what JAX traces of its own functions, in every reading anew, is most of what is traced."""
+    """One for all modules: in another one JAX would trace its own functions anew too, as all that users call."""
     return Reading()
 
 

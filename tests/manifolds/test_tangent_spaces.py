@@ -53,6 +53,7 @@ def test_dimension(name: str, dimension: int) -> None:
     "R2x3",
     "S2",
     "SO3",
+    "SE2",
     "SU2",
     "ellipsoid",
     "(SO3*R3)*S2",
