@@ -9,7 +9,7 @@ from zlib import crc32
 import jax
 import pytest
 from hypothesis import HealthCheck, settings
-from retrax.reading import one_reading
+from retrax.reading import Reading, resumed
 
 jax.config.update("jax_enable_x64", True)
 # Most of the time of these tests is compilation: in one piece a kernel takes an eighth less, of all processors
@@ -84,10 +84,16 @@ def few_memory_maps():
         jax.clear_caches()
 
 
+@pytest.fixture(scope="session")
+def reading():
+    """One for all modules: in another one JAX would trace its own functions anew too, as all that users call."""
+    return Reading()
+
+
 @pytest.fixture(scope="module")
-def traced_once():
+def traced_once(reading):
     """For modules whose functions do not change: what one call traces of them is not traced again by the next."""
-    with one_reading():
+    with resumed(reading):
         yield
 
 

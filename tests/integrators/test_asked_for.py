@@ -11,8 +11,6 @@ from retrax.retractions import Addition, CotangentLift, Midpoint
 
 from tests.integrators.test_kinks import Priced, cart
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, LINE = Euclidean(2), Euclidean(1)
 MIDPOINT = Midpoint(Addition(PLANE))
 REST, AHEAD = np.zeros(2), np.array([1.0, 0.0])

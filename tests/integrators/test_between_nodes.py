@@ -17,8 +17,6 @@ from tests.support.numerics import slope
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 SPHERE, ELLIPSOID = Sphere(2), Ellipsoid()
 HORIZON = 1.3
 TIMES = np.linspace(0.0, HORIZON, 201)

@@ -9,8 +9,6 @@ from retrax.integrators import Free, OptimalControlProblem, Solver, load_solutio
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, LINE = Euclidean(2), Euclidean(1)
 GLOBE, TURN = Sphere(2), SO(3)
 

@@ -11,8 +11,6 @@ from retrax.retractions import Exponential, Midpoint
 
 from .problems import half_square
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE, SPHERE, STEPS = Euclidean(1), Sphere(2), 9
 ARCS = OptimalControlProblem(SPHERE, SPHERE.projection, half_square, 3)
 ALONG_ARCS = Solver(ARCS, Midpoint(Exponential(SPHERE)), STEPS)

@@ -21,8 +21,6 @@ from tests.support.numerics import SEEDS, norm
 
 from .problems import IDENTITY, INERTIA, SO3, SPHERE, rigid_body_energy, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 NODES = 8
 
 

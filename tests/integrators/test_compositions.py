@@ -26,8 +26,6 @@ from tests.support.numerics import SEEDS, compiled, norm, slope
 
 from .problems import INERTIA, SO3, SPHERE, pendulum_energy
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 WEIGHTS = {
     "triple jump": (TRIPLE_JUMP, 4, (16, 32, 64)),
     "Suzuki": (SUZUKI, 4, (8, 16, 32)),

@@ -14,8 +14,6 @@ from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from retrax.tape import Tape
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE = Euclidean(2)
 BODY = SO(3) * Euclidean(3)
 STATE, CONTROL = (np.eye(3), np.array([0.5, 0.25, -2.0])), np.array([1.0, -3.0, 0.5])

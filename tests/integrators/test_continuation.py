@@ -13,8 +13,6 @@ from tests.support.numerics import slope
 
 from .problems import REST, RIGID, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, SPHERE = Euclidean(2), Sphere(2)
 PENDULUM = OptimalControlProblem(
     PLANE, lambda q, u, g: jnp.stack([q[1], u[0] - g * jnp.sin(q[0])]), lambda q, u: u @ u / 2, controls=1

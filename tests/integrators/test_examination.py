@@ -8,8 +8,6 @@ from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phase
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint, default_retraction
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE = Euclidean(1)
 METHOD = Midpoint(Addition(LINE))
 START, END = np.zeros(1), np.ones(1)

@@ -10,8 +10,6 @@ from retrax.retractions import Exponential, Gauss, Midpoint, Projection, default
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, SPHERE = Euclidean(2), Sphere(2)
 DRAG = {"mass": 1.3, "rates": np.array([0.3, 0.1])}
 

@@ -23,6 +23,7 @@ def late(q: jax.Array, t: jax.Array, apart: jax.Array) -> jax.Array:
 FOLD = OptimalControlProblem(
     LINE, lambda q, u, t, a: u, lambda q, u, t, a: u @ u / 2, 1, terminal_cost=late, time_dependent=True
 )
+SOLVER = Solver(FOLD, Midpoint(Addition(LINE)), 5)
 
 
 def roots(apart: float) -> list[float]:
@@ -35,12 +36,12 @@ def roots(apart: float) -> list[float]:
 @pytest.mark.parametrize("apart", APART)
 @pytest.mark.usual("1e-10", "1e-13", "-1e-13")
 def test_a_strict_minimum_is_the_minimum_of_two_extremals_that_merge(apart):
-    solver, a = Solver(FOLD, Midpoint(Addition(LINE)), 5), float(apart)
+    a = float(apart)
     way = np.sqrt(abs(a))
     for share in (-2.0, -1.0, -0.9, 0.0, 0.9, 1.0, 2.0, 1e-4 / max(way, 1e-8)):
         horizon = 1 + share * way
-        near = solver.solve(np.zeros(1), np.ones(1), horizon, parameters=a)
-        found = solver.solve(np.zeros(1), np.ones(1), Free(horizon), near, a, throw=False)
+        near = SOLVER.solve(np.zeros(1), np.ones(1), horizon, parameters=a)
+        found = SOLVER.solve(np.zeros(1), np.ones(1), Free(horizon), near, a, throw=False)
         x = found.horizon - 1
         if abs(x) > 0.2:  # the minimum far from the fold
             assert found.success

@@ -10,8 +10,6 @@ from retrax.integrators.boundary_value.formulation import Formulation, Kind
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, LINE = Euclidean(2), Euclidean(1)
 REST, AHEAD = np.zeros(2), np.array([1.0, 0.0])
 GAUSS = Gauss(2, Addition(PLANE))

@@ -10,8 +10,6 @@ from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 
 from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 START, END = (IDENTITY, REST), (SLEW_END, REST)
 METHOD = Midpoint(Cayley(RIGID))
 

@@ -11,8 +11,6 @@ from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE = Euclidean(2)
 STEPS = 40
 

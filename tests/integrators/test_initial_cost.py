@@ -7,8 +7,6 @@ from retrax.integrators import Free, OptimalControlProblem, Solver, solve
 from retrax.manifolds import SO, Euclidean, InvalidInputError, hat
 from retrax.retractions import Addition, Cayley, Euler, Gauss, Midpoint
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE, SO3 = Euclidean(1), SO(3)
 
 

@@ -11,8 +11,6 @@ from retrax.manifolds import InvalidInputError
 
 from .test_kinks import AT, PLANE, Priced, cart, problem
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 REST = np.zeros(1)
 
 JUMPS: dict[str, tuple[Any, str]] = {

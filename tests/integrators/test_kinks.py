@@ -15,8 +15,6 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, MIDPOINT = Euclidean(2), Midpoint(Addition(Euclidean(2)))
 AT = np.array([0.3, 0.2])
 

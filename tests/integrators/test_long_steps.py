@@ -13,8 +13,6 @@ from retrax.retractions import Cayley, Midpoint, default_retraction
 
 from .problems import half_square
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 N, Q = 20, SO(3)
 TURNED = OptimalControlProblem(Q, lambda q, u: q @ hat(jnp.append(u, 0.0)), half_square, 2)
 SOLVER = Solver(TURNED, Midpoint(default_retraction(Q)), N)

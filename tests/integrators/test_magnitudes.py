@@ -1,6 +1,8 @@
 """Horizons of another magnitude than their guess, and controls whose directions are not all determined by what they
 move."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -86,13 +88,19 @@ def crossing(wind: float) -> float:
     return brentq(behind, 0.5, 3.0, xtol=1e-14)
 
 
-def navigation(controls: str, wind: float) -> OptimalControlProblem:
+@cache
+def navigator(controls: str, stages: int, steps: int) -> Solver:
+    """In the least time, in a wind and at a speed that are parameters."""
     axis = jnp.array([0.0, 0.0, 1.0])
-    fly = lambda q, u: jnp.cross(u, q) + wind * jnp.cross(axis, q)  # noqa: E731
-    if controls == "ball":
-        speed = {"speed": lambda q, u: u @ u - 1}
-        return OptimalControlProblem(GLOBE, fly, lambda q, u: 1.0, 3, constraints=speed)
-    return OptimalControlProblem(GLOBE, fly, lambda q, u: 1.0, GLOBE)
+
+    def fly(q: jax.Array, u: jax.Array, given: tuple) -> jax.Array:
+        wind, speed = given
+        return speed * jnp.cross(u, q) + wind * jnp.cross(axis, q)
+
+    limits = {"speed": lambda q, u, given: u @ u - 1} if controls == "ball" else None
+    among = 3 if controls == "ball" else GLOBE
+    problem = OptimalControlProblem(GLOBE, fly, lambda q, u, given: 1.0, among, constraints=limits)
+    return Solver(problem, Gauss(stages, Exponential(GLOBE)), steps)
 
 
 @pytest.mark.parametrize("wind", WINDS)
@@ -100,9 +108,8 @@ def navigation(controls: str, wind: float) -> OptimalControlProblem:
 @pytest.mark.usual("ball-0.0", "ball-1e-09", "ball-0.9", "sphere-0.0")
 def test_a_least_time_on_the_sphere_without_wind_and_with_it(controls, wind):
     """The component of the axis of turning along the position moves nothing, and wastes speed."""
-    problem, method = navigation(controls, float(wind)), Gauss(3, Exponential(GLOBE))
     ends = np.array([1.0, 0.0, 0.0]), np.array([np.cos(ANGLE), 0.0, np.sin(ANGLE)])
-    found = solve(problem, method, *ends, Free(1.0), 12)
+    found = navigator(controls, 3, 12).solve(*ends, Free(1.0), parameters=(float(wind), 1.0))
     assert found.horizon == pytest.approx(crossing(float(wind)), rel=1e-9)
     np.testing.assert_allclose(np.linalg.norm(found.controls, axis=-1), 1.0, atol=1e-8)
     assert found.checks.strict_minimum
@@ -111,13 +118,10 @@ def test_a_least_time_on_the_sphere_without_wind_and_with_it(controls, wind):
 @pytest.mark.parametrize("speed", [1.0, 1e2, 5e-3])
 def test_a_solution_as_guess_is_still_a_strict_minimum(speed):
     """On the bound of a ball controls have no room along it but by its curvature."""
-    problem = OptimalControlProblem(
-        GLOBE, lambda q, u: speed * jnp.cross(u, q), lambda q, u: 1.0, 3, constraints={"speed": lambda q, u: u @ u - 1}
-    )
-    solver = Solver(problem, Gauss(2, Exponential(GLOBE)), 10)
+    solver, given = navigator("ball", 2, 10), (0.0, speed)
     ends = np.array([1.0, 0.0, 0.0]), np.array([np.cos(ANGLE), 0.0, np.sin(ANGLE)])
-    first = solver.solve(*ends, Free(1.0))
-    again = solver.solve(*ends, Free(first.horizon), guess=first)
+    first = solver.solve(*ends, Free(1.0), parameters=given)
+    again = solver.solve(*ends, Free(first.horizon), guess=first, parameters=given)
     for found in (first, again):
         assert found.horizon == pytest.approx(ANGLE / speed, rel=1e-9)
         assert found.checks.strict_minimum
@@ -125,8 +129,7 @@ def test_a_solution_as_guess_is_still_a_strict_minimum(speed):
 
 @pytest.mark.parametrize("angle", [1e-7, 1e-5, 1e-3, 1e-2])
 def test_a_short_way_on_the_sphere_in_least_time(angle):
-    problem = navigation("ball", 0.0)
     ends = np.array([1.0, 0.0, 0.0]), np.array([np.cos(angle), 0.0, np.sin(angle)])
-    found = solve(problem, Gauss(2, Exponential(GLOBE)), *ends, Free(1.0), 10, throw=False)
+    found = navigator("ball", 2, 10).solve(*ends, Free(1.0), parameters=(0.0, 1.0), throw=False)
     assert found.success, found.result
     assert found.horizon == pytest.approx(angle, rel=1e-9)

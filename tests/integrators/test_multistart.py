@@ -10,8 +10,6 @@ from retrax.retractions import Midpoint, default_retraction
 
 from .problems import half_square
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 Q = SO(3) * Euclidean(2)
 PROBLEM = OptimalControlProblem(Q, lambda q, u, given: (q[0] @ hat(u[:3]), given * u[3:]), half_square, 5)
 SOLVER = Solver(PROBLEM, Midpoint(default_retraction(Q)), 20)

@@ -15,8 +15,6 @@ from tests.support.numerics import SEEDS, norm, slope
 
 from .problems import IDENTITY, KINEMATIC, REST, RIGID, SLEW, SLEW_END, SO3, half_square, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE = Euclidean(1)
 ANGLE, AXIS = 2.5, np.array([2.0, -1.0, 2.0]) / 3.0
 

@@ -25,8 +25,6 @@ from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midp
 
 from .problems import SPHERE, pendulum_energy
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE, PLANE = Euclidean(1), Euclidean(2)
 METHOD = SymplecticIntegrator(CotangentLift(Midpoint(Addition(LINE))))
 START = np.zeros(1), np.array([0.6])

@@ -8,8 +8,6 @@ from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError,
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import minimize_scalar
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, LINE, GLOBE = Euclidean(2), Euclidean(1), Sphere(2)
 GAUSS, ALONG = Gauss(2, Addition(PLANE)), Gauss(3, Addition(LINE))
 REST = np.zeros(2)

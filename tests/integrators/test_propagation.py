@@ -18,8 +18,6 @@ from scipy.special import roots_legendre
 
 from .problems import RIGID, half_square, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 INERTIA = np.array([1.0, 1.7, 2.3])
 TIMES = np.array([0.0, 0.2, 0.5, 0.7, 1.1, 1.4, 1.5])  # unequal steps
 SO3, S2, NAMES = SO(3), Sphere(2), ["factor 0, SO(3)", "factor 1, R^3"]

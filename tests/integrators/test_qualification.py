@@ -10,8 +10,6 @@ from retrax.integrators import OptimalControlProblem, Solver
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE = Euclidean(2)
 TOGETHER = "with derivatives that depend on each other: their multipliers are not determined one by one"
 

@@ -10,8 +10,6 @@ from retrax.integrators import Free, OptimalControlProblem, Quantities, load_sol
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Power, Product, Sphere, TangentBundle, hat
 from retrax.retractions import Cayley, Gauss, Midpoint
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 SPACES = [
     Euclidean(()),
     Euclidean(1),

@@ -17,8 +17,6 @@ from retrax.integrators import (
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, Gauss, Midpoint
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
 

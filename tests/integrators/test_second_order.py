@@ -14,8 +14,6 @@ from tests.support.numerics import SEEDS, norm
 
 from .problems import SPHERE, half_square
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 STEPS = 10
 GEODESIC = OptimalControlProblem(SPHERE, lambda q, u: SPHERE.projection(q, u), half_square, 3)
 

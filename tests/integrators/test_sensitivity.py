@@ -17,8 +17,6 @@ from tests.support.changing import held
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, SPHERE, LINE = Euclidean(2), Sphere(2), Euclidean(1)
 NAMES = "cost", "states", "costates", "controls"
 DIFFERENCE = 1e-5

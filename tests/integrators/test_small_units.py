@@ -17,8 +17,6 @@ from retrax.integrators import (
 from retrax.manifolds import SO, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Gauss, Midpoint, default_retraction
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE = Euclidean(2)
 TAPE = ["tape", pytest.param("xla", marks=pytest.mark.slow)]
 MIDPOINT = SymplecticIntegrator(CotangentLift(Midpoint(Addition(PLANE))))

@@ -13,8 +13,6 @@ from tests.support.numerics import norm
 
 from .problems import ELLIPSOID, IDENTITY, KINEMATIC, REST, RIGID, SLEW, SO3, SPHERE, half_square, rotation
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 STEPS = 3
 MAP = Midpoint(Exponential(SO3))
 END = rotation([0.5, 1.0, -0.3])

@@ -1,6 +1,8 @@
 """Orders of the Gauss methods in the boundary-value problem, their Newton iteration, and the extremals that they are
 steps of."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -29,10 +31,13 @@ def cost(q, u):
 PROBLEM = OptimalControlProblem(PENDULUM, spinning, cost, 3)
 
 
+@cache
+def solver_of(stages):
+    return Solver(PROBLEM, Gauss(stages, default_retraction(PENDULUM)), 8)
+
+
 def solved(stages, steps):
-    solver = Solver(PROBLEM, Gauss(stages, default_retraction(PENDULUM)), steps[0])
-    counts = (solver, *(Solver(PROBLEM, solver.method, n) for n in steps[1:]))
-    return [one.solve(START, END, 1.0) for one in counts]
+    return [solver_of(stages).with_steps(n).solve(START, END, 1.0) for n in steps]
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +62,7 @@ def test_orders_in_states_costates_and_cost(fine, stages, steps):
 
 @pytest.mark.slow
 def test_costates_are_those_that_the_integrator_propagates():
-    solver = Solver(PROBLEM, Gauss(2, default_retraction(PENDULUM)), 4)
-    found = solver.solve(START, END, 1.0)
+    (found,) = solved(2, [4])
     q0, p0 = (jax.tree.map(lambda leaf: leaf[0], part) for part in (found.states, found.costates))
     path = integrate(PROBLEM, PresymplecticIntegrator(Gauss(2, default_retraction(PENDULUM))), (q0, p0), 0.25, 4)
     for part, own in ((path.q, found.states), (path.p, found.costates)):
@@ -93,14 +97,9 @@ def test_a_terminal_cost_at_a_fixed_end_changes_neither_the_trajectory_nor_the_i
     assert np.all(seen[1:] <= np.maximum(10 * seen[:-1] ** 1.7, 1e-11))
 
 
-@pytest.fixture(scope="module")
-def third():
-    return Solver(PROBLEM, Gauss(3, default_retraction(PENDULUM)), 8)
-
-
 @pytest.mark.parametrize("tolerance", np.geomspace(1e-13, 1e-3, 31))
-def test_a_tolerance_between_the_measures_of_a_gap_ends_at_the_point_that_was_asked_for(third, tolerance):
+def test_a_tolerance_between_the_measures_of_a_gap_ends_at_the_point_that_was_asked_for(tolerance):
     """The gap counts defects of the points too, by other units than the nodes: it may exceed the tolerance alone."""
-    found = third.solve(START, END, 1.0, tolerance=tolerance)
+    found = solver_of(3).solve(START, END, 1.0, tolerance=tolerance)
     assert found.checks.gap <= tolerance
     np.testing.assert_allclose(found.states[0][-1], END[0], atol=1e3 * tolerance)

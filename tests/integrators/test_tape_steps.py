@@ -83,7 +83,7 @@ def test_the_tape_computes_the_numbers_of_xla(name):
 
 
 @pytest.mark.parametrize("name", ["sphere", "rotations", "optimal control"])
-@pytest.mark.usual("rotations", "optimal control")
+@pytest.mark.usual("optimal control")
 def test_both_fail_at_the_same_step_or_both_succeed(name):
     """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as
     another."""

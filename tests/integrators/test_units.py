@@ -73,6 +73,7 @@ def random_units(seed: int, *lowest: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("seed", DECADES)
+@pytest.mark.usual("0", "3", "6", "9", "12", "15", "18", "21")
 def test_a_linear_quadratic_problem_is_solved_by_one_newton_step_in_any_units(seed):
     length, time, mass, price = random_units(seed, -12, -9, -9, -9)
     solution = shift(length, time, mass, price)

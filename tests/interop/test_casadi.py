@@ -30,6 +30,8 @@ from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 from ..integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square
 from ..support.cases import Ellipsoid
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 QUIET = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-11}
 SPHERE, MOTIONS = Sphere(2), SE(3)
 TARGET = np.array([0.0, 0.6, 0.8])

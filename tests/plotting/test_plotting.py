@@ -17,6 +17,8 @@ from scipy.spatial.transform import Rotation
 mpl.use("Agg")
 from matplotlib import pyplot as plt
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 Q = SO(3) * Euclidean(2)
 BOUND = 0.45
 

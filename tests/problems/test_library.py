@@ -10,6 +10,8 @@ import pytest
 from retrax import problems
 from retrax.manifolds import InvalidInputError, Product, RetraxError
 
+pytestmark = pytest.mark.usefixtures("traced_once")
+
 PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
 QUICK = (
     "kinematic-slew",

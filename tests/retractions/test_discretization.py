@@ -25,7 +25,7 @@ def marked(name: str):
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in MAPS])
-@pytest.mark.long("theta=0.3, polar-St42", "theta=0.3, projection-H2")
+@pytest.mark.long("theta=0.3, exponential-SO3", "theta=0.3, polar-St42", "theta=0.3, projection-H2")
 def test_is_a_discretization_map(name, seeds):
     discretization = MAPS[name]
     symmetric = isinstance(discretization, Theta) and discretization.theta == 0.5 and discretization.other is None

@@ -14,8 +14,6 @@ from retrax.integrators.boundary_value.shooting.claims import broken_end, not_st
 from retrax.integrators.boundary_value.shooting.end_conditions import AtEnds
 from retrax.manifolds import Euclidean
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 PLANE, STEPS = Euclidean(2), 6
 TIMES = np.linspace(0, 1, STEPS)
 SCALES = 10.0 ** np.arange(-12, 13, 4)

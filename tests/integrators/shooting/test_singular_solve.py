@@ -28,8 +28,6 @@ from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, The
 from tests.integrators.problems import INERTIA, rotation
 from tests.support.numerics import norm
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 LINE = Euclidean(1)
 PLANE = LINE * LINE  # the two states are factors, so that each can be free
 MIDPOINT = Midpoint(Exponential(PLANE))

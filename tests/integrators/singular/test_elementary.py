@@ -13,8 +13,6 @@ from retrax.manifolds import Euclidean, InvalidInputError
 
 from tests.integrators.singular.test_symbolic import signatures
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 
 def assert_invariant(exact: SymbolicClassification) -> None:
     """At points of the pieces ``dH/du = 0``, the equations hold and so do their rates along ``X_H``: derivatives by

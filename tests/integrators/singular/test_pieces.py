@@ -1,12 +1,85 @@
-"""Pieces of ``P_f`` of equal ranks: that they are found, and told apart."""
+"""Pieces of ``P_f``, of unlike ranks and of equal ones: that they are found, told apart and chosen."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify
-from retrax.manifolds import Euclidean
+from retrax.integrators.singular.integrability.starts import random_starts
+from retrax.manifolds import Euclidean, InvalidInputError
+
+from tests.integrators.singular.cases import martinet
+
+REST, LINES = (2, 0, 4), (3, 1, 2)
+ON_A_LINE = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("bend", "seeds"),
+    [
+        (0.0, [0]),
+        pytest.param(0.0, [1, 2], marks=pytest.mark.slow),
+        pytest.param(0.5, [0, 1, 2], marks=pytest.mark.slow),
+    ],
+)
+def test_abnormal_extremals_of_the_martinet_distribution(bend, seeds):
+    # H = p1 u1 + (p2 + p3 x^2 / 2) u2 / (1 + bend x).
+    for seed in seeds:
+        c = classify(martinet(bend), seed=seed)
+        assert c.zero_costate_excluded
+        assert [s.signature for s in c.strata] == [REST, LINES], str(c)
+        assert c.irregular, "some starts come to where the pieces cross"
+        assert "of them where equations are irregular, as where pieces cross: not counted" in " ".join(str(c).split())
+        rest, lines = c.strata
+        assert np.max(np.abs(rest.u)) < 1e-7
+        assert np.max(np.abs([lines.q[0], lines.u[0], *lines.p[:2]])) < 1e-12
+        np.testing.assert_allclose(np.abs(np.concatenate(lines.kernel, axis=1)), [[0, 1, 0, 0, 0, 0]], atol=1e-12)
+        assert min(level.gap for level in c.levels) > 1e6
+    for words in ("abnormal (p_0 = 0)", "strata           2: P_f is not one manifold", "[1] P_f          dimension 3"):
+        assert words in str(c)
+
+
+@pytest.mark.parametrize("bend", [0.0, pytest.param(0.5, marks=pytest.mark.slow)])
+def test_a_piece_is_looked_for_near_a_state(bend):
+    c = classify(martinet(bend), near=ON_A_LINE)
+    lines = next(s for s in c.strata if s.signature == LINES)
+    assert lines.count >= 3
+    assert np.max(np.abs(lines.states[0])) < 0.5
+    # The starts are the state and points around it, in the state by about 1/10 and in the costate by about |p|/10.
+    away = jnp.array([3.0, 0.0, 0.0]), jnp.array([0.0, -45.0, 10.0])
+    q, p = random_starts(martinet(bend), 0, 20, 0, away).at.z
+    np.testing.assert_array_equal([q[0], p[0]], away)
+    assert 0.05 < np.std(q - away[0]) < 0.2
+    assert 2.5 < np.std(p - away[1]) < 9
+
+
+@pytest.mark.slow
+def test_one_of_several_pieces_is_chosen():
+    c = classify(martinet(0.5), near=ON_A_LINE)
+    lines = c.choose([s.signature for s in c.strata].index(LINES))
+    assert not lines.stratified
+    assert (lines.dimension, lines.rank, lines.gauge_components) == (3, 2, (1,))
+    q, p = lines.manifold.nearby(jax.tree.map(lambda a: a + 0.1, ON_A_LINE))
+    np.testing.assert_allclose([q[0], p[0], p[1]], 0, atol=1e-15)
+    np.testing.assert_allclose(lines.control(q, p, jnp.array([0.7])), [0, 0.7], atol=1e-12)
+    with pytest.raises(InvalidInputError, match="there is no stratum 5; expected one of"):
+        c.choose(5)
+
+
+@pytest.mark.slow
+def test_the_levels_of_a_piece_are_those_of_most_of_its_points():
+    """``x' = u1``, ``y' = x u2``, cost ``u1^2/2``: ``p2 x = 0``, of which the piece ``p2 = 0`` is primary from most
+    starts."""
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), lambda q, u: u[0] ** 2 / 2, 2
+    )
+    found = [
+        [(s.signature, s.k_f, s.equations.names) for s in classify(problem, seed=seed).strata] for seed in range(3)
+    ]
+    assert found[0] == found[1] == found[2]
+    assert (0, ("primary",)) in [piece[1:] for piece in found[0]]
 
 
 @pytest.mark.slow

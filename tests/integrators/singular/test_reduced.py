@@ -27,8 +27,6 @@ from tests.integrators.problems import SPHERE
 from tests.integrators.singular.cases import classified
 from tests.support.numerics import slope
 
-pytestmark = pytest.mark.usefixtures("traced_once")
-
 STEPS = np.array([0.2, 0.1, 0.05])
 
 
