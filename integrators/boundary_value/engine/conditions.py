@@ -26,7 +26,8 @@ FAR = 0.5  # times the largest entry of a column of the nodes: ends further apar
 class Conditions:
     """The conditions of a batch of trajectories.
 
-    ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with.
+    ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with;
+    ``natural``: the units before they were widened.
     """
 
     joint: ClassVar[bool] = False  # of phases
@@ -39,9 +40,11 @@ class Conditions:
         data: Data,
         units: Units | None = None,
         barrier: Barrier | None = None,
+        natural: Units | None = None,
     ) -> None:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
         self.units, self.barrier = units, barrier
+        self.natural = units if natural is None else natural
         self._survey: tuple[Held, Slacks, Surveyed] | None = None  # the last one, and of what
 
     def of(self, members: np.ndarray) -> "Conditions":
@@ -51,9 +54,10 @@ class Conditions:
         ends = Ends(self.ends.start[members], self.ends.end[members], *self.ends[2:])
         asked = None if self.data.asked is None else self.data.asked[members]
         data = Data(self.data.steps[members], self.data.parameters[members], asked)
-        units = None if self.units is None else Units(*(leaf[members] for leaf in self.units))
+        both = (self.units, self.natural)
+        units, natural = (own and Units(*(leaf[members] for leaf in own)) for own in both)
         barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
-        return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier)
+        return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, natural)
 
     @property
     def measured(self) -> Units:
@@ -61,6 +65,14 @@ class Conditions:
         if self.units is None:
             raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
+
+    @property
+    def judging(self) -> Units:
+        """The units that tell whether the conditions are met: not those that were widened since.
+
+        By these a trajectory that solves nothing may lack next to nothing.
+        """
+        return self.measured if self.natural is None else self.natural._replace(cost=self.measured.cost)
 
     def paid(self, nodes: np.ndarray) -> Paid:
         """The costs of the first and of the last node."""
@@ -118,7 +130,7 @@ class Conditions:
             shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
             guess = guess._replace(slacks=Slacks.none(shape))
         assembled = self.assemble(guess, paid)
-        self.units = self._natural(guess, assembled)
+        self.units = self.natural = self._natural(guess, assembled)
         return guess, assembled
 
     def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
@@ -235,9 +247,9 @@ class Conditions:
             missing = missing + lacking / np.mean(self.data.steps, axis=1)
         return missing
 
-    def shortfall(self, assembled: Assembled) -> np.ndarray:
+    def shortfall(self, assembled: Assembled, judging: bool = False) -> np.ndarray:
         """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
-        return shortfall_of(assembled, self.measured)
+        return shortfall_of(assembled, self.judging if judging else self.measured)
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
@@ -396,7 +408,7 @@ class Conditions:
 
     def measures(self, assembled: Assembled) -> Measures:
         """What gaps are measured by, and how large they and the slopes of the Lagrangian are so."""
-        return measures(assembled, self.measured, self.data.steps, self.transcription)
+        return measures(assembled, self.judging, self.data.steps, self.transcription)
 
     def _controls(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""

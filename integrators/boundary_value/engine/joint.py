@@ -99,6 +99,11 @@ class JointConditions:
             raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
 
+    @property
+    def judging(self) -> JointUnits:
+        """The units that tell whether the conditions are met: those of phases are not widened."""
+        return self.measured
+
     def guess(self, parts: tuple[Iterate, ...]) -> JointIterate:
         """A guess of the phases, with the multipliers that fit their costates at the ends best."""
         none = JointIterate(parts, np.zeros((len(parts[0].costates), sum(self.coupling.sizes))))
@@ -240,9 +245,9 @@ class JointConditions:
         )
         return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
 
-    def shortfall(self, assembled: JointAssembled) -> np.ndarray:
+    def shortfall(self, assembled: JointAssembled, judging: bool = False) -> np.ndarray:
         """The most that a node, a point or an equation between the ends lacks, in its unit, shape (B,)."""
-        most = [phase.shortfall(part) for phase, part in zip(self.phases, assembled.parts, strict=True)]
+        most = [phase.shortfall(part, judging) for phase, part in zip(self.phases, assembled.parts, strict=True)]
         return np.max([*most, np.max(np.abs(assembled.coupled.values) / self._rows, axis=1, initial=0.0)], axis=0)
 
     @property

@@ -325,10 +325,10 @@ class _Search:
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """
         conditions = self.conditions.of(state.member)
-        missing = state.assembled.extent.lacking / conditions.measured.nodes
+        missing = state.assembled.extent.lacking / conditions.judging.nodes
         met = (missing <= self.tolerance).all(axis=1) & (state.residuals.stationarity <= self.tolerance)
         # The points of a step may lack what its nodes do not: from there Newton's method moves.
-        met &= conditions.infeasibility(state.iterate, state.assembled) <= np.sqrt(self.tolerance)
+        met &= conditions.shortfall(state.assembled, judging=True) <= np.sqrt(self.tolerance)
         return met & (state.residuals.gap > np.sqrt(self.tolerance))
 
     def contradictory(self, state: State) -> np.ndarray:
@@ -368,11 +368,11 @@ class _Search:
         strict = joined.step.strict & (joined.shift == 0)
         if joined.iterate.slacks is not None:
             strict = self.conditions.is_isolated_minimum(joined.iterate, joined.assembled)
-        missing = joined.assembled.extent.lacking / self.conditions.measured.nodes
+        missing = joined.assembled.extent.lacking / self.conditions.judging.nodes
         ended = (
             strict & joined.isolated,
             counts[order] - 1,
-            joined.claimed,
+            joined.claimed & (joined.residuals.final <= self.tolerance),  # it may have gone on from where it was
             _solvable(joined),
             self.stopped,
             missing,
