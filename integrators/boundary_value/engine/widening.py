@@ -55,7 +55,8 @@ def rewritten(
         return state, wider
     conditions.units = merged(wider, units, conditions.measured)
     if conditions is not whole:
-        whole.units = put(whole.measured, state.member, conditions.units)
+        # A copy: the units before are those that success is judged in.
+        whole.units = put(Units(*map(np.array, whole.measured)), state.member, conditions.units)
     residuals = conditions.residuals(state.iterate, state.assembled)
     merit = Merit.of(conditions, state.iterate, state.assembled)
     funnel = np.where(wider, np.maximum(merit.infeasibility, 1.0), state.funnel)
