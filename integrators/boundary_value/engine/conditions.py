@@ -27,7 +27,7 @@ class Conditions:
     """The conditions of a batch of trajectories.
 
     ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with;
-    ``natural``: the units before they were widened.
+    ``wider``: units that steps are measured in since, if any.
     """
 
     joint: ClassVar[bool] = False  # of phases
@@ -40,11 +40,10 @@ class Conditions:
         data: Data,
         units: Units | None = None,
         barrier: Barrier | None = None,
-        natural: Units | None = None,
+        wider: Units | None = None,
     ) -> None:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
-        self.units, self.barrier = units, barrier
-        self.natural = units if natural is None else natural
+        self.units, self.barrier, self.wider = units, barrier, wider
         self._survey: tuple[Held, Slacks, Surveyed] | None = None  # the last one, and of what
 
     def of(self, members: np.ndarray) -> "Conditions":
@@ -54,25 +53,24 @@ class Conditions:
         ends = Ends(self.ends.start[members], self.ends.end[members], *self.ends[2:])
         asked = None if self.data.asked is None else self.data.asked[members]
         data = Data(self.data.steps[members], self.data.parameters[members], asked)
-        both = (self.units, self.natural)
-        units, natural = (own and Units(*(leaf[members] for leaf in own)) for own in both)
+        units, wider = (own and Units(*(leaf[members] for leaf in own)) for own in (self.units, self.wider))
         barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
-        return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, natural)
+        return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, wider)
 
     @property
-    def measured(self) -> Units:
-        """The units, once they are measured."""
+    def judging(self) -> Units:
+        """The units that tell whether the conditions are met, once they are measured: not wider ones.
+
+        By those a trajectory that solves nothing may lack next to nothing.
+        """
         if self.units is None:
             raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
 
     @property
-    def judging(self) -> Units:
-        """The units that tell whether the conditions are met: not those that were widened since.
-
-        By these a trajectory that solves nothing may lack next to nothing.
-        """
-        return self.measured if self.natural is None else self.natural._replace(cost=self.measured.cost)
+    def measured(self) -> Units:
+        """The units of steps, the wider ones if there are any."""
+        return self.judging if self.wider is None else self.wider
 
     def paid(self, nodes: np.ndarray) -> Paid:
         """The costs of the first and of the last node."""
@@ -130,7 +128,7 @@ class Conditions:
             shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
             guess = guess._replace(slacks=Slacks.none(shape))
         assembled = self.assemble(guess, paid)
-        self.units = self.natural = self._natural(guess, assembled)
+        self.units, self.wider = self._natural(guess, assembled), None
         return guess, assembled
 
     def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:

@@ -53,10 +53,10 @@ def rewritten(
     wider = refused & np.any(units.nodes > conditions.measured.nodes, axis=1)
     if not wider.any():
         return state, wider
-    conditions.units = merged(wider, units, conditions.measured)
+    conditions.wider = merged(wider, units, conditions.measured)
     if conditions is not whole:
         # A copy: the units before are those that success is judged in.
-        whole.units = put(Units(*map(np.array, whole.measured)), state.member, conditions.units)
+        whole.wider = put(Units(*map(np.array, whole.measured)), state.member, conditions.wider)
     residuals = conditions.residuals(state.iterate, state.assembled)
     merit = Merit.of(conditions, state.iterate, state.assembled)
     funnel = np.where(wider, np.maximum(merit.infeasibility, 1.0), state.funnel)
