@@ -104,6 +104,21 @@ class Inequalities(eqx.Module):
             begin += _count(size)
         return found
 
+    def flat(self, named: Mapping[str, np.ndarray], shape: tuple[int, ...], sizes: dict[str, int | None]) -> np.ndarray:
+        """The inverse of ``by_name``, of shape ``(*shape, k)``, zero for names that are missing; raises for wrong ones."""
+        widths = {name: (len(self.lower), side) for name, side in self.bounded.items()}
+        widths |= {name: (_count(size), list(range(_count(size)))) for name, size in sizes.items()}
+        columns = []
+        for name, (width, kept) in widths.items():
+            given = named.get(name, np.zeros((1, width)))
+            if given.shape[-1] != width:
+                raise InvalidInputError(
+                    f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a stage, expected {width}; try "
+                    "a guess without them, guess.multipliers=None"
+                )
+            columns.append(np.broadcast_to(given[..., kept], (int(np.prod(shape)), len(kept))))
+        return np.concatenate(columns, axis=1).reshape(*shape, -1)
+
     def mask(self, sizes: dict[str, int | None], steps: int, stages: int) -> np.ndarray:
         """At which points each entry holds, shape ``(steps, stages, k)``."""
         once = [False for side in self.bounded.values() for _ in side]

@@ -16,6 +16,7 @@ from .arguments import Method
 from .formulation import Formulation, Kind, checked_horizon
 from .guess import Guess
 from .members import Asked, MemberReader, Members
+from .resampling import resampled
 from .sensitivity import Sensitivity
 from .solution import Solution, Statistics
 from .solutions import Solutions
@@ -142,6 +143,8 @@ class Formulated:
         constants, times = formulation.guesses(asked.horizon, asked.parameters), members.horizons + (begins or 0.0)
         start, end = formulation.start(asked.start, constants, begins), formulation.end(asked.end, times)
         guess = self._guess(formulation, members, 0, constants, begins or 0.0)
+        if isinstance(asked.guess, Solution) and guess is not None:
+            guess = self._with_covectors(formulation, guess, asked.guess, float(members.horizons[0]))
         own = formulation.parameters(asked.horizon, asked.parameters)
         return formulation, solver, Asked(start, end, float(members.horizons[0]), guess, own)
 
@@ -182,6 +185,21 @@ class Formulated:
     ) -> Guess | None:
         guess, (nodes, stages) = members.guess_of(k), self.reader.mesh.times(float(members.horizons[k]))
         return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
+
+    def _with_covectors(self, formulation: Formulation, guess: Guess, solution: Solution, horizon: float) -> Guess:
+        """A guess that is a solution of the same formulation, with its covectors of the constants and of the clock."""
+        kept, _, found = self._found.get(solution, (None, None, None))
+        if kept is not formulation or found is None:
+            return guess
+        mesh = self.reader.mesh._replace(interpolant=found.interpolant)
+        own, rates = resampled(found, mesh), [1.0] * bool(formulation.constants)
+        rates += [found.horizon / horizon] * self.reader.problem.time_dependent  # the clock runs to another time
+
+        def completed(given: Any, known: Any) -> tuple:
+            return given[0], *(rate * p for rate, p in zip(rates, known[1:], strict=True))
+
+        pairs = {name: (getattr(guess, name), getattr(own, name)) for name in ("costates", "stage_costates")}
+        return guess._replace(**{name: completed(*pair) for name, pair in pairs.items()})
 
     def _kept(self, formulation: Formulation, solver: Any, found: Solution, parameters: Any) -> Solution:
         solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)

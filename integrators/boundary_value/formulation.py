@@ -153,8 +153,11 @@ class Formulation:
             "stage_costates": (with_covectors, at_stages),
         }
         given = {name: getattr(guess, name) for name in make}
+        known, horizon = guess.multipliers or {}, at_nodes[-1] - at_nodes[0]
+        bounds = {name: horizon * rows for name, rows in known.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
         return guess._replace(
-            **{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None}
+            multipliers={**known, **bounds},
+            **{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None},
         )
 
     @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result

@@ -1,6 +1,6 @@
 """Guesses that are given for trajectories, checked, in flat arrays."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import jax
@@ -8,6 +8,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.precision import default_tolerance
+from ..constraints import TAKEN
 from ..evaluation import at_each
 from ..layout import Layout
 from ..problem import OptimalControlProblem
@@ -18,7 +19,8 @@ class FlatGuess(NamedTuple):
     """The parts of guesses, each of shape (B, ...) with the stages or nodes along the second axis; B = 1 for all
     members.
 
-    The last two are None where they are not known of every guess.
+    The last two arrays are None where they are not known of every guess. ``multipliers`` of the inequalities at the
+    stages by their names, of each guess, as far as they are known.
     """
 
     states: np.ndarray
@@ -26,6 +28,12 @@ class FlatGuess(NamedTuple):
     costates: np.ndarray
     nodes: np.ndarray | None
     stage_costates: np.ndarray | None
+    multipliers: tuple[dict[str, np.ndarray], ...]
+
+    @property
+    def arrays(self) -> tuple[np.ndarray | None, ...]:
+        """All but the multipliers."""
+        return self[:-1]
 
     def states_to_check(self, size: int) -> np.ndarray:
         """All states, at stages and nodes, in a row."""
@@ -51,8 +59,9 @@ class GuessReader:
         places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
         self._parts = [
             _Part(name, own[of][0], length, own[of][1])
-            for name, (of, length) in zip(Guess._fields, places, strict=True)
+            for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
+        self._names, self._stages = {*problem.limits.bounded, *problem.limits.names, *TAKEN}, at_stages
 
     def flat(self, guesses: Sequence[Any]) -> FlatGuess:
         """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""
@@ -67,7 +76,29 @@ class GuessReader:
                 )
         columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
         stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        return FlatGuess(*stacked)
+        return FlatGuess(*stacked, tuple(self._multipliers(guess.multipliers or {}) for guess in guesses))
+
+    def _multipliers(self, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
+        """Multipliers as arrays, checked but for how many there are at a stage."""
+        found = {name: np.asarray(rows) for name, rows in given.items()}
+        for name, rows in found.items():
+            if name not in self._names:
+                raise InvalidInputError(
+                    f"guess: multipliers belong to {name!r}, expected names of inequalities, {sorted(self._names)}"
+                )
+            if rows.ndim != 2 or len(rows) != self._stages or rows.dtype.kind not in "fiu":
+                raise InvalidInputError(
+                    f"guess: multipliers of {name!r} must be real numbers of shape ({self._stages}, k), a row for each "
+                    f"stage, got {rows.dtype} of shape {rows.shape}"
+                )
+            if not np.all(np.isfinite(rows) & (rows >= 0)):
+                raise InvalidInputError(f"guess: multipliers of {name!r} must be finite and not negative")
+        return found
+
+    def known(self, guess: Guess) -> Guess:
+        """A guess with the multipliers of inequalities that the problem has, as far as their names tell."""
+        own = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
+        return guess._replace(multipliers=own)
 
     def one(self, guess: Any) -> Guess:
         """A guess as arrays with its costates filled in; raises where something is wrong."""
@@ -77,7 +108,8 @@ class GuessReader:
 
     def guess(self, flat: FlatGuess, k: int) -> Guess:
         """The guess of a member, in arrays like a point's."""
-        return Guess(*(_points(rows, k, part) for rows, part in zip(flat, self._parts, strict=True)))
+        parts = (_points(rows, k, part) for rows, part in zip(flat.arrays, self._parts, strict=True))
+        return Guess(*parts, flat.multipliers[min(k, len(flat.multipliers) - 1)])
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
         """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it

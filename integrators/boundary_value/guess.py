@@ -1,6 +1,6 @@
 """First guesses of a trajectory."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -24,7 +24,8 @@ class Guess(NamedTuple):
 
     Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``.
     What is known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or
-    neither.
+    neither; and the ``multipliers`` of its inequalities at the stages, by their names as in a ``Solution``. Where these
+    fit, an iteration begins near to where it would end.
     """
 
     states: Ambient
@@ -32,6 +33,7 @@ class Guess(NamedTuple):
     costates: Any = None
     nodes: Any = None
     stage_costates: Any = None
+    multipliers: Mapping[str, Any] | None = None
 
     @classmethod
     def from_controls(

@@ -139,7 +139,7 @@ class MemberReader:
 
     def _read(self, asked: Asked, axes: int, horizons: np.ndarray, guesses: Sequence[Any]) -> Members:
         check_parameters(self.problem, asked.parameters)
-        given = [resampled(guess, self.mesh) if isinstance(guess, Solution) else guess for guess in guesses]
+        given = [self._of_solution(guess) if isinstance(guess, Solution) else guess for guess in guesses]
         guess = self.guesses.flat(given) if any(guess is not None for guess in given) else None
         ends = self.ends.ends(asked.start, asked.end, bool(axes))
         if np.any(ends.unknown):
@@ -156,6 +156,10 @@ class MemberReader:
         violations = self._violations.at(1, np.concatenate([ends.start, ends.end, *states]))[0]
         members.require_on_manifold(np.max(violations, axis=1))
         return members
+
+    def _of_solution(self, solution: Solution) -> Guess:
+        """A solution on the mesh, with the multipliers of the inequalities that the problem has."""
+        return self.guesses.known(resampled(solution, self.mesh))
 
     def _violations_of(self, q: Array) -> tuple[Array]:
         """By how much a flat point violates each equation of the manifold."""

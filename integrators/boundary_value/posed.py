@@ -18,6 +18,7 @@ from .engine.collocation import Collocation
 from .engine.conditions import Conditions
 from .engine.coupling import Coupling
 from .engine.diagnosis import Diagnosis
+from .engine.inequalities import Slacks
 from .engine.start import Start
 from .engine.system import Ends, Iterate
 from .engine.transcription import Data, Known, Nodes, OneStage
@@ -34,6 +35,7 @@ class Traced(NamedTuple):
     mask: Callable[..., np.ndarray] | None  # of so many steps and stages: where each inequality holds, if there are any
     # What belongs to the inequalities, along the last axis, by their names.
     named: Callable[[np.ndarray], dict[str, np.ndarray]]
+    flat: Callable[..., np.ndarray]  # the other way, from names
     own: Own
     coupling: Coupling | None  # of the ends, if they are coupled
 
@@ -82,10 +84,10 @@ class Posing:
                 steps = OneStage(self.problem, method, *given[1:])
             sizes = example.inequality_sizes
             mask = partial(example.limits.mask, sizes) if example.limits.any else None
-            named = partial(example.limits.by_name, sizes=sizes)
+            named, flat = (partial(turn, sizes=sizes) for turn in (example.limits.by_name, example.limits.flat))
             own = Own(self.problem, parameters)
             coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named, own, coupling)
+            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named, flat, own, coupling)
         return self._found[key]
 
     def of(self, members: Members) -> Traced:
@@ -120,16 +122,26 @@ class Posing:
         shape = count, len(self.fractions), len(self.stages)
         if members.guess is None:
             members.ends.require_known(members.asked.start)
-            states = self._start.states(*rows, self._places).reshape(*shape, size)
+            slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
             controls = np.broadcast_to(self._resting, (*shape, self.control.size))
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
-            parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in members.guess)
-            own = FlatGuess(*parts)
+            given = members.guess
+            parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in given.arrays)
+            own = FlatGuess(*parts, given.multipliers)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
-            costates = own.costates
+            costates, slacks = own.costates, self._pulling(traced, own, shape)
             both = own.nodes, own.stage_costates
             known = (
                 Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
             )
-        return Iterate(traced.steps.begin(states, controls, costates, data, known), costates)
+        return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
+
+    @staticmethod
+    def _pulling(traced: Traced, guess: FlatGuess, shape: tuple[int, ...]) -> Slacks | None:
+        """The multipliers of guesses that know them of the inequalities, of steps and stages of this shape."""
+        if traced.mask is None or not any(guess.multipliers):
+            return None
+        rows = np.stack([traced.flat(known, shape[1:]) for known in guess.multipliers])
+        slacks = Slacks.none((*shape, rows.shape[-1]))
+        return slacks._replace(multipliers=np.array(np.broadcast_to(rows, slacks.multipliers.shape)))

@@ -41,7 +41,16 @@ def resampled(solution: Solution, mesh: Mesh) -> Guess:
     # same.
     interpolant = solution.interpolant or mesh.interpolant
     nodes, stages = (interpolant(solution, np.minimum(t, solution.times[-1])) for t in (times, stage_times))
-    return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates)
+    own = solution.guess().multipliers or {}
+    multipliers = {name: _along(stage_times, solution.stage_times, rows) for name, rows in own.items()}
+    return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers)
+
+
+def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Multipliers at some times, linear between those that are known; at the first, as some have to hold there alone."""
+    found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
+    found[0] = rows[0]
+    return found
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:

@@ -119,7 +119,8 @@ class Solution:
     def guess(self) -> Guess:
         """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of
         them."""
-        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates)
+        along = {name: rows for name, rows in self.multipliers.items() if rows.ndim == 2}  # not those between the ends
+        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, along)
 
     def report(self) -> None:
         """Print what a user checks."""

@@ -8,7 +8,8 @@ import numpy as np
 from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
-FIRST = 0.3  # the first barrier, relative to the unit of the cost rate
+FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; with known multipliers it is no more than
+CLOSEST = 1e-9  # the first barrier from known multipliers is no less, and what they leave unsolved is measured with it
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 ROUNDING = 4 * float(np.finfo(float).eps)
@@ -61,6 +62,20 @@ class Barrier(NamedTuple):
         """The slacks to begin with: those of inequalities that do not hold by enough are elastic."""
         price = np.where(held.values < -INSIDE * self.unit, np.inf, PRICE * self.price)
         return central(held, FIRST * self.rate, price)
+
+    def near(self, held: Held, multipliers: np.ndarray, barrier: np.ndarray) -> Slacks:
+        """The slacks and multipliers with ``nu s = mu`` that are nearest to ``-g`` and known multipliers, in the sense
+        ``s - k nu = -g - k nu_0``, where ``k`` makes them of one unit; ``barrier`` relative to the unit of the cost rate.
+
+        Nothing is elastic: where an inequality pulls and does not hold, it lacks what it lacks.
+        """
+        mu, k = (barrier * self.rate)[:, None, None, None], self.unit / self.price
+        apart = -held.values - k * multipliers
+        root = np.sqrt(apart * apart + 4 * k * mu)
+        more = (root + np.abs(apart)) / 2
+        slacks = np.where(held.asked, np.where(apart > 0, more, k * mu / more), 1.0)
+        own = np.where(held.asked, mu / slacks, 0.0)
+        return Slacks(slacks, own, np.zeros_like(own), np.full_like(own, np.inf), barrier * self.rate)
 
     def softened(self, held: Held, slacks: Slacks, where: np.ndarray) -> Slacks:
         """The slacks with all inequalities elastic in some members."""

@@ -1,12 +1,13 @@
 """The conditions of a discrete extremal: ends meet, the cost is stationary; in units of the trajectory itself."""
 
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any, ClassVar, cast, final
 
 import numpy as np
 
 from .augmented import is_isolated_minimum
-from .barrier import DEARER, Barrier, Missed
+from .barrier import CLOSEST, DEARER, FIRST, SOLVED, Barrier, Missed
+from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent, meeting
 from .inequalities import Held, Slacks, Surveyed, moved, turned
@@ -124,12 +125,13 @@ class Conditions:
 
     def in_units(self, guess: Iterate, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
         """The guess, with inequalities that do not pull yet, and its system, from which the units are taken."""
+        resting = guess
         if self.transcription.inequalities:
             shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
-            guess = guess._replace(slacks=Slacks.none(shape))
-        assembled = self.assemble(guess, paid)
-        self.units, self.wider = self._natural(guess, assembled), None
-        return guess, assembled
+            resting = guess._replace(slacks=Slacks.none(shape))
+        assembled = self.assemble(resting, paid)
+        self.units, self.wider = self._natural(resting, assembled), None
+        return (resting if guess.slacks is None else guess), assembled
 
     def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
         """The first iterate with the slacks of its inequalities, and its system."""
@@ -137,8 +139,20 @@ class Conditions:
             return first, assembled
         held, rate = assembled.blocks.inequalities, self.measured.cost / np.mean(self.data.steps, axis=1)
         self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
-        begun = first._replace(slacks=self.barrier.first(held))
+        slacks = self.barrier.first(held)
+        if np.any(first.slacks.multipliers):
+            slacks = self._nearer(first, held, slacks, paid)
+        begun = first._replace(slacks=slacks)
         return begun, self.assemble(begun, paid)
+
+    def _nearer(self, first: Iterate, held: Held, far: Slacks, paid: Paid | None) -> Slacks:
+        """The slacks of members whose multipliers are known and fit: with a barrier of what they leave unsolved."""
+        barrier, multipliers = cast(Barrier, self.barrier), cast(Slacks, first.slacks).multipliers
+        least = np.full(len(far.barrier), CLOSEST)
+        there = first._replace(slacks=barrier.near(held, multipliers, least))
+        unsolved = self.residuals(there, self.assemble(there, paid)).largest
+        near = barrier.near(held, multipliers, np.maximum(unsolved / SOLVED, least))
+        return merged(unsolved < FIRST, near, far)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""

@@ -26,6 +26,11 @@ class JointIterate(NamedTuple):
         """Those of a phase that has inequalities, if there is one."""
         return next((part.slacks for part in self.parts if part.slacks is not None), None)
 
+    @property
+    def bare(self) -> "JointIterate":
+        """Without what is known of the inequalities."""
+        return self._replace(parts=tuple(part.bare for part in self.parts))
+
 
 class JointExtent(NamedTuple):
     """The largest of what the nodes of all phases lack in each coordinate, then the equations, shape (B, n)."""

@@ -21,6 +21,7 @@ from .aside import aside, is_lost
 from .batches import merged, put, taken
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
+from .inequalities import Slacks
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
@@ -94,7 +95,7 @@ def newton(
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)
-    return _again(search, found, found.iterate, jammed)
+    return _again(search, found, found.iterate.bare, jammed)
 
 
 def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray) -> Found:
@@ -176,7 +177,10 @@ class _Search:
             looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
-                return self.begun(merged(self.lost, aside(conditions, *bare), given))
+                moved = aside(conditions, *bare)
+                if given.slacks is not None:
+                    moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
+                return self.begun(merged(self.lost, moved, given))
         far = np.full(count, np.inf)
         numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
         promise = descends, *conditions.promise(guess, assembled, step), merit

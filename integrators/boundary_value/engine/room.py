@@ -14,6 +14,8 @@ from .system import Assembled, Iterate
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+ROUNDING = 1e-13  # of a curvature: less of it than this is what its sum with another is rounded by
+
 
 def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
     """Half of the way of each control of a step from one inequality to the other, or that to the only one.
@@ -45,8 +47,9 @@ def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k:
     alone.slacks.fill(np.inf)  # else it has a stiffness beside its curvature
     alone.multipliers[..., k] = 1.0
     around = assembled.nodes, assembled.costates, assembled.paid
-    pulled = conditions.blocks(iterate._replace(slacks=alone), *around).hessian - assembled.blocks.hessian
-    curvature = np.diagonal(pulled, axis1=2, axis2=3)[..., n:].reshape(*held.values.shape[:3], -1)
+    both = conditions.blocks(iterate._replace(slacks=alone), *around).hessian, assembled.blocks.hessian
+    pulled, own = (np.diagonal(a, axis1=2, axis2=3)[..., n:].reshape(*held.values.shape[:3], -1) for a in both)
+    curvature = np.where(np.abs(pulled - own) > ROUNDING * np.abs(own), pulled - own, 0.0)
     slope, value = held.jacobian[..., k, -curvature.shape[3] :], np.abs(held.values[..., k, None])
     with np.errstate(all="ignore"):
         curvature = curvature / held.weights[..., k, None]

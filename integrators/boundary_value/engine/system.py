@@ -15,7 +15,12 @@ class Iterate(NamedTuple):
 
     unknowns: Any
     costates: np.ndarray
-    slacks: Slacks | None = None  # of the inequalities, if there are any
+    slacks: Slacks | None = None  # of the inequalities, if there are any; of a guess, with multipliers that are known
+
+    @property
+    def bare(self) -> "Iterate":
+        """Without what is known of the inequalities."""
+        return self._replace(slacks=None)
 
 
 class Assembled(NamedTuple):
