@@ -9,7 +9,8 @@ from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; with known multipliers it is no more than
-CLOSEST = 1e-9  # the first barrier from known multipliers is no less, and what they leave unsolved is measured with it
+CLOSEST = 1e-24  # the barrier with which known multipliers are measured
+LOWEST = 1e-12  # the first barrier from known multipliers is no less
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 ROUNDING = 4 * float(np.finfo(float).eps)

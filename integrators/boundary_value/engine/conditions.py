@@ -6,7 +6,7 @@ from typing import Any, ClassVar, cast, final
 import numpy as np
 
 from .augmented import is_isolated_minimum
-from .barrier import CLOSEST, DEARER, FIRST, SOLVED, Barrier, Missed
+from .barrier import CLOSEST, DEARER, FIRST, LOWEST, SOLVED, Barrier, Missed
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent, meeting
@@ -151,22 +151,24 @@ class Conditions:
         least = np.full(len(far.barrier), CLOSEST)
         there = first._replace(slacks=barrier.near(held, multipliers, least))
         unsolved = self.residuals(there, self.assemble(there, paid)).largest
-        near = barrier.near(held, multipliers, np.maximum(unsolved / SOLVED, least))
+        near = barrier.near(held, multipliers, np.maximum(unsolved / SOLVED, LOWEST))
         return merged(unsolved < FIRST, near, far)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""
         extent, blocks, controls, curved = assembled.extent, assembled.blocks, self._controls(iterate), True
+        free: np.ndarray | float = np.inf
         if blocks.held is not None:
             # Where the cost is not curved in the controls, but for rounding, their way to the bounds measures them.
             own, ways = extent.curvature[:, assembled.gap.shape[2] :], room(self, iterate, assembled)
             changes = own * np.where(ways > 0, ways, 1.0) ** 2
             curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
+            free = np.where(ways > 0, ways, np.inf)
         moved, sizes = extent.moved(self.at_nodes.layout)
         fallback = np.concatenate([sizes, controls], axis=1)
         system = self.system(iterate, assembled)
-        return natural_units(system, blocks.gradient, moved, controls, fallback, curved)
+        return natural_units(system, blocks.gradient, moved, controls, fallback, curved, free)
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""

@@ -38,18 +38,20 @@ def natural_units(
     controls: Float[np.ndarray, "B m"],
     values: Float[np.ndarray, "B z"] | float = 1.0,
     curved: np.ndarray | bool = True,
+    room: np.ndarray | float = np.inf,
 ) -> Units:
     """Units from the linearised trajectories, their displacements in the states and the sizes of their controls.
 
     ``gradient``: of the cost alone; ``m`` counts all controls of a step; ``values``: sizes of coordinates that nothing
-    moves; ``curved``: False where curvature in the controls is rounding, shape (B,).
+    moves; ``curved``: False where curvature in the controls is rounding, shape (B,); ``room``: how far inequalities let
+    the controls go, (B, m).
     """
     count, n = system.left.shape[1:3]
     curvature = np.abs(np.diagonal(system.hessian, axis1=2, axis2=3)).sum(axis=1)
     slope, own = np.abs(gradient).sum(axis=1), np.concatenate([states, controls], axis=1)
     convex = (np.all(curvature[:, n:] > 0, axis=1) & curved)[:, None]
     with np.errstate(all="ignore"):
-        push = np.where(convex, 1 / np.sqrt(curvature[:, n:]), controls)
+        push = np.where(convex, np.minimum(1 / np.sqrt(curvature[:, n:]), room), controls)
         reach = np.concatenate([_reach(system, count * push**2), push], axis=1)
         asked = np.where(reach > 0, own / reach, 0.0)
         asked = np.maximum(asked, np.where(convex, slope * reach / (1 + curvature * reach**2), 0.0))
