@@ -105,8 +105,8 @@ class Inequalities(eqx.Module):
         return found
 
     def flat(self, named: Mapping[str, np.ndarray], shape: tuple[int, ...], sizes: dict[str, int | None]) -> np.ndarray:
-        """The inverse of ``by_name``, of shape ``(*shape, k)``, zero for names that are missing; raises for wrong ones."""
-        widths = {name: (len(self.lower), side) for name, side in self.bounded.items()}
+        """The inverse of ``by_name``, of shape ``(*shape, k)``, zero for missing names; raises for wrong widths."""
+        widths = {name: (len(self.lower), side) for name, side in self.bounded.items() if side}
         widths |= {name: (_count(size), list(range(_count(size)))) for name, size in sizes.items()}
         columns = []
         for name, (width, kept) in widths.items():

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.precision import default_tolerance
-from ..constraints import TAKEN
+from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER
 from ..evaluation import at_each
 from ..layout import Layout
 from ..problem import OptimalControlProblem
@@ -61,7 +61,9 @@ class GuessReader:
             _Part(name, own[of][0], length, own[of][1])
             for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
-        self._names, self._stages = {*problem.limits.bounded, *problem.limits.names, *TAKEN}, at_stages
+        limits, added = problem.limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
+        self._names = {*(name for name, side in limits.bounded.items() if side), *limits.names, *added}
+        self._stages = at_stages
 
     def flat(self, guesses: Sequence[Any]) -> FlatGuess:
         """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""

@@ -47,7 +47,7 @@ def resampled(solution: Solution, mesh: Mesh) -> Guess:
 
 
 def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Multipliers at some times, linear between those that are known; at the first, as some have to hold there alone."""
+    """Multipliers at some times, linear between those that are known; the first stays: some hold there alone."""
     found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
     found[0] = rows[0]
     return found

@@ -65,10 +65,11 @@ class Barrier(NamedTuple):
         return central(held, FIRST * self.rate, price)
 
     def near(self, held: Held, multipliers: np.ndarray, barrier: np.ndarray) -> Slacks:
-        """The slacks and multipliers with ``nu s = mu`` that are nearest to ``-g`` and known multipliers, in the sense
-        ``s - k nu = -g - k nu_0``, where ``k`` makes them of one unit; ``barrier`` relative to the unit of the cost rate.
+        """The slacks and multipliers with ``nu s = mu`` and ``s - k nu = -g - k nu_0``: those nearest to ``-g`` and to
+        known multipliers, where ``k`` makes them of one unit.
 
-        Nothing is elastic: where an inequality pulls and does not hold, it lacks what it lacks.
+        ``barrier``: relative to the unit of the cost rate. Nothing is elastic: an inequality that pulls and does not
+        hold is left so.
         """
         mu, k = (barrier * self.rate)[:, None, None, None], self.unit / self.price
         apart = -held.values - k * multipliers

@@ -152,7 +152,7 @@ class Conditions:
         there = first._replace(slacks=barrier.near(held, multipliers, least))
         unsolved = self.residuals(there, self.assemble(there, paid)).largest
         near = barrier.near(held, multipliers, np.maximum(unsolved / SOLVED, LOWEST))
-        return merged(unsolved < FIRST, near, far)
+        return merged((unsolved < FIRST) & np.any(multipliers, axis=(1, 2, 3)), near, far)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
         """Units from an iterate."""

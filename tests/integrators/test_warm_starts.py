@@ -1,0 +1,154 @@
+"""Solutions with inequalities as guesses: their multipliers say how low the barrier may begin, and never what is found."""
+
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax import problems
+from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, Solver, solve_phases
+from retrax.integrators.free import near
+from retrax.manifolds import Euclidean, InvalidInputError, hat
+from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+
+from .problems import INERTIA, REST, RIGID, rotation
+
+HORIZON, STEPS, LIMIT = 3.0, 20, 1.6
+AXIS, START = np.array([0.6, 0.0, 0.8]), (np.eye(3), REST)
+SAME = 2e-7  # of a cost, relative: what the last barrier leaves
+PLANE, METHOD = Euclidean(2), Gauss(2, default_retraction(Euclidean(2)))
+
+
+def at(angle):
+    return rotation(angle * AXIS), REST
+
+
+def body(q, u):
+    return q[0] @ hat(q[1]), (u - jnp.cross(q[1], INERTIA * q[1])) / INERTIA
+
+
+@cache
+def slew():
+    problem = OptimalControlProblem(RIGID, body, lambda q, u: u @ u / 2, 3, control_bounds=(-LIMIT, LIMIT))
+    return Solver(problem, Midpoint(Cayley(RIGID)), STEPS)
+
+
+@cache
+def solved(angle=1.0, steps=STEPS):
+    return slew().with_steps(steps).solve(START, at(angle), HORIZON)
+
+
+@pytest.mark.parametrize("name", ["keep-out-cone", "aly-chan", "fishing", "free-flying-robot", "betts"])
+def test_a_solution_is_found_again_from_itself(name):
+    """Among them one that is singular, and one whose inequality does not see the controls."""
+    known = problems.get(name)
+    solver = Solver(known.problem, known.discretization, known.steps)
+    first = solver.solve(known.start, known.end, known.horizon, guess=known.guess)
+    again = solver.solve(known.start, known.end, near(known.horizon, first.horizon), guess=first)
+    assert again.statistics.iterations < first.statistics.iterations / 2
+    assert again.cost == pytest.approx(first.cost, rel=1e-8, abs=1e-9)
+
+
+def test_the_nearer_the_end_the_fewer_iterations():
+    """Through the decision whether the multipliers fit: from the solution itself to ends that are far from its own."""
+    moves, counts = np.geomspace(1e-7, 1.5, 15), []
+    for move in moves:
+        cold = slew().solve(START, at(1.0 + move), HORIZON, throw=False)
+        warm = slew().solve(START, at(1.0 + move), HORIZON, guess=solved(), throw=False)
+        assert warm.success == cold.success
+        counts.append((warm.statistics.iterations, cold.statistics.iterations))
+        if cold.success:
+            assert warm.cost == pytest.approx(cold.cost, rel=SAME)
+    warm, cold = np.array(counts).T
+    assert np.all(warm[moves < 1e-3] <= 6)
+    assert np.all(warm <= cold + 4)
+    assert warm[0] <= 4
+
+
+@pytest.mark.parametrize("factor", [0.0, 1e-8, 1e-3, 0.5, 0.99, 2.0, 30.0, 1e4, 1e8, "other side"])
+def test_wrong_multipliers_lead_to_the_same_optimum(factor):
+    guess = solved().guess()
+    lower, upper = guess.multipliers.values()
+    wrong = (upper, lower) if isinstance(factor, str) else (factor * lower, factor * upper)
+    found = slew().solve(
+        START, at(1.0), HORIZON, guess=guess._replace(multipliers=dict(zip(guess.multipliers, wrong, strict=True)))
+    )
+    assert found.cost == pytest.approx(solved().cost, rel=SAME)
+
+
+@pytest.mark.parametrize("steps", [7, 13, 45])
+def test_other_steps(steps):
+    cold, warm = solved(steps=steps), slew().with_steps(steps).solve(START, at(1.0), HORIZON, guess=solved())
+    assert warm.cost == pytest.approx(cold.cost, rel=SAME)
+    assert warm.statistics.iterations < cold.statistics.iterations
+
+
+def test_members_of_a_batch_begin_as_they_would_alone():
+    guess, ends = solved().guess(), (np.stack([at(a)[0] for a in (1.0, 1.01, 0.9)]), np.zeros((3, 3)))
+    guesses = [guess, guess._replace(multipliers=None), guess]
+    found = slew().solve_many(START, ends, HORIZON, guesses=guesses)
+    for k, own in enumerate(guesses):
+        alone = slew().solve(START, (ends[0][k], REST), HORIZON, guess=own)
+        assert found[k].statistics.iterations == alone.statistics.iterations
+        assert found[k].cost == pytest.approx(alone.cost, rel=1e-12)
+
+
+def moving(q, u, t):
+    return jnp.stack([q[1], u[0] * (1 + 0.3 * jnp.sin(t))])
+
+
+def test_a_free_horizon_with_a_bound_that_pulls_and_a_time():
+    """What is added to the states has covectors too, and a guess that is a solution knows them."""
+    problem = OptimalControlProblem(
+        PLANE, moving, lambda q, u, t: 1.0 + u @ u / 20, 1, time_dependent=True, control_bounds=(-1.0, 1.0)
+    )
+    solver, way = Solver(problem, METHOD, 12), (np.zeros(2), np.array([1.0, 0.0]))
+    free = solver.solve(*way, Free(2.0))
+    for upper in (np.inf, 0.99 * free.horizon):
+        horizon = Free(0.9 * free.horizon, upper=upper)
+        first = solver.solve(*way, horizon)
+        again = solver.solve(*way, Free(first.horizon, upper=upper), guess=first)
+        assert again.statistics.iterations <= 4 < first.statistics.iterations
+        assert again.cost == pytest.approx(first.cost, rel=SAME)
+
+
+def test_phases_begin_with_the_multipliers_of_theirs():
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1, control_bounds=(-5.0, 5.0)
+    )
+    phases = [
+        Phase(problem, METHOD, 6, 0.5, start=REST[:2]),
+        Phase(problem, METHOD, 6, 0.5, end=np.array([1.0, 0.0])),
+    ]
+    first = solve_phases(phases)
+    again = solve_phases(phases, guess=first)
+    assert first.phases[0].checks.active["control_bounds upper"]
+    assert again.phases[0].statistics.iterations <= 3 < first.phases[0].statistics.iterations
+    assert again.cost == pytest.approx(first.cost, rel=SAME)
+
+
+ROWS = np.zeros((STEPS, 3))
+WRONG = {
+    "belong to 'cone'": {"cone": ROWS},
+    "of shape \\(20, k\\)": {"control_bounds lower": ROWS[1:]},
+    "real numbers": {"control_bounds lower": 1j * ROWS},
+    "finite and not negative": {"control_bounds lower": ROWS - 1},
+    "must be finite": {"control_bounds upper": ROWS + np.nan},
+    "2 entries at a stage, expected 3": {"control_bounds lower": ROWS[:, :2]},
+}
+
+
+@pytest.mark.parametrize("words", WRONG)
+def test_what_are_no_multipliers_is_said(words):
+    own = solved().guess()
+    with pytest.raises(InvalidInputError, match=words):
+        slew().solve(START, at(1.0), HORIZON, guess=own._replace(multipliers=WRONG[words]))
+
+
+def test_a_solution_of_a_problem_with_other_inequalities_is_a_guess():
+    problem = OptimalControlProblem(
+        RIGID, body, lambda q, u: u @ u / 2, 3, constraints={"ball": lambda q, u: u @ u - 9}
+    )
+    found = Solver(problem, Midpoint(Cayley(RIGID)), STEPS).solve(START, at(1.0), HORIZON, guess=solved())
+    assert found.success
+    assert Guess(*solved().guess()[:5]).multipliers is None
