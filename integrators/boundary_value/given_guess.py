@@ -35,6 +35,11 @@ class FlatGuess(NamedTuple):
         """All but the multipliers."""
         return self[:-1]
 
+    def of(self, count: int) -> "FlatGuess":
+        """The guesses of so many members, in arrays that are not to be written to."""
+        parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
+        return FlatGuess(*(*parts, self.multipliers))
+
     def states_to_check(self, size: int) -> np.ndarray:
         """All states, at stages and nodes, in a row."""
         return np.concatenate([rows.reshape(-1, size) for rows in (self.states, self.nodes) if rows is not None])

@@ -82,9 +82,9 @@ class Posing:
             else:
                 method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
                 steps = OneStage(self.problem, method, *given[1:])
-            sizes = example.inequality_sizes
-            mask = partial(example.limits.mask, sizes) if example.limits.any else None
-            named, flat = (partial(turn, sizes=sizes) for turn in (example.limits.by_name, example.limits.flat))
+            sizes, limits = example.inequality_sizes, example.limits
+            mask = partial(limits.mask, sizes) if limits.any else None
+            named, flat = partial(limits.by_name, sizes=sizes), partial(limits.flat, sizes=sizes)
             own = Own(self.problem, parameters)
             coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
             self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named, flat, own, coupling)
@@ -126,9 +126,7 @@ class Posing:
             controls = np.broadcast_to(self._resting, (*shape, self.control.size))
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
-            given = members.guess
-            parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in given.arrays)
-            own = FlatGuess(*parts, given.multipliers)
+            own = members.guess.of(count)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
             costates, slacks = own.costates, self._pulling(traced, own, shape)
             both = own.nodes, own.stage_costates

@@ -1,4 +1,4 @@
-"""Solutions with inequalities as guesses: their multipliers say how low the barrier may begin, and never what is found."""
+"""Solutions with inequalities as guesses: their multipliers say how low the barrier begins, and never what is found."""
 
 from functools import cache
 
@@ -70,9 +70,8 @@ def test_wrong_multipliers_lead_to_the_same_optimum(factor):
     guess = solved().guess()
     lower, upper = guess.multipliers.values()
     wrong = (upper, lower) if isinstance(factor, str) else (factor * lower, factor * upper)
-    found = slew().solve(
-        START, at(1.0), HORIZON, guess=guess._replace(multipliers=dict(zip(guess.multipliers, wrong, strict=True)))
-    )
+    named = dict(zip(guess.multipliers, wrong, strict=True))
+    found = slew().solve(START, at(1.0), HORIZON, guess=guess._replace(multipliers=named))
     assert found.cost == pytest.approx(solved().cost, rel=SAME)
 
 
@@ -100,7 +99,7 @@ def moving(q, u, t):
 def test_a_free_horizon_with_a_bound_that_pulls_and_a_time():
     """What is added to the states has covectors too, and a guess that is a solution knows them."""
     problem = OptimalControlProblem(
-        PLANE, moving, lambda q, u, t: 1.0 + u @ u / 20, 1, time_dependent=True, control_bounds=(-1.0, 1.0)
+        PLANE, moving, lambda q, u, t: 1.0 + u @ u / 2, 1, time_dependent=True, control_bounds=(-0.8, 0.8)
     )
     solver, way = Solver(problem, METHOD, 12), (np.zeros(2), np.array([1.0, 0.0]))
     free = solver.solve(*way, Free(2.0))
