@@ -38,7 +38,7 @@ class FlatGuess(NamedTuple):
     def of(self, count: int) -> "FlatGuess":
         """The guesses of so many members, in arrays that are not to be written to."""
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
-        return FlatGuess(*(*parts, self.multipliers))
+        return FlatGuess(*parts, multipliers=self.multipliers)
 
     def states_to_check(self, size: int) -> np.ndarray:
         """All states, at stages and nodes, in a row."""
@@ -83,7 +83,7 @@ class GuessReader:
                 )
         columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
         stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        return FlatGuess(*stacked, tuple(self._multipliers(guess.multipliers or {}) for guess in guesses))
+        return FlatGuess(*stacked, multipliers=tuple(self._multipliers(one.multipliers or {}) for one in guesses))
 
     def _multipliers(self, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
         """Multipliers as arrays, checked but for how many there are at a stage."""
@@ -116,7 +116,7 @@ class GuessReader:
     def guess(self, flat: FlatGuess, k: int) -> Guess:
         """The guess of a member, in arrays like a point's."""
         parts = (_points(rows, k, part) for rows, part in zip(flat.arrays, self._parts, strict=True))
-        return Guess(*parts, flat.multipliers[min(k, len(flat.multipliers) - 1)])
+        return Guess(*parts, multipliers=flat.multipliers[min(k, len(flat.multipliers) - 1)])
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
         """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it
