@@ -8,9 +8,10 @@ import numpy as np
 from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
-FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; with known multipliers it is no more than
+FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; known multipliers that leave more do not fit
 CLOSEST = 1e-24  # the barrier with which known multipliers are measured
-LOWEST = 1e-12  # the first barrier from known multipliers is no less
+KNOWN = 0.03  # of what known multipliers leave unsolved, or its square if that is less: the barrier to begin with
+LOWEST = 1e-12  # such a barrier is no lower
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 ROUNDING = 4 * float(np.finfo(float).eps)

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, cast, final
 import numpy as np
 
 from .augmented import is_isolated_minimum
-from .barrier import CLOSEST, DEARER, FIRST, LOWEST, SOLVED, Barrier, Missed
+from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent, meeting
@@ -151,7 +151,7 @@ class Conditions:
         least = np.full(len(far.barrier), CLOSEST)
         there = first._replace(slacks=barrier.near(held, multipliers, least))
         unsolved = self.residuals(there, self.assemble(there, paid)).largest
-        near = barrier.near(held, multipliers, np.maximum(unsolved / SOLVED, LOWEST))
+        near = barrier.near(held, multipliers, np.maximum(unsolved * np.minimum(unsolved, KNOWN), LOWEST))
         return merged((unsolved < FIRST) & np.any(multipliers, axis=(1, 2, 3)), near, far)
 
     def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
