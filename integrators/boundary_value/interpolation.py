@@ -16,6 +16,7 @@ from ...retractions import Retraction, default_retraction
 from ..evaluator import Automatic, Evaluated
 from ..layout import Layout
 from .engine.chart import Chart, lagrange
+from .guess import Guess
 from .stored import as_text, from_text
 
 if TYPE_CHECKING:
@@ -136,6 +137,13 @@ class Interpolant:
         q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
         return Sample(times, q, u, p)
 
+    def guess(self, record: "Solution", times: np.ndarray, stage_times: np.ndarray) -> Guess:
+        """The extremal at times of nodes and of stages."""
+        nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
+        own = record.guess().multipliers or {}
+        multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in own.items()}
+        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers)
+
     def within(self, record: "Solution", places: np.ndarray) -> Sample:
         """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
         controls.
@@ -205,6 +213,13 @@ class Interpolant:
     def _steered_of(self, base: Array, offset: Array) -> tuple[Array]:
         u, turn = self.control.point(base), default_retraction(self.controls)
         return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
+
+
+def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Multipliers at some times, linear between those that are known; the first stays: some hold there alone."""
+    found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
+    found[0] = rows[0]
+    return found
 
 
 def checked_times(t: Any, times: np.ndarray) -> np.ndarray:

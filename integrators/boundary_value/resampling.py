@@ -40,17 +40,7 @@ def resampled(solution: Solution, mesh: Mesh) -> Guess:
     # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all the
     # same.
     interpolant = solution.interpolant or mesh.interpolant
-    nodes, stages = (interpolant(solution, np.minimum(t, solution.times[-1])) for t in (times, stage_times))
-    own = solution.guess().multipliers or {}
-    multipliers = {name: _along(stage_times, solution.stage_times, rows) for name, rows in own.items()}
-    return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers)
-
-
-def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Multipliers at some times, linear between those that are known; the first stays: some hold there alone."""
-    found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
-    found[0] = rows[0]
-    return found
+    return interpolant.guess(solution, times, stage_times)
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:

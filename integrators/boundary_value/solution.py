@@ -108,17 +108,34 @@ class Solution:
         States and costates are continuous, controls polynomials on each step; see ``Interpolant``. Raises
         ``InvalidInputError`` for times outside the horizon, and ``DomainError`` where a step does not fit into a chart.
         """
+        return self._between_nodes(self, t)
+
+    @property
+    def _between_nodes(self) -> Interpolant:
         if self.interpolant is None:
             raise InvalidInputError(
                 "this solution was read from a file that says nothing of its retraction, which is not one of the "
                 "library or is made with a function, and it has no polynomials between its nodes; try "
                 "load_solution(path, retraction, controls)"
             )
-        return self.interpolant(self, t)
+        return self.interpolant
 
-    def guess(self) -> Guess:
+    def guess(self, after: float = 0.0) -> Guess:
         """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of
-        them."""
+        them.
+
+        ``after``: the time since its beginning from which on it is wanted, as where a plan is made again on the way,
+        over what is left of the horizon. Raises ``InvalidInputError`` where nothing is left.
+        """
+        if not 0 <= after < self.horizon:
+            raise InvalidInputError(
+                f"a guess was asked for after {after:.6g} of a horizon of {self.horizon:.6g}, expected a time in it; "
+                "try solution.guess(after=0.1 * solution.horizon)"
+            )
+        if after > 0:
+            begin, left = self.times[0] + after, 1 - after / self.horizon
+            places = (begin + left * (times - self.times[0]) for times in (self.times, self.stage_times))
+            return self._between_nodes.guess(self, *places)
         along = {name: rows for name, rows in self.multipliers.items() if rows.ndim == 2}  # not those between the ends
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, along)
 

@@ -126,6 +126,24 @@ def test_phases_begin_with_the_multipliers_of_theirs():
     assert again.cost == pytest.approx(first.cost, rel=SAME)
 
 
+@pytest.mark.parametrize("share", [1e-9, 0.05, 0.3])
+def test_what_is_left_of_a_plan_is_the_guess_of_the_next(share):
+    after = share * HORIZON
+    guess, reached = solved().guess(after=after), solved()(after)
+    for leaf, place in zip(guess.nodes, reached.states, strict=True):
+        np.testing.assert_allclose(leaf[0], place, atol=1e-12)
+    np.testing.assert_allclose(guess.costates[1][-1], solved().costates[1][-1], atol=1e-12)
+    left = [slew().solve(reached.states, at(1.0), HORIZON - after, guess=one) for one in (guess, None)]
+    assert left[0].cost == pytest.approx(left[1].cost, rel=SAME)
+    assert left[0].statistics.iterations < left[1].statistics.iterations
+
+
+@pytest.mark.parametrize("after", [-0.1, HORIZON, np.nan])
+def test_a_time_at_which_nothing_is_left_is_said(after):
+    with pytest.raises(InvalidInputError, match="expected a time in it"):
+        solved().guess(after=after)
+
+
 ROWS = np.zeros((STEPS, 3))
 WRONG = {
     "belong to 'cone'": {"cone": ROWS},
