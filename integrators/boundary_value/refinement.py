@@ -104,15 +104,18 @@ class Refinement:
 
     def _first(self, fractions: np.ndarray) -> Solution:
         """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser
-        one."""
+        one, or on a finer one."""
         first = self._on(self.problem, self.method, fractions, self.asked)
         if first.success or isinstance(self.asked.guess, Guess):  # which belongs to its mesh
             return first
-        while len(fractions) >= 2 * FEWEST:
-            fractions = np.add.reduceat(fractions, np.arange(0, len(fractions), 2))
-            coarse = self._on(self.problem, self.method, fractions, self.asked)
-            if coarse.success and coarse.checks.strict_minimum:
-                return coarse
+        meshes, coarse = [], fractions
+        while len(coarse) >= 2 * FEWEST:
+            coarse = np.add.reduceat(coarse, np.arange(0, len(coarse), 2))
+            meshes.append(coarse)
+        for mesh in [*meshes, *(np.repeat(fractions / parts, parts) for parts in (2, PARTS))]:
+            found = self._on(self.problem, self.method, mesh, self.asked)
+            if found.success and found.checks.strict_minimum:
+                return found
         return first
 
     def error(self, found: _Found) -> float:

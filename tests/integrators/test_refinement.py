@@ -74,6 +74,16 @@ def quickest(speed):
     return 2 * root - sign * speed, root - sign * speed, sign
 
 
+@pytest.mark.parametrize("longer", [(1.0,), pytest.param(tuple(1 + 0.01 * np.arange(1, 12)), marks=pytest.mark.slow)])
+def test_a_mesh_that_is_too_coarse_to_begin_with(longer):
+    """Rounding decides whether 20 steps of 500 arrive, where layers are 10 long: other meshes are tried."""
+    dynamics, resting = (lambda q, u: u - q**3), (lambda q, u: (q @ q + u @ u) / 2)
+    problem, method = OptimalControlProblem(LINE, dynamics, resting, 1), Gauss(3, Addition(LINE))
+    for share in longer:
+        found = solve(problem, method, np.ones(1), np.array([1.5]), 1e4 * share, np.ones(20), accuracy=1e-6)
+        assert found.cost == pytest.approx(3.36205689, rel=1e-5)
+
+
 @pytest.mark.parametrize("speeds", [(0.9,), pytest.param((0.0, 1.41, 1.4142, 1.42, 3.0), marks=pytest.mark.slow)])
 def test_a_switch_is_found_wherever_it_is(speeds):
     """It moves over nodes and towards the start, beyond which the signs change."""
