@@ -64,11 +64,16 @@ def pytest_collection_finish():
     """What is there before the first test is not looked through for garbage again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(100_000, 20, 50)
+
+
+# Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting.
+FIRST = {"test_docs.py", "test_threads.py", "testing"}
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config, items):
+    items.sort(key=lambda item: FIRST.isdisjoint(item.path.parts))
     if part := config.getoption("part"):
         number, parts = map(int, part.split("/"))
         chosen = [item for item in items if crc32(item.nodeid.split("[")[0].encode()) % parts == number % parts]
