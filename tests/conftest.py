@@ -64,7 +64,7 @@ def pytest_collection_finish():
     """What is there before the first test is not looked through for garbage again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000, 20, 50)
+    gc.set_threshold(20_000, 20, 50)
 
 
 # Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting.
