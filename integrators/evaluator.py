@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
 
-MOST_TAPES = 512
-_tapes: dict[Hashable, "Tape"] = {}  # by what they compute, oldest first
+MOST_TAPES = 256
+_tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
 ALL_TRACED = "all functions are traced to scalar operations"
 
@@ -99,7 +99,7 @@ def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Ta
     program = flat(function, *examples)
     content = content_key(program.jaxpr, differentiated=expanded)
     key = content, program.result, expanded
-    tape = None if content is None else _tapes.get(key)
+    tape = None if content is None else _tapes.pop(key, None)
     if tape is None:
         tape = Tape.read(program)
         tape = tape.expansion() if expanded else tape
