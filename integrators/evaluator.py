@@ -3,9 +3,9 @@
 import itertools
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, Self, final
+from typing import TYPE_CHECKING, Any, Self, final
 
 import jax
 import jax.numpy as jnp
@@ -16,9 +16,16 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from ..reading import traced
 from .compilation import compiler_options
+from .programs import content_key
+
+if TYPE_CHECKING:
+    from ..tape import Tape
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
+
+MOST_TAPES = 256
+_tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
 ALL_TRACED = "all functions are traced to scalar operations"
 
@@ -80,11 +87,27 @@ class TapeEvaluator(Evaluator):
         return ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
-        from ..tape import Tape
-
         d = [] if first is None else [np.zeros(first)]
-        tape = Tape.trace(function, *d, *(np.zeros(size) for size in sizes))
-        return _OnTape(tape if first is None else tape.expansion())
+        return _OnTape(_tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None))
+
+
+def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Tape":
+    """The tape of a function, or of its expansion; functions that compute the same have one."""
+    from ..tape import Tape
+    from ..tape.trace import flat
+
+    program = flat(function, *examples)
+    content = content_key(program.jaxpr, differentiated=expanded)
+    key = content, program.result, expanded
+    tape = None if content is None else _tapes.pop(key, None)
+    if tape is None:
+        tape = Tape.read(program)
+        tape = tape.expansion() if expanded else tape
+    if content is not None:
+        _tapes[key] = tape
+        if len(_tapes) > MOST_TAPES:
+            _tapes.pop(next(iter(_tapes)), None)
+    return tape
 
 
 @dataclass(frozen=True, eq=False)

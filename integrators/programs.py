@@ -36,11 +36,14 @@ def program_key(closed: ClosedJaxpr) -> bytes:
     return _Writer().jaxpr(closed.jaxpr)
 
 
-def content_key(closed: ClosedJaxpr) -> bytes | None:
-    """The digest of a program with its constants; None where something in it is not known."""
+def content_key(closed: ClosedJaxpr, differentiated: bool = False) -> bytes | None:
+    """The digest of a program with its constants; None where something in it is not known.
+
+    For a program that is ``differentiated`` that is so where a function in it has a derivative of its own.
+    """
     writer = _Writer()
     key = _digest(writer.value(closed))
-    return None if writer.foreign else key
+    return None if writer.foreign or (differentiated and writer.has_rules) else key
 
 
 def value_of(known: dict[Any, Any], variable: Any) -> Any:
@@ -62,6 +65,7 @@ class _Writer:
         self.known: dict[int, bytes] = {}
         self.kinds: dict[Any, str] = {}
         self.foreign = False  # whether something was met that is not known here
+        self.has_rules = False  # whether rules of derivatives were left out
 
     def jaxpr(self, jaxpr: Jaxpr) -> bytes:
         """The digest of an open jaxpr."""
@@ -82,6 +86,7 @@ class _Writer:
             inputs = [read(v) for v in eqn.invars]
             numbers.update(zip(eqn.outvars, count, strict=False))
             unused = UNUSED.get(name, ())
+            self.has_rules |= name in UNUSED
             params = [(k, self.value(v)) for k, v in eqn.params.items() if k not in unused]
             lines.append((name, inputs, [self._kind(v.aval) for v in eqn.outvars], params, self._kind(eqn.ctx)))
         lines.append([read(v) for v in jaxpr.outvars])

@@ -159,7 +159,9 @@ class Manifold(eqx.Module):
     def describe_shapes(self, a: Ambient, role: str) -> str:
         """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do
         not."""
-        if jax.tree.structure(self.ambient) != jax.tree.structure(a):
+        expected, wanted = jax.tree.flatten(self.ambient)
+        leaves, structure = jax.tree.flatten(a)
+        if structure != wanted:
             numbers = isinstance(a, list | tuple) and all(np.shape(entry) == () for entry in a)
             hint = "; a list or a tuple is no array, try jax.numpy.array" if numbers or isinstance(a, list) else ""
             hint = (
@@ -168,7 +170,7 @@ class Manifold(eqx.Module):
                 else hint
             )
             return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
-        for shape, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
+        for shape, leaf in zip(expected, leaves, strict=True):
             if np.shape(leaf) != shape.shape:
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any, final
 
 import jax
-import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from .manifold import HomogeneousSpace, Manifold
@@ -60,8 +60,8 @@ class Product(Manifold):
         before = [sum(counts[:i]) for i in range(len(counts))]
 
         def padded(leaf: Array, i: int) -> Array:
-            full = jnp.zeros((sum(counts), *leaf.shape[1:]), leaf.dtype)
-            return full.at[before[i] : before[i] + counts[i]].set(leaf)
+            after = sum(counts) - before[i] - counts[i]
+            return jax.lax.pad(leaf, np.zeros((), leaf.dtype), [(before[i], after, 0), *[(0, 0, 0)] * (leaf.ndim - 1)])
 
         return tuple(jax.tree.map(lambda leaf, i=i: padded(leaf, i), frame) for i, frame in enumerate(frames))
 

@@ -165,8 +165,13 @@ def preimage(
         raise InvalidInputError(f"preimage takes an Immersion, got {submanifold!r}")
     _require_function(function)
     _require_function(inverse)
-    x = submanifold(submanifold.source.random_point(jax.random.key(0)))
-    gap = vec.size(vec.subtract(function(inverse(x)), x)) / (1 + vec.size(x))
+
+    @jax.jit  # one program: XLA would compile each operation by itself
+    def missed(key: Array) -> tuple[Ambient, Array]:
+        x = submanifold(submanifold.source.random_point(key))
+        return x, vec.size(vec.subtract(function(inverse(x)), x)) / (1 + vec.size(x))
+
+    x, gap = missed(jax.random.key(0))
     if not is_traced(gap) and not gap <= default_tolerance():
         raise InvalidInputError(
             f"inverse is not the inverse of f: f(inverse(x)) - x has size {gap:.3g} (relative) at x = {x}"

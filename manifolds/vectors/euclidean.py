@@ -6,6 +6,7 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from ..manifold import HomogeneousSpace
@@ -38,7 +39,7 @@ class Euclidean(HomogeneousSpace):
         return a
 
     def basis(self, x: Array) -> Array:
-        return jnp.eye(self.dimension, dtype=x.dtype).reshape(self.dimension, *self.shape)
+        return jnp.asarray(np.eye(self.dimension).reshape(self.dimension, *self.shape), x.dtype)
 
     def restore(self, x: Array) -> Array:
         return x

@@ -266,6 +266,26 @@ def test_evaluators_have_the_same_derivatives():
         np.testing.assert_allclose(mine, other, rtol=1e-13, atol=1e-14)
 
 
+def test_functions_that_compute_the_same_have_one_tape():
+    def tape(factor, shape=tuple):
+        return TapeEvaluator().values(lambda x: shape((jnp.sin(factor * x), x)), 2).tape
+
+    assert tape(2.0) is tape(2.0)
+    assert tape(2.0) is not tape(3.0)
+    assert tape(2.0) is not tape(2.0, list)
+
+
+def test_functions_of_equal_values_have_the_derivatives_of_their_own_rules():
+    def with_slope(factor):
+        function = jax.custom_jvp(lambda d: d[0] ** 2)
+        function.defjvp(lambda at, along: (function(*at), factor * along[0][0]))
+        return lambda d: (function(d), d)
+
+    for factor in (2.0, 3.0):
+        _, gradient, *_ = TapeEvaluator().derivatives(with_slope(factor), 1)(np.zeros((1, 0)))
+        np.testing.assert_array_equal(gradient, [[factor]])
+
+
 @pytest.mark.parametrize("height", [2.0, 5.0, 50.0])
 def test_from_a_hill_it_goes_down(height):
     """``height (1 - x^2)^2`` has a hill at zero, where Newton's own steps lead back to, and wells at its sides."""

@@ -247,7 +247,7 @@ def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: Numbers, d: n
     size = CotangentBundle(array.problem.manifold).dimension + jets[0].size
     d = np.zeros((len(jets), size)) if d is None else d
     filled = np.pad(np.arange(len(jets)), (0, -len(jets) % BATCH))
-    arguments = jax.tree.map(lambda leaf: jnp.asarray(leaf)[filled], (z, centers, jets, d))
+    arguments = jax.tree.map(lambda leaf: np.asarray(leaf)[filled], (z, centers, jets, d))
     return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(jets)], _kernel()(array, *arguments))
 
 

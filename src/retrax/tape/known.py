@@ -56,6 +56,9 @@ def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
             return [
                 np.asarray(arrays[0] ** params["y"] if params["y"] >= 0 else 1 / arrays[0] ** -params["y"], out.dtype)
             ]
+    if name == "dot_general" and not any(params["dimension_numbers"][1]):  # no axes that both have
+        left, right = arrays
+        return [np.asarray(np.tensordot(left, right, params["dimension_numbers"][0]), out.dtype)]
     if name == "select_n":
         return [np.asarray(np.choose(arrays[0].astype(int), arrays[1:]), out.dtype)]
     if name in _UFUNCS and (name not in _LOGICAL or out.dtype == np.bool_):
