@@ -188,7 +188,8 @@ class Predictor:
         turned = self.control.rows(solution.controls, 1), self.control.rows(along.controls, 1)
         (controls,) = self._steered.at(1, *turned)
         point = self.state.points
-        found = Guess(point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages))
+        parts = point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages)
+        found = Guess(*parts, multipliers=solution.guess().multipliers)
         return found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found)) else None
 
     def _pair(self, states: Any, moves: np.ndarray, costates: Any, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

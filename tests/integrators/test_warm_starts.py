@@ -6,14 +6,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import problems
-from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, Solver, solve_phases
+from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, Solver, continuation, solve_phases
 from retrax.integrators.free import near
 from retrax.manifolds import Euclidean, InvalidInputError, hat
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-HORIZON, STEPS, LIMIT = 3.0, 20, 1.6
+HORIZON, STEPS, LIMIT = 3.0, 20, 0.85
 AXIS, START = np.array([0.6, 0.0, 0.8]), (np.eye(3), REST)
 SAME = 2e-7  # of a cost, relative: what the last barrier leaves
 PLANE, METHOD = Euclidean(2), Gauss(2, default_retraction(Euclidean(2)))
@@ -51,10 +51,11 @@ def test_a_solution_is_found_again_from_itself(name):
 
 def test_the_nearer_the_end_the_fewer_iterations():
     """Through the decision whether the multipliers fit: from the solution itself to ends that are far from its own."""
+    assert solved().checks.active["control_bounds upper"] > 3
     moves, counts = np.geomspace(1e-7, 1.5, 15), []
     for move in moves:
-        cold = slew().solve(START, at(1.0 + move), HORIZON, throw=False)
-        warm = slew().solve(START, at(1.0 + move), HORIZON, guess=solved(), throw=False)
+        cold = slew().solve(START, at(1.0 - move), HORIZON, throw=False)
+        warm = slew().solve(START, at(1.0 - move), HORIZON, guess=solved(), throw=False)
         assert warm.success == cold.success
         counts.append((warm.statistics.iterations, cold.statistics.iterations))
         if cold.success:
@@ -126,7 +127,17 @@ def test_phases_begin_with_the_multipliers_of_theirs():
     assert again.cost == pytest.approx(first.cost, rel=SAME)
 
 
-@pytest.mark.parametrize("share", [1e-9, 0.05, 0.3])
+def test_a_continuation_with_limits_keeps_the_multipliers():
+    path = continuation(slew(), lambda place: {"start": START, "end": at(0.6 + 0.5 * place), "horizon": HORIZON})
+    cold = [slew().solve(START, at(0.6 + 0.5 * place), HORIZON) for place in path.places]
+    assert path.success
+    assert path.solution.checks.active["control_bounds upper"]
+    assert path.solution.cost == pytest.approx(cold[-1].cost, rel=SAME)
+    counts = [[found.statistics.iterations for found in own[1:]] for own in (path.solutions, cold)]
+    assert sum(counts[0]) < 0.8 * sum(counts[1])
+
+
+@pytest.mark.parametrize("share", [1e-9, 0.05, 0.15])
 def test_what_is_left_of_a_plan_is_the_guess_of_the_next(share):
     after = share * HORIZON
     guess, reached = solved().guess(after=after), solved()(after)
