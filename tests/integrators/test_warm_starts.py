@@ -92,6 +92,38 @@ def test_members_of_a_batch_begin_as_they_would_alone():
         assert found[k].cost == pytest.approx(alone.cost, rel=1e-12)
 
 
+def push_in_two_ways(q, u):
+    return jnp.stack([q[1], u[0] + 0.1 * u[1]])
+
+
+def pushed(cost=1.0, lower=-np.inf, upper=np.inf):
+    problem = OptimalControlProblem(
+        PLANE, push_in_two_ways, lambda q, u: cost * (u @ u) / 2, 2, control_bounds=(lower, upper)
+    )
+    return Solver(problem, Midpoint(default_retraction(PLANE)), 20)
+
+
+ENDS = np.zeros(2), np.array([1.1, 0.0])
+
+
+@pytest.mark.parametrize("cost", [1e-8, 1e8])
+def test_controls_that_are_confined_unlike_are_found_in_any_unit_of_the_cost(cost):
+    limits = np.array([[-9.0, -0.03], [90.0, 0.03]])
+    own, other = (pushed(unit, *limits).solve(*ENDS, 1.0) for unit in (1.0, cost))
+    assert other.statistics.iterations == own.statistics.iterations
+    assert other.cost == pytest.approx(cost * own.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("way", [1e-6, 4e-4, 1e-3, 1e-2])
+def test_a_guess_next_to_a_bound_does_not_loosen_what_success_means(way):
+    """The way to the only bound says nothing of how far a control can go."""
+    lower = np.array([-np.inf, 1.0])
+    states = np.linspace(*ENDS, 20)
+    guess = Guess(states, np.tile([0.0, 1.0 + way], (20, 1)))
+    found, cold = (pushed(lower=lower).solve(*ENDS, 1.0, guess=given) for given in (guess, None))
+    assert found.cost == pytest.approx(cold.cost, rel=2e-9)
+
+
 def moving(q, u, t):
     return jnp.stack([q[1], u[0] * (1 + 0.3 * jnp.sin(t))])
 
