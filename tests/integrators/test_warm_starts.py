@@ -1,5 +1,6 @@
 """Solutions with inequalities as guesses: their multipliers say how low the barrier begins, and never what is found."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax.numpy as jnp
@@ -168,6 +169,13 @@ def test_what_is_left_of_a_plan_is_the_guess_of_the_next(share):
     left = [slew().solve(reached.states, at(1.0), HORIZON - after, guess=one) for one in (guess, None)]
     assert left[0].cost == pytest.approx(left[1].cost, rel=SAME)
     assert left[0].statistics.iterations < left[1].statistics.iterations
+
+
+def test_what_is_left_of_a_plan_has_the_multipliers_of_its_own_time():
+    rows = {"control_bounds upper": solved().stage_times[:, None] * np.ones(3)}
+    guess = replace(solved(), multipliers=rows).guess(after=0.3 * HORIZON)
+    step = HORIZON / STEPS
+    np.testing.assert_allclose(guess.multipliers["control_bounds upper"][0], 0.3 * HORIZON + 0.35 * step)
 
 
 @pytest.mark.parametrize("after", [-0.1, HORIZON, np.nan])
