@@ -191,7 +191,7 @@ WRONG = {
     "real numbers": {"control_bounds lower": 1j * ROWS},
     "finite and not negative": {"control_bounds lower": ROWS - 1},
     "must be finite": {"control_bounds upper": ROWS + np.nan},
-    "2 entries at a stage, expected 3": {"control_bounds lower": ROWS[:, :2]},
+    "2 entries at a stage, expected 3; try guess._replace\\(multipliers=None\\)": {"control_bounds lower": ROWS[:, :2]},
 }
 
 
