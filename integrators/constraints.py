@@ -114,7 +114,7 @@ class Inequalities(eqx.Module):
             if given.shape[-1] != width:
                 raise InvalidInputError(
                     f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a stage, expected {width}; try "
-                    "a guess without them, guess.multipliers=None"
+                    "guess._replace(multipliers=None), of a solution solution.guess()._replace(multipliers=None)"
                 )
             columns.append(np.broadcast_to(given[..., kept], (int(np.prod(shape)), len(kept))))
         return np.concatenate(columns, axis=1).reshape(*shape, -1)

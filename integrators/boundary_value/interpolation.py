@@ -216,9 +216,11 @@ class Interpolant:
 
 
 def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Multipliers at some times, linear between those that are known; the first stays: some hold there alone."""
+    """Multipliers at some times, linear between those that are known; of what holds at the first point alone, zero
+    elsewhere, they stay there."""
     found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
-    found[0] = rows[0]
+    if not np.any(rows[1:]):
+        found[0] = rows[0]
     return found
 
 

@@ -1,5 +1,6 @@
 """Solutions with inequalities as guesses: their multipliers say how low the barrier begins, and never what is found."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax.numpy as jnp
@@ -93,6 +94,38 @@ def test_members_of_a_batch_begin_as_they_would_alone():
         assert found[k].cost == pytest.approx(alone.cost, rel=1e-12)
 
 
+def push_in_two_ways(q, u):
+    return jnp.stack([q[1], u[0] + 0.1 * u[1]])
+
+
+def pushed(cost=1.0, lower=-np.inf, upper=np.inf):
+    problem = OptimalControlProblem(
+        PLANE, push_in_two_ways, lambda q, u: cost * (u @ u) / 2, 2, control_bounds=(lower, upper)
+    )
+    return Solver(problem, Midpoint(default_retraction(PLANE)), 20)
+
+
+ENDS = np.zeros(2), np.array([1.1, 0.0])
+
+
+@pytest.mark.parametrize("cost", [1e-8, 1e8])
+def test_controls_that_are_confined_unlike_are_found_in_any_unit_of_the_cost(cost):
+    limits = np.array([[-9.0, -0.03], [90.0, 0.03]])
+    own, other = (pushed(unit, *limits).solve(*ENDS, 1.0) for unit in (1.0, cost))
+    assert other.statistics.iterations == own.statistics.iterations
+    assert other.cost == pytest.approx(cost * own.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("way", [1e-6, 4e-4, 1e-3, 1e-2])
+def test_a_guess_next_to_a_bound_does_not_loosen_what_success_means(way):
+    """The way to the only bound says nothing of how far a control can go."""
+    lower = np.array([-np.inf, 1.0])
+    states = np.linspace(*ENDS, 20)
+    guess = Guess(states, np.tile([0.0, 1.0 + way], (20, 1)))
+    found, cold = (pushed(lower=lower).solve(*ENDS, 1.0, guess=given) for given in (guess, None))
+    assert found.cost == pytest.approx(cold.cost, rel=2e-9)
+
+
 def moving(q, u, t):
     return jnp.stack([q[1], u[0] * (1 + 0.3 * jnp.sin(t))])
 
@@ -149,6 +182,13 @@ def test_what_is_left_of_a_plan_is_the_guess_of_the_next(share):
     assert left[0].statistics.iterations < left[1].statistics.iterations
 
 
+def test_what_is_left_of_a_plan_has_the_multipliers_of_its_own_time():
+    rows = {"control_bounds upper": solved().stage_times[:, None] * np.ones(3)}
+    guess = replace(solved(), multipliers=rows).guess(after=0.3 * HORIZON)
+    step = HORIZON / STEPS
+    np.testing.assert_allclose(guess.multipliers["control_bounds upper"][0], 0.3 * HORIZON + 0.35 * step)
+
+
 @pytest.mark.parametrize("after", [-0.1, HORIZON, np.nan])
 def test_a_time_at_which_nothing_is_left_is_said(after):
     with pytest.raises(InvalidInputError, match="expected a time in it"):
@@ -162,7 +202,7 @@ WRONG = {
     "real numbers": {"control_bounds lower": 1j * ROWS},
     "finite and not negative": {"control_bounds lower": ROWS - 1},
     "must be finite": {"control_bounds upper": ROWS + np.nan},
-    "2 entries at a stage, expected 3": {"control_bounds lower": ROWS[:, :2]},
+    "2 entries at a stage, expected 3; try guess._replace\\(multipliers=None\\)": {"control_bounds lower": ROWS[:, :2]},
 }
 
 

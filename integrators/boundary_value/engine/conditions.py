@@ -160,11 +160,10 @@ class Conditions:
         free: np.ndarray | float = np.inf
         if blocks.held is not None:
             # Where the cost is not curved in the controls, but for rounding, their way to the bounds measures them.
-            own, ways = extent.curvature[:, assembled.gap.shape[2] :], room(self, iterate, assembled)
+            own, (ways, free) = extent.curvature[:, assembled.gap.shape[2] :], room(self, iterate, assembled)
             changes = own * np.where(ways > 0, ways, 1.0) ** 2
             curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
             controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
-            free = np.where(ways > 0, ways, np.inf)
         moved, sizes = extent.moved(self.at_nodes.layout)
         fallback = np.concatenate([sizes, controls], axis=1)
         system = self.system(iterate, assembled)

@@ -17,14 +17,15 @@ if TYPE_CHECKING:
 ROUNDING = 1e-13  # of a curvature: less of it than this is what its sum with another is rounded by
 
 
-def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
+def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
     """Half of the way of each control of a step from one inequality to the other, or that to the only one.
 
-    The largest of all steps, zero where there is none, shape (B, s m).
+    The largest of all steps, zero where there is none, shape (B, s m); and the same but infinite where a side is open,
+    on which a way to the other says nothing.
     """
     held, m = assembled.blocks.inequalities, conditions.transcription.controls.dimension
     if not m:
-        return np.zeros((len(held.values), 0))
+        return np.zeros((len(held.values), 0)), np.zeros((len(held.values), 0))
     slopes = held.jacobian[..., -m:] * held.asked[..., None]
     with np.errstate(all="ignore"):
         straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None] / slopes))
@@ -34,7 +35,7 @@ def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np
     sides = [np.where(side, straight, np.inf).min(axis=3, initial=np.inf) for side in (slopes > 0, slopes < 0)]
     ways = np.minimum(sides, ball)
     found = np.where(np.isfinite(ways), ways, 0.0).sum(axis=0) / np.maximum(np.isfinite(ways).sum(axis=0), 1)
-    return found.max(axis=1).reshape(len(found), -1)
+    return tuple(a.max(axis=1).reshape(len(a), -1) for a in (found, ways.mean(axis=0)))
 
 
 def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k: int) -> np.ndarray:

@@ -44,18 +44,20 @@ def natural_units(
 
     ``gradient``: of the cost alone; ``m`` counts all controls of a step; ``values``: sizes of coordinates that nothing
     moves; ``curved``: False where curvature in the controls is rounding, shape (B,); ``room``: how far inequalities let
-    the controls go, (B, m).
+    the controls go, (B, m), beyond which no trajectory is large whose controls are all confined.
     """
     count, n = system.left.shape[1:3]
     curvature = np.abs(np.diagonal(system.hessian, axis1=2, axis2=3)).sum(axis=1)
     slope, own = np.abs(gradient).sum(axis=1), np.concatenate([states, controls], axis=1)
     convex = (np.all(curvature[:, n:] > 0, axis=1) & curved)[:, None]
     with np.errstate(all="ignore"):
-        push = np.where(convex, np.minimum(1 / np.sqrt(curvature[:, n:]), room), controls)
+        push = np.where(convex, 1 / np.sqrt(curvature[:, n:]), controls)
         reach = np.concatenate([_reach(system, count * push**2), push], axis=1)
         asked = np.where(reach > 0, own / reach, 0.0)
         asked = np.maximum(asked, np.where(convex, slope * reach / (1 + curvature * reach**2), 0.0))
-        unknowns = np.maximum(own, asked.max(axis=1)[:, None] * reach)
+        most = np.where(convex, room / push, np.inf).max(axis=1, initial=0.0)
+        size = np.minimum(asked.max(axis=1), np.where(most > 0, most, np.inf))
+        unknowns = np.maximum(own, size[:, None] * reach)
         unknowns = _or_one(np.where(unknowns > 0, unknowns, values))
         cost = np.max(np.maximum(curvature * unknowns**2, slope * unknowns), axis=1) / count
     return Units(unknowns, unknowns[:, :n], _or_one(cost))
