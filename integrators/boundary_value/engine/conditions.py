@@ -357,12 +357,13 @@ class Conditions:
         return (step.largest / self.measured.unknowns).max(axis=1)
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
-        """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.
+        """The steps that the linearised conditions still ask for; and how far the trajectories go, in the units that
+        success is judged in.
 
         The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory.
         Where K is singular to rounding, it is as large as that.
         """
-        extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
+        extent, controls, units = assembled.extent, self._controls(iterate), self.judging.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
         largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
