@@ -9,8 +9,9 @@ from .augmented import is_isolated_minimum
 from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
-from .extent import extent, meeting
+from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
+from .meeting import meeting
 from .residuals import Measures, measures, shortfall_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
@@ -20,7 +21,6 @@ from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
-FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
 @final
@@ -86,17 +86,17 @@ class Conditions:
     def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
         problem."""
-        nodes, gaps, largest, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
-        paid = self.paid(nodes) if paid is None else paid
+        begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
+        met = meeting(begins, finishes, self._ends, self.at_nodes)
+        paid = self.paid(met.nodes) if paid is None else paid
         covectors = turned_by(iterate.costates, paid, 1)
-        along = gaps if far is None else far[0] * gaps
-        frames, gap, coordinates, costates = self.at_nodes.in_frames(nodes, self._fixed, along, covectors)
-        asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
+        frames, gap, coordinates, costates = self.at_nodes.in_frames(met.nodes, self._fixed, met.gaps, covectors)
+        asked = gap if met.asked is None else self._fixed * np.einsum("bkne,bke->bkn", frames, met.asked)
         costates = turned_by(costates, paid, -1)
-        blocks = self.blocks(iterate, nodes, costates, paid)
+        blocks = self.blocks(iterate, met.nodes, costates, paid)
         cost = sum((end.value for end in paid if end is not None), blocks.costs.sum(axis=1))
-        ends = paid, largest, extent(nodes, frames, coordinates, gap, blocks)
-        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
+        ends = paid, met.largest, extent(met.nodes, frames, coordinates, gap, blocks)
+        return Assembled(blocks, gap, asked, frames, coordinates, met.nodes, costates, cost, *ends)
 
     def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, paid: Paid) -> Blocks:
         """The blocks of the steps, with the costs of the first node and of the last."""
@@ -368,27 +368,6 @@ class Conditions:
         largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
         return largest.max(axis=1), (spread / units).max(axis=1)
-
-    def _nodes(
-        self, begins: np.ndarray, finishes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
-        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before; and
-        the largest of that, entry by entry.
-
-        Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes
-        nearer by turning away. Then the gap along the arc is that along the chord times an array, and moves it by
-        another one.
-        """
-        met = meeting(begins, finishes, self._ends, self.at_nodes.layout.columns, FAR)
-        if met.far is None:
-            return met.nodes, met.gaps, met.largest, None
-        arcs, shares, far = np.ones_like(met.gaps), np.ones_like(met.gaps), met.far
-        # The node there is the end of the step before, but for the last one.
-        before = np.array(met.nodes)
-        before[:, -1] -= met.gaps[:, -1]
-        amid = before[far], before[far] + met.gaps[far]
-        met.nodes[far], arcs[far], shares[far] = self.at_nodes.amid(*amid)
-        return met.nodes, met.gaps, met.largest, (arcs, shares)
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
