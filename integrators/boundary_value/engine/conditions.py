@@ -16,7 +16,7 @@ from .residuals import Measures, measures, shortfall_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
-from .system import Assembled, Ends, Iterate, Residuals, Step, pay, turned_by
+from .system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
@@ -108,7 +108,7 @@ class Conditions:
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
         part = fraction * step.reach
-        multipliers = self._of_nodes(assembled, step)
+        multipliers = steps_of_covectors(assembled, step)
         moves = Moves(step.unknowns, multipliers, part, step.inner)
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         covectors = assembled.coordinates + part[:, None, None] * multipliers
@@ -312,18 +312,16 @@ class Conditions:
 
     def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
         """The step with what it is of what was condensed, and of the slacks; and how much of it may be made."""
-        blocks, steps = assembled.blocks, step.unknowns
+        blocks, steps, covectors = assembled.blocks, step.unknowns, steps_of_covectors(assembled, step)
         if blocks.inner is not None or blocks.held is not None:
-            moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
+            moves = Moves(steps, covectors, np.ones(len(steps)))
             if blocks.inner is not None:
                 moves = moves._replace(inner=self.transcription.whole(blocks, moves, self.data, iterate.slacks))
             turn = None
             if iterate.slacks is not None:
                 turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
-        share = followed(
-            self.transcription, self.at_nodes, self.data, iterate, assembled, step, self._of_nodes(assembled, step)
-        )
+        share = followed(self.transcription, self.at_nodes, self.data, iterate, assembled, step, covectors)
         return step.within(share)
 
     def _scales(self, assembled: Assembled) -> np.ndarray:
@@ -335,22 +333,6 @@ class Conditions:
         diagonal = assembled.extent.curvature * d * d / self.measured.cost[:, None]
         floor = 1e-3 * diagonal.max(axis=1, keepdims=True)
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
-
-    def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
-        """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which
-        move."""
-        if assembled.paid == (None, None):
-            return step.multipliers
-        turned, (initial, terminal), blocks = np.array(step.multipliers), assembled.paid, assembled.blocks
-        if terminal is not None:
-            moved = np.einsum("bnz,bz->bn", blocks.right[:, -1], step.unknowns[:, -1])
-            moved += 0.0 if blocks.inner is None else blocks.inner.after[:, -1]
-            turned[:, -1] -= np.einsum("bnj,bj->bn", terminal.curvature, moved)
-        if initial is not None:
-            begun = np.einsum("bnz,bz->bn", blocks.left[:, 0], step.unknowns[:, 0])
-            begun += 0.0 if blocks.inner is None else blocks.inner.before[:, 0]
-            turned[:, 0] += np.einsum("bnj,bj->bn", initial.curvature, begun)
-        return turned
 
     def length(self, step: Step) -> np.ndarray:
         """The largest entry of a step in its unit, shape (B,)."""
