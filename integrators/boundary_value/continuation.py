@@ -97,31 +97,26 @@ def continuation(
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     first = solver.solve(**problem_at(path, 0.0)._asdict(), guess=guess, tolerance=tolerance)
     predictor, places, found = Predictor(solver), [0.0], [first]
-    step, result = FIRST, ""
+    step, refusal = FIRST, ""
     stopped = callback is not None and callback(0.0, first)
-    while not stopped and places[-1] < 1:
+    while not (stopped or refusal) and places[-1] < 1:
         place = min(places[-1] + step, 1.0)
         trial = _tried(predictor, (problem_at(path, places[-1]), problem_at(path, place)), found[-1], options)
         if not trial.refusal:
             places.append(place)
             found.append(trial.solution)
-            step = max(
-                step * min(LONGER, max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))), smallest_step
-            )
+            factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
+            step = max(step * factor, smallest_step)
             stopped = callback is not None and callback(place, trial.solution)
         elif trial.solution.result == Result[Result.stopped]:
             stopped = True
         elif step <= smallest_step:
-            result = f"No step beyond {places[-1]:.6g} of the path succeeds: {trial.refusal}"
-            break
+            refusal = trial.refusal
         else:
             step = max(SHORTER * min(step, place - places[-1]), smallest_step)
-    reached = places[-1] == 1
-    words = (
-        "The end of the path was reached."
-        if reached
-        else result or f"The way was stopped at {places[-1]:.6g} of the path."
-    )
+    reached, last = places[-1] == 1, f"{places[-1]:.6g} of the path"
+    words = f"No step beyond {last} succeeds: {refusal}" if refusal else f"The way was stopped at {last}."
+    words = "The end of the path was reached." if reached else words
     return Continuation(np.array(places), Solutions.of(found), reached, words)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.manifolds import Euclidean
-from retrax.retractions import Addition, Gauss
+from retrax.retractions import Addition, Gauss, Midpoint
 
 STEPS, METHOD = 4, Gauss(2, Addition(Euclidean(2)))
 
@@ -39,3 +39,20 @@ def test_a_success_solves_the_equations(spring, decade):
         # The terms of the force are as large as reach^3, and cancel.
         assert not solution.success or missed(solution) <= max(1e-9, 1e-15 * reach**2), (reach, solution)
     assert solved > 0 or decade > 0
+
+
+def test_a_trajectory_that_grows_without_end_is_no_success():
+    """``x' = x u, y' = y + v, z' = x (1 - v)`` from rest to ``(1, y, 1)``, in two steps.
+
+    No control moves x from zero, but with ``u = 4`` the midpoint's first step leads to any x. All extremals have
+    ``-2 < x < 2`` there; beyond these the cost only tends to a limit.
+    """
+    space = Euclidean(3)
+    problem = OptimalControlProblem(
+        space, lambda q, u: jnp.stack([q[0] * u[0], q[1] + u[1], q[0] * (1 - u[1])]), lambda q, u: u @ u / 2, controls=2
+    )
+    far = 10.0 ** (np.arange(72) / 8)
+    ends = np.stack([np.ones_like(far), far, np.ones_like(far)], axis=1)
+    solutions = Solver(problem, Midpoint(Addition(space)), 2).solve_many(np.zeros(3), ends, 1.0)
+    assert np.all(np.abs(solutions.states[solutions.success, 1, 0]) < 2)
+    assert np.mean(solutions.success) > 0.8

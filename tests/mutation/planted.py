@@ -391,6 +391,12 @@ PLANTED: dict[str, Planted] = {
         "isolated = arrived",
         (f"{CLAIMS}", f"{SOLVER}::test_success_across_a_conjugate_point"),
     ),
+    "a trajectory has kept its size in wider units": Planted(
+        f"{ENGINE}/conditions.py",
+        "extent, controls, units = assembled.extent, self._controls(iterate), self.judging.unknowns",
+        "extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns",
+        (f"{TESTS}/test_far_ends.py::test_a_trajectory_that_grows_without_end_is_no_success",),
+    ),
     "the Hessian is never raised": Planted(
         f"{ENGINE}/newton.py",
         "going = ~(descends | keep) & (shift < LARGEST_SHIFT)",

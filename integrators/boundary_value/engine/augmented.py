@@ -69,6 +69,7 @@ def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: A
 
 
 def _is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
+    """The same of members that are looked at together."""
     blocks, held = of_lagrangian(conditions, iterate, assembled), assembled.blocks.inequalities
     batch, count, stages, c = held.values.shape
     slope = np.zeros((batch, count, blocks.hessian.shape[3] + stages * c, 1))

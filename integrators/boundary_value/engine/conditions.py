@@ -9,18 +9,18 @@ from .augmented import is_isolated_minimum
 from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
-from .extent import extent, meeting
+from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
+from .meeting import meeting
 from .residuals import Measures, measures, shortfall_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
-from .system import Assembled, Ends, Iterate, Residuals, Step, pay, turned_by
+from .system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
-FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
 
 
 @final
@@ -86,17 +86,17 @@ class Conditions:
     def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
         problem."""
-        nodes, gaps, largest, far = self._nodes(*self.transcription.ends(iterate.unknowns, self.data))
-        paid = self.paid(nodes) if paid is None else paid
+        begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
+        met = meeting(begins, finishes, self._ends, self.at_nodes)
+        paid = self.paid(met.nodes) if paid is None else paid
         covectors = turned_by(iterate.costates, paid, 1)
-        along = gaps if far is None else far[0] * gaps
-        frames, gap, coordinates, costates = self.at_nodes.in_frames(nodes, self._fixed, along, covectors)
-        asked = gap if far is None else self._fixed * np.einsum("bkne,bke->bkn", frames, far[1] * gaps)
+        frames, gap, coordinates, costates = self.at_nodes.in_frames(met.nodes, self._fixed, met.gaps, covectors)
+        asked = gap if met.asked is None else self._fixed * np.einsum("bkne,bke->bkn", frames, met.asked)
         costates = turned_by(costates, paid, -1)
-        blocks = self.blocks(iterate, nodes, costates, paid)
+        blocks = self.blocks(iterate, met.nodes, costates, paid)
         cost = sum((end.value for end in paid if end is not None), blocks.costs.sum(axis=1))
-        ends = paid, largest, extent(nodes, frames, coordinates, gap, blocks)
-        return Assembled(blocks, gap, asked, frames, coordinates, nodes, costates, cost, *ends)
+        ends = paid, met.largest, extent(met.nodes, frames, coordinates, gap, blocks)
+        return Assembled(blocks, gap, asked, frames, coordinates, met.nodes, costates, cost, *ends)
 
     def blocks(self, iterate: Iterate, nodes: np.ndarray, costates: np.ndarray, paid: Paid) -> Blocks:
         """The blocks of the steps, with the costs of the first node and of the last."""
@@ -108,7 +108,7 @@ class Conditions:
     def move(self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray) -> Iterate:
         """The iterate moved by fractions of the share of the steps that the inequalities let it go."""
         part = fraction * step.reach
-        multipliers = self._of_nodes(assembled, step)
+        multipliers = steps_of_covectors(assembled, step)
         moves = Moves(step.unknowns, multipliers, part, step.inner)
         unknowns = self.transcription.move(iterate.unknowns, assembled.blocks, moves, self.data)
         covectors = assembled.coordinates + part[:, None, None] * multipliers
@@ -311,18 +311,16 @@ class Conditions:
 
     def completed(self, iterate: Iterate, assembled: Assembled, step: Step) -> Step:
         """The step with what it is of what was condensed, and of the slacks; and how much of it may be made."""
-        blocks, steps = assembled.blocks, step.unknowns
+        blocks, steps, covectors = assembled.blocks, step.unknowns, steps_of_covectors(assembled, step)
         if blocks.inner is not None or blocks.held is not None:
-            moves = Moves(steps, self._of_nodes(assembled, step), np.ones(len(steps)))
+            moves = Moves(steps, covectors, np.ones(len(steps)))
             if blocks.inner is not None:
                 moves = moves._replace(inner=self.transcription.whole(blocks, moves, self.data, iterate.slacks))
             turn = None
             if iterate.slacks is not None:
                 turn = turned(blocks.inequalities, iterate.slacks, self.transcription.at_each(moves, self.data))
             step = step._replace(inner=moves.inner, turn=turn)
-        share = followed(
-            self.transcription, self.at_nodes, self.data, iterate, assembled, step, self._of_nodes(assembled, step)
-        )
+        share = followed(self.transcription, self.at_nodes, self.data, iterate, assembled, step, covectors)
         return step.within(share)
 
     def _scales(self, assembled: Assembled) -> np.ndarray:
@@ -335,58 +333,22 @@ class Conditions:
         floor = 1e-3 * diagonal.max(axis=1, keepdims=True)
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
-    def _of_nodes(self, assembled: Assembled, step: Step) -> np.ndarray:
-        """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which
-        move."""
-        if assembled.paid == (None, None):
-            return step.multipliers
-        turned, (initial, terminal), blocks = np.array(step.multipliers), assembled.paid, assembled.blocks
-        if terminal is not None:
-            moved = np.einsum("bnz,bz->bn", blocks.right[:, -1], step.unknowns[:, -1])
-            moved += 0.0 if blocks.inner is None else blocks.inner.after[:, -1]
-            turned[:, -1] -= np.einsum("bnj,bj->bn", terminal.curvature, moved)
-        if initial is not None:
-            begun = np.einsum("bnz,bz->bn", blocks.left[:, 0], step.unknowns[:, 0])
-            begun += 0.0 if blocks.inner is None else blocks.inner.before[:, 0]
-            turned[:, 0] += np.einsum("bnj,bj->bn", initial.curvature, begun)
-        return turned
-
     def length(self, step: Step) -> np.ndarray:
         """The largest entry of a step in its unit, shape (B,)."""
         return (step.largest / self.measured.unknowns).max(axis=1)
 
     def wanted(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
-        """The steps that the linearised conditions still ask for; and how far the trajectories go, in their units.
+        """The steps that the linearised conditions still ask for; and how far the trajectories go, in the units that
+        success is judged in.
 
         The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory.
         Where K is singular to rounding, it is as large as that.
         """
-        extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns
+        extent, controls, units = assembled.extent, self._controls(iterate), self.judging.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
         largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
         return largest.max(axis=1), (spread / units).max(axis=1)
-
-    def _nodes(
-        self, begins: np.ndarray, finishes: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray] | None]:
-        """Nodes ``q_0 ... q_N`` and, at each, the beginning of the step after it minus the end of the one before; and
-        the largest of that, entry by entry.
-
-        Between ends that are far apart the node is amid them: seen from one of them, an end beyond a quarter turn comes
-        nearer by turning away. Then the gap along the arc is that along the chord times an array, and moves it by
-        another one.
-        """
-        met = meeting(begins, finishes, self._ends, self.at_nodes.layout.columns, FAR)
-        if met.far is None:
-            return met.nodes, met.gaps, met.largest, None
-        arcs, shares, far = np.ones_like(met.gaps), np.ones_like(met.gaps), met.far
-        # The node there is the end of the step before, but for the last one.
-        before = np.array(met.nodes)
-        before[:, -1] -= met.gaps[:, -1]
-        amid = before[far], before[far] + met.gaps[far]
-        met.nodes[far], arcs[far], shares[far] = self.at_nodes.amid(*amid)
-        return met.nodes, met.gaps, met.largest, (arcs, shares)
 
     @cached_property
     def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

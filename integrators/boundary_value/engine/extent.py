@@ -59,37 +59,6 @@ def alone(support: Float[np.ndarray, "*shape n E"]) -> Bool[np.ndarray, "*shape 
     return np.any(own, axis=-2)
 
 
-@final
-class Meeting(NamedTuple):
-    """Where the steps of trajectories meet."""
-
-    nodes: Float[np.ndarray, "B N+1 E"]
-    gaps: Float[np.ndarray, "B N+1 E"]
-    largest: Float[np.ndarray, "B E"]  # of the gaps
-    far: Bool[np.ndarray, "B N+1"] | None  # which gaps are far; None where none is
-
-
-def meeting(
-    begins: Float[np.ndarray, "B N E"],
-    finishes: Float[np.ndarray, "B N E"],
-    ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray],
-    columns: np.ndarray,
-    share: float,
-) -> Meeting:
-    """The nodes of trajectories, and the gaps between the end of the step before each and the beginning of the next.
-
-    ``ends``: the first and the last point, (B, E), and which of their entries are prescribed; ``columns``: of the
-    entries of a point. A gap is far where a column of it is more than a share of the largest one of the nodes.
-    """
-    from . import extent_kernels
-
-    batch, count, size = begins.shape
-    nodes, gaps = np.empty((2, batch, count + 1, size))
-    largest, far, work = np.empty((batch, size)), np.empty((batch, count + 1), bool), np.empty((2, size))
-    any_far = extent_kernels.meet(begins, finishes, ends, columns, share, work, (nodes, gaps, far, largest))
-    return Meeting(nodes, gaps, largest, far if any_far else None)
-
-
 def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:
     """The extent of trajectories with these nodes, frames, multipliers, gaps and blocks."""
     from . import extent_kernels

@@ -76,7 +76,8 @@ def product(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
     for a in range(block.shape[0]):
         for j in range(x.shape[1]):
             y[a, j] = 0.0
-        for c in range(block.shape[1]):
+    for c in range(block.shape[1]):  # row after row of ``y``: the next one does not wait for what is added to this
+        for a in range(block.shape[0]):
             f = block[a, c]
             if f != 0:
                 for j in range(0, x.shape[1], LANES):

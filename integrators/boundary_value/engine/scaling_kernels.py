@@ -4,18 +4,9 @@ import numpy as np
 
 from .arrays import LANES
 from .factors import add_vector, compiled, inner
-from .lu import back_substitute, decompose
+from .lu import back_substitute, decompose, product
 
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-@inner
-def _add_product(y: np.ndarray, a: np.ndarray, x: np.ndarray) -> None:
-    """``y += a x`` with as many columns of ``a`` as ``x`` has rows; rows of ``x`` and ``y`` padded to whole vectors."""
-    for k in range(x.shape[0]):  # row after row: the next one does not wait for what is added to this
-        for i in range(y.shape[0]):
-            for j in range(0, x.shape[1], LANES):
-                add_vector(y, i, j, a[i, k], x, k, j)
 
 
 @inner
@@ -76,8 +67,7 @@ def _gramian(terms: np.ndarray, variance: np.ndarray, g: np.ndarray, rows: np.nd
             scaled[i, j] = rows[i, j]
         for j in range(variance.size):
             scaled[i, n + j] = terms[n + j, i] * variance[j]
-    g[:] = 0.0
-    _add_product(g, scaled, terms)
+    product(g, scaled, terms)
 
 
 @compiled

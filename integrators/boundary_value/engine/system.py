@@ -132,3 +132,20 @@ def pay(blocks: Blocks, place: int, paid: Terminal | None, end: np.ndarray) -> N
         pushed = blocks.slope if blocks.pushed is None else blocks.pushed[..., 0]
         moved = blocks.inner.after[:, -1] if place else blocks.inner.before[:, 0]
         pushed[:, place] += np.einsum("bnz,bnj,bj->bz", end, paid.curvature, moved)
+
+
+def steps_of_covectors(assembled: Assembled, step: Step) -> np.ndarray:
+    """Steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs, which
+    move."""
+    if assembled.paid == (None, None):
+        return step.multipliers
+    turned, (initial, terminal), blocks = np.array(step.multipliers), assembled.paid, assembled.blocks
+    if terminal is not None:
+        moved = np.einsum("bnz,bz->bn", blocks.right[:, -1], step.unknowns[:, -1])
+        moved += 0.0 if blocks.inner is None else blocks.inner.after[:, -1]
+        turned[:, -1] -= np.einsum("bnj,bj->bn", terminal.curvature, moved)
+    if initial is not None:
+        begun = np.einsum("bnz,bz->bn", blocks.left[:, 0], step.unknowns[:, 0])
+        begun += 0.0 if blocks.inner is None else blocks.inner.before[:, 0]
+        turned[:, 0] += np.einsum("bnj,bj->bn", initial.curvature, begun)
+    return turned

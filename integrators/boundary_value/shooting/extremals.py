@@ -259,16 +259,7 @@ def _record(
     seconds: tuple[float, float],
 ) -> Solution:
     (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
-    arc = SingularArc(
-        dimension=c.dimension,
-        kernel=c.first_class,
-        gauge_controls=c.gauge_controls,
-        strategy=method.reason,
-        presymplectic=method.presymplectic,
-        conditions={name: float(value) for name, value in found.ends.violations.items()},
-        independent=found.independent,
-        second_order=second_order(request.problem, vec.entries(outcome.nodes, slice(-1)), controls),
-    )
+    arc = _arc(request, c, method, found, outcome)
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
     success, result = _judged(request, method, found, outcome)
     return Solution(
@@ -293,4 +284,20 @@ def _record(
         ),
         statistics=Statistics(found.iterations, *seconds),
         singular=arc,
+    )
+
+
+def _arc(
+    request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome
+) -> SingularArc:
+    """What is known of the singular arc."""
+    return SingularArc(
+        dimension=c.dimension,
+        kernel=c.first_class,
+        gauge_controls=c.gauge_controls,
+        strategy=method.reason,
+        presymplectic=method.presymplectic,
+        conditions={name: float(value) for name, value in found.ends.violations.items()},
+        independent=found.independent,
+        second_order=second_order(request.problem, vec.entries(outcome.nodes, slice(-1)), outcome.controls),
     )

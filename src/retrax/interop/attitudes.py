@@ -137,27 +137,9 @@ def to_aem(
         raise InvalidInputError(
             "the times of the record must ascend by a microsecond or more; try one that goes forward"
         )
-    created = _stamp(datetime.now(UTC).replace(tzinfo=None))
-    lines = [
-        f"CCSDS_AEM_VERS = {VERSION}",
-        f"CREATION_DATE = {created}",
-        f"ORIGINATOR = {originator}",
-        "",
-        "META_START",
-    ]
-    lines += [f"{name} = {word}" for name, word in words.items()]
-    lines += [
-        f"START_TIME = {stamps[0]}",
-        f"STOP_TIME = {stamps[-1]}",
-        "ATTITUDE_TYPE = QUATERNION",
-        "META_STOP",
-        "",
-        "DATA_START",
-    ]
-    lines += [
-        " ".join([stamp, *(f"{value:.16g}" for value in q)]) for stamp, q in zip(stamps, quaternions, strict=True)
-    ]
-    Path(path).write_text("\n".join([*lines, "DATA_STOP", ""]), encoding="ascii")
+    rows = [" ".join([stamp, *(f"{value:.16g}" for value in q)]) for stamp, q in zip(stamps, quaternions, strict=True)]
+    text = "\n".join([*_head(words, originator, stamps), *rows, "DATA_STOP", ""])
+    Path(path).write_text(text, encoding="ascii")
 
 
 def from_aem(path: str | Path) -> AttitudeEphemeris:
@@ -194,6 +176,24 @@ def from_aem(path: str | Path) -> AttitudeEphemeris:
     own = words.get("OBJECT_NAME", ""), words.get("OBJECT_ID", "")
     attitudes = from_quaternions(quaternions, scalar)
     return AttitudeEphemeris(times, attitudes, epochs[0], *own, reference, body, words["TIME_SYSTEM"])
+
+
+def _head(words: dict[str, str], originator: str, stamps: list[str]) -> list[str]:
+    """The lines before those of the data."""
+    return [
+        f"CCSDS_AEM_VERS = {VERSION}",
+        f"CREATION_DATE = {_stamp(datetime.now(UTC).replace(tzinfo=None))}",
+        f"ORIGINATOR = {originator}",
+        "",
+        "META_START",
+        *(f"{name} = {word}" for name, word in words.items()),
+        f"START_TIME = {stamps[0]}",
+        f"STOP_TIME = {stamps[-1]}",
+        "ATTITUDE_TYPE = QUATERNION",
+        "META_STOP",
+        "",
+        "DATA_START",
+    ]
 
 
 def _stamp(time: datetime) -> str:
