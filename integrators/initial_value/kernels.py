@@ -118,7 +118,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
         some = some or (v[places[CONVERGED], j] == 0 and np.isfinite(v[places[STEP], j]))
     if not some:
         return
-    change = np.zeros(v.shape[1])
+    changed = np.zeros((m, v.shape[1]))
     for pattern in range(4):  # at the unknowns, and beside them
         for i in range(m):
             turn = 1.0 if pattern == 3 else (0.0, 1.0, -1.0)[pattern % 3] * (1.0 - 2.0 * (i % 2))
@@ -131,12 +131,13 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
             for j in range(v.shape[1]):
                 if pattern == 0:
                     v[places[DIRECTION] + i, j] = v[places[CHANGE] + i, j]
-                change[j] = max(change[j], abs(v[places[CHANGE] + i, j] - v[places[DIRECTION] + i, j]))
+                changed[i, j] = max(changed[i, j], abs(v[places[CHANGE] + i, j] - v[places[DIRECTION] + i, j]))
     for j in range(v.shape[1]):
-        step = 0.0
+        rounding = np.isfinite(v[places[LENGTH], j])
         for i in range(m):
-            step = max(step, abs(v[places[DIRECTION] + i, j]))
-        if v[places[CONVERGED], j] == 0 and np.isfinite(v[places[LENGTH], j]) and step <= ROUNDING * change[j]:
+            # Each entry by itself: that of an unknown that is next to nothing changes by any amount.
+            rounding = rounding and abs(v[places[DIRECTION] + i, j]) <= ROUNDING * max(changed[i, j], SMALLEST)
+        if rounding:
             v[places[CONVERGED], j] = 1.0
 
 

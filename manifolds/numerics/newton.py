@@ -35,7 +35,7 @@ class _Iteration(NamedTuple):
     converged: Array
     chords: Array  # steps taken with the present Jacobian
     missed: Vector  # the step at ``c``, once it is doubted
-    changed: Array  # by how much it changed beside ``c``, at most
+    changed: Vector  # by how much each of its entries changed beside ``c``, at most
     probed: Array  # number of points at which it was asked for, the first one ``c``; negative where it is not doubted
 
 
@@ -68,9 +68,7 @@ def newton(
 def _fresh(c: Vector) -> _Iteration:
     infinity = jnp.asarray(jnp.inf, c.dtype)
     none = jnp.zeros((), int)
-    return _Iteration(
-        c, infinity, infinity, jnp.array(False), none, jnp.zeros_like(c), jnp.zeros_like(infinity), none - 1
-    )
+    return _Iteration(c, infinity, infinity, jnp.array(False), none, jnp.zeros_like(c), jnp.zeros_like(c), none - 1)
 
 
 def _chords(
@@ -99,8 +97,9 @@ def _chords(
         doubted = ~done & (ratio >= SLOW) & (s.chords > 0) if exact else jnp.array(False)
         new = new._replace(probed=jnp.where(doubted, 0, -1))
         missed = jnp.where(s.probed > 0, s.missed, d)
-        changed = jnp.maximum(s.changed, vec.size(d - missed))
-        rounding = vec.size(missed) <= ROUNDING * changed
+        # Each entry by itself: that of an unknown that is next to nothing changes by any amount.
+        changed = jnp.maximum(s.changed, jnp.abs(d - missed))
+        rounding = jnp.all(jnp.abs(missed) <= ROUNDING * jnp.maximum(changed, smallest))
         probed = s._replace(missed=missed, changed=changed, probed=s.probed + 1, converged=rounding)
         return jax.tree.map(lambda a, b: jnp.where(s.probed < 0, a, b), new, probed)
 

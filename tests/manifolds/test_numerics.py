@@ -154,6 +154,18 @@ def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_un
     assert abs(c[0] - np.log(2)) < 2e-16 * max(1.0, size)
 
 
+@pytest.mark.parametrize("scale", 10.0 ** np.arange(-40, 1, 10))
+@pytest.mark.parametrize("start", [0.0, 0.9, 1.05, 2.0, 3.0, 5.0])
+def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others(scale, start):
+    def residual(c):
+        noise = 1e-12 * jax.lax.stop_gradient(jnp.sin(1e15 * c[0]))
+        return jnp.stack([jnp.exp(c[0]) - 3, scale * c[1] + noise])
+
+    c, converged = find_root(residual, jnp.array([start, 0.0]))
+    assert converged
+    assert abs(c[0] - np.log(3)) < 1e-12
+
+
 @pytest.mark.parametrize(
     "residual",
     [lambda c: c**2 + 1, lambda c: jnp.exp(c), lambda c: c * jnp.nan],
