@@ -38,6 +38,7 @@ class Traced(NamedTuple):
     flat: Callable[..., np.ndarray]  # the other way, from names
     own: Own
     coupling: Coupling | None  # of the ends, if they are coupled
+    evaluator: Evaluator
 
 
 class Posed(NamedTuple):
@@ -87,7 +88,8 @@ class Posing:
             named, flat = partial(limits.by_name, sizes=sizes), partial(limits.flat, sizes=sizes)
             own = Own(self.problem, parameters)
             coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
-            self._found[key] = Traced(steps, Nodes(*given), Diagnosis(*given), mask, named, flat, own, coupling)
+            functions = steps, Nodes(*given), Diagnosis(*given)
+            self._found[key] = Traced(*functions, mask, named, flat, own, coupling, self.evaluator)
         return self._found[key]
 
     def of(self, members: Members) -> Traced:

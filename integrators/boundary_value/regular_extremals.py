@@ -7,6 +7,7 @@ from .arguments import Options
 from .coupled import Own
 from .engine.joint import JointConditions
 from .engine.newton import Found, newton
+from .engine.parallel import newton_in_parts
 from .independence import dependent_words, equation_words, require_independent
 
 
@@ -14,17 +15,26 @@ def extremals(posed: Any, options: Options) -> Found:
     """The extremals of a batch of trajectories, with coupled ends if they are."""
     traced = posed.traced
     if traced.coupling is None:
-        return newton(posed.conditions, posed.guess, *options)
+        return _found(posed, posed.conditions, posed.guess, options)
     joint: Any = JointConditions((posed.conditions,), traced.coupling)
     guess = joint.guess((posed.guess,))
     names = equation_words([traced.own])
     require_independent(joint, guess, names)
-    found: Any = newton(joint, guess, *options)
+    found: Any = _found(posed, joint, guess, options)
     return phase_of(
         found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]),
         0,
         [traced.own],
     )
+
+
+def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:
+    """What Newton's method finds, by parts of the batch unless somebody watches all of it, or XLA, which has threads of
+    its own, would compile for each size of a part."""
+    if options.callback is not None or posed.traced.evaluator.name != "tape":
+        return newton(conditions, guess, *options)
+    steps, shape = posed.traced.steps, posed.conditions.data.steps.shape
+    return newton_in_parts(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
 
 
 def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:

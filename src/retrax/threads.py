@@ -3,13 +3,16 @@
 import itertools
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, copy_context
 from functools import cache
+from typing import TypeVar
 
 THREADS = 8  # of XLA, so many that its decompositions do not wait for one another
 WORTH_A_THREAD = 300_000  # operations that one thread does before a second is worth its start
+
+R = TypeVar("R")
 _alone: ContextVar[bool] = ContextVar("retrax_one_thread", default=False)
 
 
@@ -38,10 +41,29 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
         return
     ends = [min(count, unit * (units * k // parts)) for k in range(parts + 1)]
     *others, own = (range(a, b) for a, b in itertools.pairwise(ends))
-    futures = [_pool().submit(run, part) for part in others]
+    futures = [_pool("kernels").submit(run, part) for part in others]
     run(own)
     for future in futures:
         future.result()
+
+
+def parts_of(count: int, fewest: int, most: int) -> list[range]:
+    """Ranges of ``count`` items, one for each processor and none with more than ``most``, for ``on_its_own``.
+
+    There is a single one where parts would have less than ``fewest``, or other processors are busy.
+    """
+    parts = 1 if _alone.get() else max(min(os.cpu_count() or 1, count // fewest), -(-count // most), 1)
+    return [range(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
+
+
+def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
+    """What is to be found for a part in a thread of its own, where kernels share nothing with others."""
+
+    def alone() -> R:
+        with one_thread():
+            return run(part)
+
+    return _pool("parts").submit(copy_context().run, alone)
 
 
 def ask_for_threads() -> None:
@@ -56,5 +78,5 @@ def ask_for_threads() -> None:
 
 
 @cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_name_prefix="retrax")
+def _pool(kind: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")

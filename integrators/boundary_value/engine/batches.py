@@ -1,5 +1,6 @@
 """Trees of arrays with a leading axis for the members of a batch."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -28,3 +29,8 @@ def put(tree: Any, places: np.ndarray, part: Any) -> Any:
         return leaf
 
     return jax.tree.map(replaced, tree, part)
+
+
+def joined(parts: Sequence[Any]) -> Any:
+    """The members of batches one after the other."""
+    return parts[0] if len(parts) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *parts)

@@ -1,5 +1,6 @@
 """The conditions of a discrete extremal: ends meet, the cost is stationary; in units of the trajectory itself."""
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, ClassVar, cast, final
 
@@ -7,7 +8,7 @@ import numpy as np
 
 from .augmented import is_isolated_minimum
 from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
-from .batches import merged
+from .batches import joined, merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
@@ -57,6 +58,12 @@ class Conditions:
         units, wider = (own and Units(*(leaf[members] for leaf in own)) for own in (self.units, self.wider))
         barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
         return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, wider)
+
+    def adopt(self, parts: Sequence["Conditions"]) -> None:
+        """Take the units of parts whose members are all of these, in their order."""
+        self.units, self.barrier = joined([own.units for own in parts]), joined([own.barrier for own in parts])
+        wider = any(own.wider is not None for own in parts)
+        self.wider = joined([own.measured for own in parts]) if wider else None
 
     @property
     def judging(self) -> Units:

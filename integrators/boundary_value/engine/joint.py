@@ -1,12 +1,14 @@
 """The conditions of trajectories whose ends are coupled: phases that follow one another, ends on a set, periodic
 ends."""
 
+from collections.abc import Sequence
 from typing import Any, ClassVar, NamedTuple, final
 
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER, Missed
+from .batches import joined
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
@@ -96,6 +98,12 @@ class JointConditions:
         """The conditions of some members."""
         units = None if self.units is None else JointUnits(*(leaf[members] for leaf in self.units))
         return JointConditions(tuple(phase.of(members) for phase in self.phases), self.coupling, units)
+
+    def adopt(self, parts: Sequence["JointConditions"]) -> None:
+        """Take the units of parts whose members are all of these, in their order."""
+        for phase, *own in zip(self.phases, *(part.phases for part in parts), strict=True):
+            phase.adopt(own)
+        self.units = joined([part.units for part in parts])
 
     @property
     def measured(self) -> JointUnits:

@@ -13,12 +13,11 @@ Zavala 2016], and further after steps that had to be cut, so that the next is as
 from collections.abc import Callable
 from typing import Any, NamedTuple, final
 
-import jax
 import numpy as np
 
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
 from .aside import aside, is_lost
-from .batches import merged, put, taken
+from .batches import joined, merged, put, taken
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
 from .inequalities import Slacks
@@ -366,23 +365,23 @@ class _Search:
             self.left.append((self.state, self.trials))
         states = [state for state, _ in self.left]
         counts = np.concatenate([np.full(len(state.member), trials) for state, trials in self.left])
-        joined = states[0] if len(states) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *states)
-        order = np.argsort(joined.member)
-        joined = joined if len(states) == 1 else taken(joined, order)
-        strict = joined.step.strict & (joined.shift == 0)
-        if joined.iterate.slacks is not None:
-            strict = self.conditions.is_isolated_minimum(joined.iterate, joined.assembled)
-        missing = joined.assembled.extent.lacking / self.conditions.judging.nodes
+        whole = joined(states)
+        order = np.argsort(whole.member)
+        whole = whole if len(states) == 1 else taken(whole, order)
+        strict = whole.step.strict & (whole.shift == 0)
+        if whole.iterate.slacks is not None:
+            strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
+        missing = whole.assembled.extent.lacking / self.conditions.judging.nodes
         ended = (
-            strict & joined.isolated,
+            strict & whole.isolated,
             counts[order] - 1,
-            joined.claimed & (joined.residuals.final <= self.tolerance),  # it may have gone on from where it was
-            _solvable(joined),
+            whole.claimed & (whole.residuals.final <= self.tolerance),  # it may have gone on from where it was
+            _solvable(whole),
             self.stopped,
             missing,
-            self.contradictory(joined),
+            self.contradictory(whole),
         )
-        return Found(joined.iterate, joined.assembled, joined.residuals, *ended)
+        return Found(whole.iterate, whole.assembled, whole.residuals, *ended)
 
 
 def _solvable(state: State) -> np.ndarray:

@@ -1,0 +1,49 @@
+"""Large batches in parts that are solved side by side, each in a thread of its own."""
+
+from concurrent.futures import FIRST_EXCEPTION, wait
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from ....threads import on_its_own, parts_of
+from .batches import joined, taken
+from .newton import Found, newton
+
+# Points of a part: with fewer, threads wait for one another in Python; the numbers of more do not stay in a cache.
+FEWEST, MOST = 1000, 16_000
+
+
+def newton_in_parts(
+    conditions: Any, guess: Any, shape: tuple[int, int], tolerance: float, max_iterations: int
+) -> Found:
+    """What ``newton`` finds; ``shape``: number of members, and of the points of each."""
+    count, points = shape
+    parts = parts_of(count, -(-FEWEST // points), max(1, MOST // points))
+    if len(parts) == 1:
+        return newton(conditions, guess, tolerance, max_iterations)
+    stop = Event()
+
+    def run(part: range) -> tuple[Any, Found]:
+        members = np.arange(part.start, part.stop)
+        own = conditions.of(members)
+        with np.errstate(all="ignore"):
+            return own, newton(own, taken(guess, members), tolerance, max_iterations, lambda _: stop.is_set())
+
+    going = [on_its_own(run, part) for part in parts]
+    try:
+        wait(going, return_when=FIRST_EXCEPTION)
+    except KeyboardInterrupt:
+        pass  # each part ends with what it has
+    finally:
+        stop.set()
+    found = [own.result() for own in going]
+    conditions.adopt([own for own, _ in found])
+    return _joined([own for _, own in found])
+
+
+def _joined(found: list[Found]) -> Found:
+    """The members of all parts in their order."""
+    stopped = any(own.stopped for own in found)
+    arrays: Any = [own._replace(stopped=None) for own in found]
+    return joined(arrays)._replace(stopped=stopped)
