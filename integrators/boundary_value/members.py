@@ -2,7 +2,8 @@
 
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from numbers import Number
 from typing import Any, NamedTuple, final
 
@@ -14,8 +15,9 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import is_finite_number
-from ...manifolds.numerics.precision import default_tolerance
-from ..evaluator import Evaluator
+from ...manifolds.numerics.precision import default_tolerance, working_precision
+from ...manifolds.numerics.tolerances import ROUNDING
+from ..evaluator import Automatic, Evaluated, Evaluator
 from ..layout import Layout, parameter_layout
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
@@ -106,6 +108,12 @@ class MemberReader:
         self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, Layout] = {}
 
+    @cached_property
+    def _restored(self) -> Evaluated:
+        """Points moved onto the manifold; seldom needed."""
+        layout = self.ends.layout
+        return Automatic().values(lambda q: (layout.flat(self.problem.manifold.restore(layout.point(q))),), layout.size)
+
     def on(self, mesh: Mesh) -> "MemberReader":
         """The same on another mesh."""
         other = copy(self)
@@ -153,9 +161,22 @@ class MemberReader:
         rows = np.broadcast_to(layout.rows(asked.parameters, axes), (len(horizons), layout.size))
         members = Members(self, asked, axes, ends, horizons, guess, structure, rows)
         states = [] if guess is None else [guess.states_to_check(self.ends.layout.size)]
-        violations = self._violations.at(1, np.concatenate([ends.start, ends.end, *states]))[0]
-        members.require_on_manifold(np.max(violations, axis=1))
-        return members
+        found = self._violations.at(1, np.concatenate([ends.start, ends.end, *states]))[0]
+        violations = np.max(found, axis=1)
+        members.require_on_manifold(violations)
+        first, last, _ = np.split(violations, [len(ends.start), len(ends.start) + len(ends.end)])
+        return replace(members, ends=ends._replace(start=self._onto(ends.start, first), end=self._onto(ends.end, last)))
+
+    def _onto(self, points: np.ndarray, violations: np.ndarray) -> np.ndarray:
+        """Flat points, those moved onto the manifold that are points of it but for more than rounding: no trajectory
+        ends beside it."""
+        rounding = ROUNDING * np.finfo(working_precision()).eps
+        off = (violations > rounding) & (violations <= default_tolerance())
+        if not np.any(off):
+            return points
+        moved, points = self._restored.at(1, points[off])[0], np.array(points)
+        points[off] = np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points[off])
+        return points
 
     def _of_solution(self, solution: Solution) -> Guess:
         """A solution on the mesh, with the multipliers of the inequalities that the problem has."""

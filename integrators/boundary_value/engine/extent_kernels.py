@@ -105,12 +105,12 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
 def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[float, float], out: tuple) -> None:
     """How far trajectories are from their conditions, relative to what these are made of.
 
-    ``extent``: highest, lowest, support, parts, slope, curvature; ``units``: of the nodes and of the unknowns, and what
-    sets the scale of the slopes where their parts vanish, zero where the curvature does; ``shares``: of a value, and of
-    a unit; ``out``: sizes by which gaps are measured along the coordinates and entry by entry, the gap, the
-    stationarity, and that scale.
+    ``extent``: highest, lowest, support, parts, slope, curvature, and what entries are measured by at least; ``units``:
+    of the nodes and of the unknowns, and what sets the scale of the slopes where their parts vanish, zero where the
+    curvature does; ``shares``: of a value, and of a unit; ``out``: sizes by which gaps are measured along the
+    coordinates and entry by entry, the gap, the stationarity, and that scale.
     """
-    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least), (value, share) = (
+    (highest, lowest, support, parts, slope, curvature, smallest), (nodes, unknowns, least), (value, share) = (
         extent,
         units,
         shares,
@@ -119,7 +119,7 @@ def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[flo
     for m in range(batch):
         for e in range(size):
             values = larger(highest[m, e], lowest[m, e])
-            entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
+            entries[m, e] = larger(larger(highest[m, e] + lowest[m, e], value * values), smallest[m, e])
         for a in range(n):
             along[m, a] = share * nodes[m, a]
             for e in range(size):

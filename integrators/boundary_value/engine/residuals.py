@@ -15,8 +15,9 @@ class Measures(NamedTuple):
     """What gaps are measured by, and the largest of what is left in each trajectory.
 
     An entry of a gap is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of
-    its unit; the derivative of the Lagrangian by the parts that cancel in it, coordinate by coordinate, or, where all
-    parts vanish, as the costates do at an optimum of the cost itself, by its curvature in any coordinate.
+    its unit, or, where the manifold's equations hold it, of one; the derivative of the Lagrangian by the parts that
+    cancel in it, coordinate by coordinate, or, where all parts vanish, as the costates do at an optimum of the cost
+    itself, by its curvature in any coordinate.
     """
 
     along: Float[np.ndarray, "B n"]  # in the coordinates of the nodes
@@ -44,7 +45,7 @@ def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcriptio
     least = np.zeros(batch) if assembled.blocks.held is None else units.cost
     sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature
     of = plain(units.nodes), units.unknowns, least
-    extent_kernels.measure(sizes, assembled.distance, of, (VALUE, SHARE), found)
+    extent_kernels.measure((*sizes, VALUE * extent.held_by_equations), assembled.distance, of, (VALUE, SHARE), found)
     return found if assembled.blocks.inner is None else _with_points(found, assembled, units, steps, transcription)
 
 
