@@ -405,14 +405,14 @@ PLANTED: dict[str, Planted] = {
     ),
     "a saddle that is reached is a minimum": Planted(
         f"{ENGINE}/newton.py",
-        "strict & joined.isolated,",
+        "strict & whole.isolated,",
         "joined.isolated,",
         (f"{SECOND}",),
     ),
     "members of a batch come in the order in which they left": Planted(
         f"{ENGINE}/newton.py",
-        "order = np.argsort(joined.member)",
-        "order = np.arange(len(joined.member))",
+        "order = np.argsort(whole.member)",
+        "order = np.arange(len(whole.member))",
         (
             f"{SOLVER}::test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_none",
             f"{SOLVER}::test_a_batch_is_a_loop_over_its_members",
