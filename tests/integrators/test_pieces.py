@@ -195,9 +195,12 @@ def test_an_interruption_has_the_trajectory_until_then(piece, taken, monkeypatch
     require_same(path, Trajectory(*nodes, None, stages, path.result, path.failed_step))
 
 
+# What runs in the background of a script ignores interrupts, and so do its children unless they say otherwise.
 WAITING = """
+import signal
 import time
 import jax
+signal.signal(signal.SIGINT, signal.default_int_handler)
 jax.config.update("jax_enable_x64", True)
 from tests.integrators.test_pieces import MIDPOINT, START, integrate, quartic
 integrate(quartic, MIDPOINT, START, 0.1, 1)

@@ -26,6 +26,7 @@ STEPS = f"{TESTS}/test_tape_steps.py"
 SYMPLECTIC = f"{TESTS}/test_symplectic_step.py"
 DIRAC = f"{TESTS}/test_dirac.py"
 PARTS = f"{TESTS}/test_step_parts.py"
+NUMERICS = "tests/manifolds/test_numerics.py"
 TAPE = "tests/tape/test_tape.py"
 PRIMITIVES = "tests/tape/test_primitives.py"
 
@@ -405,18 +406,36 @@ PLANTED: dict[str, Planted] = {
     ),
     "a saddle that is reached is a minimum": Planted(
         f"{ENGINE}/newton.py",
-        "strict & joined.isolated,",
-        "joined.isolated,",
+        "strict & whole.isolated,",
+        "whole.isolated,",
         (f"{SECOND}",),
     ),
     "members of a batch come in the order in which they left": Planted(
         f"{ENGINE}/newton.py",
-        "order = np.argsort(joined.member)",
-        "order = np.arange(len(joined.member))",
+        "order = np.argsort(whole.member)",
+        "order = np.arange(len(whole.member))",
         (
             f"{SOLVER}::test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_none",
             f"{SOLVER}::test_a_batch_is_a_loop_over_its_members",
         ),
+    ),
+    "parts of a batch come in another order": Planted(
+        f"{ENGINE}/parallel.py",
+        "return _joined([own for _, own in found])",
+        "return _joined([own for _, own in found[::-1]])",
+        (f"{TESTS}/test_parts_of_a_batch.py",),
+    ),
+    "members of all parts have the units of the first": Planted(
+        f"{ENGINE}/conditions.py",
+        "self.units, self.barrier = joined([own.units for own in parts]), joined([own.barrier for own in parts])",
+        "self.units, self.barrier = joined([parts[0].units for own in parts]), joined([own.barrier for own in parts])",
+        (f"{TESTS}/test_parts_of_a_batch.py::test_limited_slews_are_the_same_in_parts",),
+    ),
+    "the rounding of one unknown ends the search for others": Planted(
+        "manifolds/numerics/newton.py",
+        "jnp.abs(missed) <= ROUNDING * jnp.maximum(changed, smallest)",
+        "jnp.abs(missed) <= ROUNDING * jnp.max(changed)",
+        (f"{NUMERICS}::test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others",),
     ),
     "gaps are not asked of the nodes": Planted(
         f"{ENGINE}/residuals.py",
