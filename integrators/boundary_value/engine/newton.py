@@ -21,6 +21,7 @@ from .batches import joined, merged, put, taken
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
 from .inequalities import Slacks
+from .own_units import judged_loosely
 from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
@@ -31,11 +32,12 @@ GROWN = 1e6  # times what its data ask for: then a trajectory near a singular sy
 STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
 CURVATURE = 1e-9
+AGAIN = 3  # times at most that a success is judged in other units
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing",
-    "contradictory",
+    "contradictory", "unit",
 )  # fmt: skip
 
 
@@ -71,6 +73,7 @@ class Found(NamedTuple):
     stopped: bool
     missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
     contradictory: np.ndarray  # the inequalities, or they and the ends
+    unit: np.ndarray  # of the cost, in which success was judged, shape (B,)
     boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: list[str] | None = None  # what is to be said of each member beside its result
 
@@ -88,17 +91,24 @@ def newton(
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
     one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
     cheaper success counts. Where inequalities contradict each other near the guess, or the ends, the trajectory that
-    violates them least is a guess once more: its jam may be of the way there.
+    violates them least is a guess once more: its jam may be of the way there. Success is judged in units of the guess;
+    where the cost is another one at the solution, that is a guess once more.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)
-    return _again(search, found, found.iterate.bare, jammed)
+    found = _again(search, found, found.iterate.bare, jammed)
+    for _ in range(AGAIN):
+        loose = judged_loosely(search.conditions, found)
+        if not loose.size or found.stopped:
+            break
+        found = _again(search, found, found.iterate, loose, anyhow=True)
+    return found
 
 
-def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray) -> Found:
-    """What is found where some members begin once more, from guesses as they are, if that is better."""
+def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
+    """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
     if found.stopped or not members.size:
         return found
     callback = search.callback
@@ -108,7 +118,7 @@ def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray)
     again = again._replace(iterations=found.iterations[members] + again.iterations)
     claimed, cost = found.claimed[members], found.assembled.cost[members]
     known = claimed | found.contradictory[members]  # nothing but a success says more
-    better = np.flatnonzero(np.where(known, again.claimed & ~(claimed & (again.assembled.cost >= cost)), True))
+    better = np.flatnonzero(anyhow | np.where(known, again.claimed & ~(claimed & (again.assembled.cost >= cost)), True))
     first, chosen = members[better], {}
     if better.size:
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
@@ -380,6 +390,7 @@ class _Search:
             self.stopped,
             missing,
             self.contradictory(whole),
+            self.conditions.judging.cost,
         )
         return Found(whole.iterate, whole.assembled, whole.residuals, *ended)
 
