@@ -252,10 +252,23 @@ def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: Numbers, d: n
 
 
 def tiny_steps(array: DerivativeArray, centers: Ambient, at: Linearised, units: Units) -> Linearised:
-    """The array linearised a tiny random step away, several times."""
+    """The array linearised a tiny random step away, several times, in the frames of the points."""
     steps = RESOLUTION * np.random.default_rng(0).standard_normal((SAMPLES, *units.both.shape)) * units.both
-    found = [moved(array, at.z, centers, at.jet, d) for d in steps]
+    found = [_turned(moved(array, at.z, centers, at.jet, d), at) for d in steps]
     return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+
+
+def _turned(beside: Linearised, at: Linearised) -> Linearised:
+    """What was found beside points in frames that are nearly those of the points.
+
+    Frames may jump between them: no sphere of even dimension has a continuous one.
+    """
+    n = at.position.shape[-1]
+    own, wanted = (np.asarray(jax.vmap(vec.flatten_frame)(one.frame[0]))[:, :n] for one in (beside, at))
+    turn = np.zeros((len(own), 2 * n, 2 * n))
+    turn[:, :n, :n] = turn[:, n:, n:] = own @ np.swapaxes(wanted, 1, 2)
+    by_state, omega = beside.by_state @ turn[:, None], np.swapaxes(turn, 1, 2) @ beside.omega @ turn
+    return beside._replace(by_state=by_state, omega=omega)
 
 
 def with_order(points: Points, order: int) -> Points:
