@@ -80,3 +80,7 @@ def ask_for_threads() -> None:
 @cache
 def _pool(kind: str) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
+
+
+if hasattr(os, "register_at_fork"):  # the child of a fork has none of the threads that its pools believe to have
+    os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -119,6 +119,7 @@ def test_what_a_user_compiled_is_left_alone():
     assert len(traces) == 2
 
 
+@pytest.mark.slow  # thousands of traces
 def test_what_was_read_is_released():
     growing = jax.jit(lambda x: jnp.sin(x) * x)  # lives on: JAX finds what it traced of it again, by its identity
 

@@ -289,24 +289,31 @@ def test_an_integrable_constraint_on_a_sphere_gives_great_circles():
     np.testing.assert_allclose(jnp.linalg.norm(path.p, axis=1), 1.0, atol=1e-14)
 
 
+PLANAR = DiracIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))))
+
+
+def slope_of_height(q: Array) -> Array:
+    return jnp.array([[-1.0, 0.0]]) * q[1] + jnp.array([[0.0, 1.0]])
+
+
+@pytest.mark.slow  # two programs with nested iterations
 def test_controls_follow_from_the_hamiltonian():
     """Cost ``sum cosh u`` of the velocity ``u``: ``u = asinh p``, in ``H`` a sum of ``p asinh p - sqrt(1 + p^2)``."""
-    plane = Euclidean(2)
-    midpoint = DiracIntegrator(CotangentLift(Midpoint(Addition(plane))))
-
-    def forms(q):
-        return jnp.array([[-1.0, 0.0]]) * q[1] + jnp.array([[0.0, 1.0]])
-
+    plane, forms = Euclidean(2), slope_of_height
     cost = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: jnp.sum(jnp.cosh(u)), 2)
     closed = DiracSystem(plane, lambda q, p: jnp.sum(p * jnp.arcsinh(p) - jnp.sqrt(1 + p * p)), forms)
     q0 = jnp.array([0.0, HEIGHT])
     start = q0, closed.project(q0, jnp.array([ALONG, SPEED]))
-    paths = [integrate(system, midpoint, start, 0.1, 10) for system in (DiracSystem.controlled(cost, forms), closed)]
+    paths = [integrate(system, PLANAR, start, 0.1, 10) for system in (DiracSystem.controlled(cost, forms), closed)]
     for found, expected in zip(*((path.q, path.p, path.controls) for path in paths), strict=True):
         np.testing.assert_allclose(found, expected, atol=1e-12)
-    free = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: jnp.sum(q), 2)
+
+
+def test_only_a_problem_that_determines_its_controls_is_controlled():
+    free = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: jnp.sum(q), 2)
+    start = jnp.array([0.0, HEIGHT]), jnp.zeros(2)
     with pytest.raises(InvalidInputError, match="whose controls dH/du = 0 determines"):
-        integrate(DiracSystem.controlled(free, forms), midpoint, start, 0.1, 1)
+        integrate(DiracSystem.controlled(free, slope_of_height), PLANAR, start, 0.1, 1)
     with pytest.raises(InvalidInputError, match="controlled takes an OptimalControlProblem"):
         DiracSystem.controlled(kinetic_energy, contact_form)
 

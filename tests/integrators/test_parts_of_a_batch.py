@@ -1,8 +1,12 @@
 """Parts of a batch, solved side by side: nobody can tell from what is found."""
 
+import os
+import subprocess
+import sys
 import threading
 from dataclasses import fields
 from functools import cache
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -160,3 +164,32 @@ def test_parts_are_all_items_in_their_order(count, monkeypatch):
         assert len(parts) >= min(processors, count // 4)
         with one_thread():
             assert parts_of(count, 4, 100) == [range(count)]
+
+
+IN_A_FORK = """
+import os
+import warnings
+
+import jax
+jax.config.update("jax_enable_x64", True)
+import numpy as np
+from retrax.integrators.boundary_value.engine import parallel
+from tests.integrators.test_parts_of_a_batch import HORIZON, START, slews
+
+parallel.parts_of = lambda count, *_: [range(0, 5), range(5, count)]
+solver, ends = slews()
+whole = solver.solve_many(START, ends, HORIZON)
+warnings.simplefilter("ignore")  # JAX warns of forks
+if os.fork() == 0:
+    again = solver.solve_many(START, ends, HORIZON)
+    print(np.array_equal(whole.states[0], again.states[0]), flush=True)
+    os._exit(0)
+os.wait()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+def test_a_fork_has_threads_of_its_own():
+    path = Path(__file__).parents[2]
+    ran = subprocess.run([sys.executable, "-c", IN_A_FORK], cwd=path, capture_output=True, text=True, timeout=120)
+    assert ran.stdout == "True\n", ran.stderr
