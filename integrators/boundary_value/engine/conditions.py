@@ -361,7 +361,8 @@ class Conditions:
     def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The ends as the kernels take them."""
         ends = self.ends
-        return np.array(ends.start), np.array(ends.end), np.array(ends.start_entries), np.array(ends.end_entries)
+        start, end = (np.array(points, order="C") for points in ends[:2])  # members of one for all lie in another order
+        return start, end, np.array(ends.start_entries), np.array(ends.end_entries)
 
     @cached_property
     def _fixed(self) -> np.ndarray:

@@ -36,15 +36,6 @@ class Extent(NamedTuple):
         """From the lowest to the highest value of each, shape (B, E)."""
         return self.highest + self.lowest
 
-    @property
-    def held_by_equations(self) -> np.ndarray:
-        """1 for each entry that no coordinate moves but by rounding, else 0, shape (B, E).
-
-        The equations of the manifold say what it is, and they hold to a share of one.
-        """
-        most = self.support.max(axis=2, keepdims=True, initial=0.0)
-        return np.all(self.support <= EPS**HALF * most, axis=1).astype(float)
-
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)

@@ -102,24 +102,28 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
 
 
 @compiled
-def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[float, float], out: tuple) -> None:
+def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[float, float, float], out: tuple) -> None:
     """How far trajectories are from their conditions, relative to what these are made of.
 
-    ``extent``: highest, lowest, support, parts, slope, curvature, and what entries are measured by at least; ``units``:
-    of the nodes and of the unknowns, and what sets the scale of the slopes where their parts vanish, zero where the
-    curvature does; ``shares``: of a value, and of a unit; ``out``: sizes by which gaps are measured along the
-    coordinates and entry by entry, the gap, the stationarity, and that scale.
+    ``extent``: highest, lowest, support, parts, slope, curvature; ``units``: of the nodes and of the unknowns, and what
+    sets the scale of the slopes where their parts vanish, zero where the curvature does; ``shares``: of a value, of a
+    unit, and of the largest entry of a frame vector, up to which others are rounding; ``out``: sizes by which gaps are
+    measured along the coordinates and entry by entry, the gap, the stationarity, and that scale.
     """
-    (highest, lowest, support, parts, slope, curvature, smallest), (nodes, unknowns, least), (value, share) = (
-        extent,
-        units,
-        shares,
-    )
-    (along, entries, gap, stationarity, scale), (batch, n, size) = out, support.shape
+    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least) = extent, units
+    (along, entries, gap, stationarity, scale), (batch, n, size), (value, share, rounding) = out, support.shape, shares
     for m in range(batch):
+        for a in range(n):
+            along[m, a] = 0.0
+            for e in range(size):
+                along[m, a] = larger(along[m, a], support[m, a, e])
         for e in range(size):
-            values = larger(highest[m, e], lowest[m, e])
-            entries[m, e] = larger(larger(highest[m, e] + lowest[m, e], value * values), smallest[m, e])
+            values, is_moved = larger(highest[m, e], lowest[m, e]), False
+            for a in range(n):
+                is_moved |= support[m, a, e] > rounding * along[m, a]
+            if not is_moved:  # the manifold's equations say what it is, and hold to a share of one
+                values = larger(values, 1.0)
+            entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
         for a in range(n):
             along[m, a] = share * nodes[m, a]
             for e in range(size):

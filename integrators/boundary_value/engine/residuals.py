@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain
 from .inequalities import VALUE
 from .scaling import SHARE, Units
@@ -45,7 +46,7 @@ def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcriptio
     least = np.zeros(batch) if assembled.blocks.held is None else units.cost
     sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature
     of = plain(units.nodes), units.unknowns, least
-    extent_kernels.measure((*sizes, VALUE * extent.held_by_equations), assembled.distance, of, (VALUE, SHARE), found)
+    extent_kernels.measure(sizes, assembled.distance, of, (VALUE, SHARE, EPS**HALF), found)
     return found if assembled.blocks.inner is None else _with_points(found, assembled, units, steps, transcription)
 
 

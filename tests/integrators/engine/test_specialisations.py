@@ -32,5 +32,8 @@ def test_one_trajectory_and_many_with_limits_are_arrays_of_one_kind():
     solver = Solver(problem, Midpoint(Addition(plane)), 8)
     assert solver.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0).success
     assert solver.solve_many(np.zeros(2), np.array([[1.0, 0.0]] * 17), 1.0).success.all()
+    # Members that begin once more, here two whose limits contradict their ends, are a part of a batch.
+    several = solver.solve_many(np.zeros(2), np.array([1.0, 0.0]), np.array([0.1, 0.2, 1.0, 1.0]))
+    assert list(several.success) == [False, False, True, True]
     for kernel in KERNELS:
         assert len(kernel.signatures) == 1, (kernel.__name__, kernel.signatures)
