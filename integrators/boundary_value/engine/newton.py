@@ -324,7 +324,7 @@ class _Search:
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
         # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
-        exact = state.isolated | (state.residuals.final <= EXACT * np.finfo(float).eps)
+        exact = state.isolated | (state.residuals.largest <= EXACT * np.finfo(float).eps)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
     def hopeless(self, state: State) -> np.ndarray:
