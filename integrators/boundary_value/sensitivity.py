@@ -9,6 +9,7 @@ import numpy as np
 from ...manifolds import ConvergenceError
 from ...manifolds.numerics.tolerances import EPS, REGULAR
 from ..layout import Layout
+from ..records import shapes
 from .engine.sensitivity import Derivatives
 from .solution import Solution
 
@@ -26,6 +27,9 @@ class Derivative:
     states: Any
     costates: Any
     controls: Any
+
+    def __repr__(self) -> str:
+        return f"Derivative({', '.join(f'{name}={shapes(value)}' for name, value in vars(self).items())})"
 
 
 @final

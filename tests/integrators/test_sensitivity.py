@@ -208,6 +208,14 @@ def test_the_cost_falls_by_the_costate_at_the_start_and_by_the_hamiltonian_in_ti
     assert found.horizon.cost == pytest.approx(-solution.hamiltonians @ UNEQUAL / np.sum(UNEQUAL), rel=1e-10)
 
 
+def test_it_is_printed_by_its_shapes(oscillator):
+    solver, _ = oscillator
+    found = solver.sensitivity(solver.solve(np.zeros(1), np.ones(1), 1.0))
+    shapes = "states=f64[1,11,1], costates=f64[1,11,1], controls=f64[1,10,1]"
+    assert repr(found).startswith(f"Sensitivity(start=Derivative(cost=f64[1], {shapes}), end=Derivative(cost=f64[1], ")
+    assert "horizon=Derivative(cost=f64[], states=f64[11,1]" in repr(found)
+
+
 def test_another_solver_s_solution_and_one_without_success_are_refused(oscillator):
     solver, conjugate = oscillator
     other = Solver(solver.problem, solver.method, 10)
