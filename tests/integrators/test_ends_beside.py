@@ -77,6 +77,7 @@ def test_both_ends_of_a_batch_may_be_long():
     np.testing.assert_allclose(np.linalg.norm(found.states[:, [0, -1]], axis=2), 1.0, atol=1e-13)
 
 
+@pytest.mark.slow  # projections to a level set in every function
 def test_ends_on_another_sheet_are_not_met():
     sheets = Sheets(shape=(3,))
     problem = OptimalControlProblem(sheets, lambda q, u: sheets.projection(q, u), effort, 3)
