@@ -128,6 +128,19 @@ def test_an_interrupt_leaves_every_part_with_what_it_has(in_parts, monkeypatch):
     assert any(left)
 
 
+def test_an_interrupt_is_not_lost_where_all_parts_have_ended(in_parts, monkeypatch):
+    ended = parallel.wait
+
+    def interrupted(*arguments, **options):
+        ended(*arguments, **options)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(parallel, "wait", interrupted)
+    solver, ends = slews()
+    found = solver.solve_many(START, ends, HORIZON, max_iterations=1)
+    assert found.result == [Result[Result.stopped]] * COUNT
+
+
 def test_what_a_part_raises_ends_the_others(in_parts, monkeypatch):
     seen, alone = [], parallel.newton
 

@@ -421,8 +421,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "parts of a batch come in another order": Planted(
         f"{ENGINE}/parallel.py",
-        "return _joined([own for _, own in found])",
-        "return _joined([own for _, own in found[::-1]])",
+        "arrays: Any = [own._replace(stopped=None) for _, own in found]",
+        "arrays: Any = [own._replace(stopped=None) for _, own in found[::-1]]",
         (f"{TESTS}/test_parts_of_a_batch.py",),
     ),
     "members of all parts have the units of the first": Planted(

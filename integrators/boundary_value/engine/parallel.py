@@ -30,20 +30,13 @@ def newton_in_parts(
         with np.errstate(all="ignore"):
             return own, newton(own, taken(guess, members), tolerance, max_iterations, lambda _: stop.is_set())
 
-    going = [on_its_own(run, part) for part in parts]
+    going, interrupted = [on_its_own(run, part) for part in parts], False
     try:
         wait(going, return_when=FIRST_EXCEPTION)
     except KeyboardInterrupt:
-        pass  # each part ends with what it has
-    finally:
-        stop.set()
+        interrupted = True  # each part ends with what it has, as one does that is interrupted itself
+    stop.set()
     found = [own.result() for own in going]
     conditions.adopt([own for own, _ in found])
-    return _joined([own for _, own in found])
-
-
-def _joined(found: list[Found]) -> Found:
-    """The members of all parts in their order."""
-    stopped = any(own.stopped for own in found)
-    arrays: Any = [own._replace(stopped=None) for own in found]
-    return joined(arrays)._replace(stopped=stopped)
+    arrays: Any = [own._replace(stopped=None) for _, own in found]
+    return joined(arrays)._replace(stopped=interrupted)
