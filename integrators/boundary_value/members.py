@@ -161,22 +161,17 @@ class MemberReader:
         rows = np.broadcast_to(layout.rows(asked.parameters, axes), (len(horizons), layout.size))
         members = Members(self, asked, axes, ends, horizons, guess, structure, rows)
         states = [] if guess is None else [guess.states_to_check(self.ends.layout.size)]
-        found = self._violations.at(1, np.concatenate([ends.start, ends.end, *states]))[0]
-        violations = np.max(found, axis=1)
+        points = np.concatenate([ends.start, ends.end])
+        violations = np.max(self._violations.at(1, np.concatenate([points, *states]))[0], axis=1)
         members.require_on_manifold(violations)
-        first, last, _ = np.split(violations, [len(ends.start), len(ends.start) + len(ends.end)])
-        return replace(members, ends=ends._replace(start=self._onto(ends.start, first), end=self._onto(ends.end, last)))
-
-    def _onto(self, points: np.ndarray, violations: np.ndarray) -> np.ndarray:
-        """Flat points, those moved onto the manifold that are points of it but for more than rounding: no trajectory
-        ends beside it."""
-        rounding = ROUNDING * np.finfo(working_precision()).eps
-        off = (violations > rounding) & (violations <= default_tolerance())
+        beside, count = violations[: len(points)], len(ends.start)
+        off = (beside > ROUNDING * np.finfo(working_precision()).eps) & (beside <= default_tolerance())
         if not np.any(off):
-            return points
-        moved, points = self._restored.at(1, points[off])[0], np.array(points)
+            return members
+        # No trajectory ends beside its manifold.
+        moved = self._restored.at(1, points[off])[0]
         points[off] = np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points[off])
-        return points
+        return replace(members, ends=ends._replace(start=points[:count], end=points[count:]))
 
     def _of_solution(self, solution: Solution) -> Guess:
         """A solution on the mesh, with the multipliers of the inequalities that the problem has."""
