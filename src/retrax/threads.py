@@ -39,8 +39,7 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
     if parts <= 1:
         run(range(count))
         return
-    ends = [min(count, unit * (units * k // parts)) for k in range(parts + 1)]
-    *others, own = (range(a, b) for a, b in itertools.pairwise(ends))
+    *others, own = _ranges(count, parts, unit)
     futures = [_pool("kernels").submit(run, part) for part in others]
     run(own)
     for future in futures:
@@ -53,7 +52,14 @@ def parts_of(count: int, fewest: int, most: int) -> list[range]:
     There is a single one where parts would have less than ``fewest``, or other processors are busy.
     """
     parts = 1 if _alone.get() else max(min(os.cpu_count() or 1, count // fewest), -(-count // most), 1)
-    return [range(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
+    return _ranges(count, parts)
+
+
+def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:
+    """Parts of ``count`` items, as many in each as in another, in multiples of ``unit`` but for the last."""
+    units = -(-count // unit)
+    ends = [min(count, unit * (units * k // parts)) for k in range(parts + 1)]
+    return [range(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
