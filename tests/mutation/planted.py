@@ -487,7 +487,7 @@ PLANTED: dict[str, Planted] = {
         (f"{ENDS}",),
     ),
     "the cost of phases is that of the first": Planted(
-        f"{ENGINE}/joint.py",
+        f"{ENGINE}/joint_system.py",
         "return sum((part.cost for part in self.parts), np.zeros(len(self.coupled.values)))",
         "return self.parts[0].cost + np.zeros(len(self.coupled.values))",
         (f"{PHASES}::test_bang_bang_arcs_of_a_double_integrator",),
