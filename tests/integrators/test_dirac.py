@@ -277,6 +277,7 @@ def hoop_forms(q: Array) -> Array:
     return jnp.cross(jnp.array([0.0, 0.0, 1.0]), q)[None]
 
 
+@pytest.mark.slow
 def test_an_integrable_constraint_on_a_sphere_gives_great_circles():
     """A free particle that must not move along the parallels stays on its meridian, and keeps its speed."""
     sphere = Sphere(2)

@@ -99,12 +99,14 @@ def least_time() -> float:
     return solve(quickest, METHOD, *ENDS, Free(HORIZON), STEPS).horizon
 
 
+@pytest.mark.slow
 def test_the_least_time_and_the_least_limit_belong_together():
     limit = least_limit()
     quickest = OptimalControlProblem(CRAFT, turn, lambda q, u: 1.0, 3, control_bounds=(-limit, limit))
     assert solve(quickest, METHOD, *ENDS, Free(HORIZON), STEPS).horizon == pytest.approx(HORIZON, rel=1e-7)
 
 
+@pytest.mark.long("-0.5", "10.0")
 @pytest.mark.parametrize(
     "share", [pytest.param(s, marks=[] if s in FEW else pytest.mark.slow) for s in SHARES.tolist()]
 )
@@ -116,6 +118,7 @@ def test_a_limit_of_torques_through_the_least(share):
     assert found.success == (share > 0)
 
 
+@pytest.mark.long("-0.5", "10.0")
 @pytest.mark.parametrize(
     "share", [pytest.param(s, marks=[] if s in FEW else pytest.mark.slow) for s in SHARES.tolist() if s < WIDEST]
 )
@@ -140,6 +143,7 @@ def keeping_out() -> tuple[Solver, np.ndarray, float]:
     return Solver(problem, METHOD, STEPS), sun, float(np.arccos(max(BORESIGHT @ sun, (TARGET @ BORESIGHT) @ sun)))
 
 
+@pytest.mark.long("-0.5")
 @pytest.mark.parametrize(
     "share",
     [

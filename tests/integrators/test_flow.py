@@ -30,6 +30,7 @@ CASES = {
 }
 
 
+@pytest.mark.long("a lift, by XLA")
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.long("Gauss")
 def test_a_flow_has_the_trajectories_of_integrate(name):

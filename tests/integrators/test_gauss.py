@@ -171,6 +171,7 @@ def errors_of(name: str, method: Any, counts: Iterable[int], weights: tuple[floa
     return np.array(rows)
 
 
+@pytest.mark.long("R2-4")
 @pytest.mark.parametrize(("name", "stages"), [usual_or_slow(*case, usual=case in QUICK) for case in QUICK + OTHERS])
 @pytest.mark.usual("S2-2", "R2-1", "R2-4")
 def test_states_and_covectors_are_of_order_twice_the_number_of_stages(name, stages):
@@ -182,6 +183,7 @@ def test_states_and_covectors_are_of_order_twice_the_number_of_stages(name, stag
     assert np.all(errors[-1] < 0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stages", [usual_or_slow(s, usual=s == 2) for s in (2, 3, 4)])
 def test_controls_at_the_points_are_of_the_order_of_the_stages(stages):
     method, counts, errors = Gauss(stages, SUBJECTS["controlled body"].retraction), COUNTS[stages], []

@@ -249,6 +249,7 @@ def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
         assert found.success or "contradict" in found.result, (share, found.result)
 
 
+@pytest.mark.slow
 def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
     """A tracker keeps 30 degrees from the sun, which is between its ends: wheels and rates that suffice for less, and
     barely."""

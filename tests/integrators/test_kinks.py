@@ -80,6 +80,7 @@ SWEEPS = {
 }
 
 
+@pytest.mark.long("of any size", "rounded down", "with weak curvature", "affine")
 @pytest.mark.parametrize("name", SWEEPS)
 def test_a_kink_is_no_singular_control_and_no_curvature(name):
     price, numbers, expected = SWEEPS[name]
@@ -201,6 +202,7 @@ CURVED = {
 }
 
 
+@pytest.mark.long("one-sided", "Huber", "smoothed elsewhere", "wiggles")
 @pytest.mark.parametrize("name", CURVED)
 def test_a_kink_beside_curvature_is_told_from_narrow_curvature(name):
     price, numbers, expected = CURVED[name]

@@ -63,8 +63,8 @@ def test_a_horizon_is_looked_for_between_its_bounds_only_and_in_batches_too():
     assert seen.statistics.iterations == 2  # an iteration that was stopped does not begin again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("duration", ["1e-07", "0.0001", "1000.0"])
-@pytest.mark.usual("1e-07")
 def test_durations_of_phases_are_found_whatever_their_guesses(duration):
     """Two halves of one transfer, whose middle is left to the cost."""
     exact = float(duration)

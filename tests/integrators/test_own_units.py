@@ -51,6 +51,7 @@ def products(solution, limit):
     return largest * solution.horizon / solution.cost
 
 
+@pytest.mark.long("10.0", "1000.0", "1000000.0")
 @pytest.mark.parametrize("weight", [1e-9, 1e-3, 1e1, 1e2, 1e3, 1e4, 1e6, 1e9, 1e12])
 def test_a_guess_of_another_weight_leads_to_the_same(weight):
     for solver, end in ((swings(), END), (stops(), Free(END))):

@@ -34,6 +34,7 @@ def halves(price: float, limits: tuple[float, float]) -> PhasedSolution:
     return solve_phases([first, second], throw=False)
 
 
+@pytest.mark.long("1e-12-1.000001", "1e-06-0.9")
 @pytest.mark.parametrize("limit", LIMITS)
 @pytest.mark.parametrize("price", PRICES)
 @pytest.mark.usual("1e-06-0.9", "1e-06-1.01", "1.0-0.9", "1e+12-1.01", "1e-12-1.000001")

@@ -80,8 +80,8 @@ def test_bang_bang_arcs_of_an_attitude():
     assert found.strict_minimum
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tilt", [0.0, 1e-15, 1e-12, 1e-9, 1e-8, 1.5e-8, 2e-8, 3e-8, 1e-7, 1e-5, 1e-3, 0.1])
-@pytest.mark.usual("1e-12")
 def test_a_tilt_of_any_size_that_nothing_moves_measures_nothing(tilt):
     """A body that is tilted by d turns about its axis by ``atan2(sin a cos d, cos a)``."""
     attitude = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
@@ -155,8 +155,8 @@ def test_a_stage_that_is_best_left_out_is_named():
     assert found.durations[0] == pytest.approx(0.01, rel=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [0.02, 0.05, 0.15, 0.5])
-@pytest.mark.usual("0.15")
 def test_a_stage_tends_to_its_bound_from_afar(first):
     """From whatever guess of the durations the first stage takes its least time, and the second is not left out."""
     for second in (0.1, 0.3, 0.45):

@@ -96,9 +96,8 @@ def require_same(path: Trajectory, other: Trajectory) -> None:
         assert norm(mine - theirs) < 1e-12
 
 
-@pytest.mark.parametrize(
-    "name", ["Hamiltonian", *(pytest.param(name, marks=pytest.mark.slow) for name in list(SYSTEMS)[1:])]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SYSTEMS)
 def test_pieces_are_the_one_loop_that_is_traced(name, taken, monkeypatch):
     """Through pieces that end within blocks of ``save_every`` steps, at their ends, and where no more can be kept."""
     system, method, start = SYSTEMS[name]

@@ -253,6 +253,7 @@ EVALUATED = {
 }
 
 
+@pytest.mark.long("S2-1")
 @pytest.mark.parametrize(
     ("name", "stages"), [("S2", 1), ("SO3*R3", 1), ("S2", 2), pytest.param("SO3*R3", 2, marks=pytest.mark.slow)]
 )

@@ -114,6 +114,7 @@ def succeeds(solver: Solver, start: Any, end: Any, weights: Any) -> tuple[bool, 
     return solution.success, solution.result
 
 
+@pytest.mark.slow
 def test_a_jump_in_the_controls_is_none_that_depends_on_where_it_is(with_places):
     """Beside strong curvature, through all controls of the trajectory, which are between -6 and 6, and beyond them."""
     for place in (-20.0, -5.9, -1e-3, 1e-7, 2.77, 5.999, 9.0):

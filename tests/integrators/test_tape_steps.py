@@ -65,6 +65,7 @@ def start_of(method, size=0.5) -> tuple:
     return q, jax.tree.map(lambda a: size * a, manifold.random_tangent(KEY, q))
 
 
+@pytest.mark.long("plane, backward Euler")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in CASES]
 )

@@ -61,6 +61,7 @@ def test_newton_steps_of_a_manifold_make_a_retraction():
     assert np.all(np.isnan(Restored(DIRECTIONS)(x, -x)))  # from the centre they lead nowhere
 
 
+@pytest.mark.slow
 def test_the_default_guess_follows_the_retraction_that_was_given():
     """Through a quarter turn, where the plane of the rescaling ends, to half a turn."""
     turning = OptimalControlProblem(DIRECTIONS, DIRECTIONS.projection, lambda q, u: u @ u / 2, 3)

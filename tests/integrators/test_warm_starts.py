@@ -39,6 +39,7 @@ def solved(angle=1.0, steps=STEPS):
     return slew().with_steps(steps).solve(START, at(angle), HORIZON)
 
 
+@pytest.mark.long("keep-out-cone")
 @pytest.mark.parametrize("name", ["keep-out-cone", "aly-chan", "fishing", "free-flying-robot", "betts"])
 def test_a_solution_is_found_again_from_itself(name):
     """Among them one that is singular, and one whose inequality does not see the controls."""

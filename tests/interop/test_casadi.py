@@ -72,6 +72,7 @@ CASES = {
 }
 
 
+@pytest.mark.long("slew to any rate, uneven steps", "free end")
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.long("docking", "slew by collocation")
 def test_ipopt_finds_the_solution(name):
@@ -90,6 +91,7 @@ def test_ipopt_finds_the_solution(name):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * max(1.0, np.max(np.abs(b))))
 
 
+@pytest.mark.long("U(2)", "SU(3)")
 @pytest.mark.parametrize(
     "manifold",
     [

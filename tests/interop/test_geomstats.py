@@ -55,6 +55,7 @@ SPACES = {
 }
 
 
+@pytest.mark.long("Hypersphere")
 @pytest.mark.parametrize("name", SPACES)
 @given(seed=SEEDS)
 @pytest.mark.long("SE", "flat product")
@@ -192,6 +193,7 @@ FARTHEST = {
 }
 
 
+@pytest.mark.long("poses", "unitary", "oblique", "power")
 @pytest.mark.parametrize("name", FARTHEST)
 def test_distances_are_known_on_the_cut_locus_and_are_lengths_of_logarithms_elsewhere(name):
     manifold, farthest, expected = FARTHEST[name]

@@ -52,6 +52,7 @@ def check(a, b, tolerance=1e-12):
         np.testing.assert_allclose(leaf, other, atol=tolerance, rtol=0)
 
 
+@pytest.mark.long("Sphere")
 @on_every_space
 @given(seed=SEEDS)
 @pytest.mark.long("SO")

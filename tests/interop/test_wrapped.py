@@ -97,7 +97,8 @@ def canonical_form(curves):
     return dq @ dp.T - dp @ dq.T
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[pytest.mark.slow] * (n != "geomstats ball")) for n in WRAPPED])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", WRAPPED)
 def test_the_midpoint_step_of_a_wrapped_space_is_symplectic(name):
     starts, ends, converged = midpoint_steps(name)
     assert np.all(converged)

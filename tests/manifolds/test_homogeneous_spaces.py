@@ -56,6 +56,7 @@ def test_vee_takes_the_skew_part(seed):
     np.testing.assert_allclose(EULER(np.asarray(vee(jnp.asarray(a))), np.zeros(3))[2], (a - a.T) / 2, atol=1e-15)
 
 
+@pytest.mark.long("R2x3", "U2", "SL2", "heisenberg", "SPD2", "Gr42", "oblique32")
 @pytest.mark.parametrize("name", SPACES)
 @given(seed=SEEDS)
 @pytest.mark.usual(

@@ -133,6 +133,7 @@ def test_the_point_nearby_is_differentiated_in_both_modes():
     np.testing.assert_allclose(pulled @ d, np.sum(slope), atol=1e-13)
 
 
+@pytest.mark.long("2")
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_derivative_of_a_basis_is_right_where_gradients_are_unit_vectors(count):
     """Through zero, where they are: that of the projector, in both modes; three equations in space leave no basis."""
@@ -179,6 +180,7 @@ class Circle(LevelSet):
         return jnp.stack([self.first * (x @ x - 1.0), self.second * (x[0] + x[1])])
 
 
+@pytest.mark.long("units1", "units3", "units4", "units5")
 @pytest.mark.parametrize(
     "units", [(1e-14, 1e-14), (1e-12, 1e6), (1e-9, 1.0), (1.0, 1.0), (1.0, 1e9), (1e12, 1e-3), (1e14, 1e14)]
 )

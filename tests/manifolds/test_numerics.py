@@ -140,6 +140,7 @@ def test_find_root_knows_the_size_of_its_unknowns(scale):
     np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
 
 
+@pytest.mark.long("1e-06", "0.01", "100.0", "1000000.0")
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-8, 9, 2))
 def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_unknowns(size):
     """Of unknowns with sizes given too large, or beside one that is found at once, the small one is found to rounding

@@ -80,6 +80,7 @@ def triple_facts(base: str, seed: int) -> dict:
     return {"w": w, **_triple(base)(w)}
 
 
+@pytest.mark.long("R2x3")
 @every_base
 @given(seed=SEEDS)
 @pytest.mark.long("ellipsoid")
@@ -244,6 +245,7 @@ PULLED_WIDE = preimage(
 )
 
 
+@pytest.mark.long("dS x R")
 @pytest.mark.parametrize(
     "submanifold", [CLOSED, WIDE, PULLED, PULLED_WIDE], ids=["dS", "dS x R", "pulled dS", "pulled dS x R"]
 )
@@ -288,6 +290,7 @@ def test_parts_of_another_kind_are_refused(call, message):
         call()
 
 
+@pytest.mark.slow
 def test_a_smaller_isotropic_submanifold_is_not_lagrangian():
     form = np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(2))
     curve = lagrangian_subspace(form, np.eye(4)[:1])

@@ -33,6 +33,7 @@ def _derivatives(name):
     return compiled(facts)
 
 
+@pytest.mark.long("projection-H2", "quadratic-SPD2", "qr-St42")
 @pytest.mark.parametrize("name", CLOSED_FORMS)
 @pytest.mark.usual(
     "exponential-S2",

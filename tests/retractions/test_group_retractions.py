@@ -129,6 +129,7 @@ def _log_of_motions(a, b):
     return jax.jacfwd(along)(zero), jax.jacrev(along)(zero), jax.jacfwd(jax.jacrev(along))(zero)
 
 
+@pytest.mark.slow
 @given(seed=SEEDS)
 def test_the_logarithm_of_motions_has_the_derivatives_of_baker_campbell_hausdorff_at_the_identity(seed):
     # log(exp(s a) exp(t b)) = s a + t b + s t [a, b]/2 + ...
@@ -170,6 +171,7 @@ NOWHERE = {
 }
 
 
+@pytest.mark.long("SO4, two planes")
 @pytest.mark.parametrize("name", NOWHERE)
 @pytest.mark.usual("SE3", "SO4, two planes", "SL2")
 def test_what_has_no_logarithm_is_refused(name):

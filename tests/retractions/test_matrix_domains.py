@@ -41,6 +41,7 @@ def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(length):
         np.testing.assert_allclose(there, y, atol=1e-14)
 
 
+@pytest.mark.long("0.0-size1")
 @pytest.mark.parametrize("size", [(5, 2), (3, 2), pytest.param((6, 3), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 2.0, np.sqrt(0.8) * np.pi - 1e-8])
 def test_the_canonical_logarithm_of_frames_is_exact_in_its_domain(size, length):

@@ -81,6 +81,7 @@ def newton_derivatives(name: str, seed: int, length: float) -> dict:
     return {"c": c, **_newton_derivatives(name)(x, v, a, c)}
 
 
+@pytest.mark.long("exponential-SO3", "projection-H2", "softmax-simplex3")
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in REPRESENTATIVES]
 )

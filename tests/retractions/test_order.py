@@ -68,6 +68,7 @@ ORDERS = {
 }
 
 
+@pytest.mark.long("corrected qr")
 @pytest.mark.parametrize("name", ORDERS)
 @pytest.mark.long(
     "correction of a product",

@@ -65,6 +65,7 @@ def _facts(retraction: Retraction, key: jax.Array, length: jax.Array) -> dict:
     return {"inside": retraction.domain(x, v), "error": error, "off": off, "size": vec.size(y)}
 
 
+@pytest.mark.long("projection-S2-double", "cayley-SO2-double", "quadratic-SPD2-double", "exponential-U2-single")
 @pytest.mark.parametrize(("name", "precision"), list(_cases()))
 def test_a_vector_of_any_length_comes_back_or_is_outside_the_domain(name, precision):
     retraction, lengths = RETRACTIONS[name], (min(1.0, reach(name)), *LENGTHS[precision][1:])
@@ -113,6 +114,7 @@ def _angles(kind: str, eps: float) -> tuple[np.ndarray, np.ndarray]:
     return angles, np.sum(gaps, axis=1)
 
 
+@pytest.mark.long("SO-single", "U-single")
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("kind", ["SO", "U"])
 def test_the_logarithm_tells_planes_that_are_near_a_half_turn_together(kind, precision):

@@ -176,6 +176,7 @@ class Volume(LevelSet):
         return jnp.linalg.det(x) - 1.0
 
 
+@pytest.mark.slow
 def test_zero_is_not_said_to_be_a_kink_where_an_equation_is_missing():
     volume, names = Volume(shape=(2, 2)), ["random_tangents_are_tangent", "restore_is_the_identity_on_the_manifold"]
     lacking, kink = "try adding the equation that excludes it", "try jnp.where"

@@ -60,6 +60,7 @@ SLOW_OBJECTS = {
 }
 
 
+@pytest.mark.long("projection of S2")
 @pytest.mark.parametrize("name", [*OBJECTS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_OBJECTS)])
 def test_what_is_right_in_double_precision_is_right_in_single(name):
     with jax.enable_x64(False):
@@ -77,6 +78,7 @@ QUICK_MUTANTS = (
 )
 
 
+@pytest.mark.long("an inverse that is wrong near the edge of its domain")
 @pytest.mark.parametrize("name", QUICK_MUTANTS)
 def test_a_mutant_is_caught(name):
     check, subject, options = MUTANTS[name]

@@ -45,6 +45,7 @@ def verdict(
 CONTROLS = np.stack([np.full(STEPS, 2.0), np.cos(3 * TIMES)], axis=1)
 
 
+@pytest.mark.long("0-1.0", "1-1e-12")
 @pytest.mark.parametrize("scale", SCALES)
 @pytest.mark.parametrize("component", [0, 1])
 @pytest.mark.usual("0-1e-12", "1-1e-12", "0-1.0", "1-1000000000000.0")
@@ -60,6 +61,7 @@ def test_a_control_that_is_beside_is_seen_at_every_size_of_the_cost(scale, compo
     assert broken == [False, False, False, True, True, True]
 
 
+@pytest.mark.slow
 def test_controls_that_switch_over_a_kink_are_no_gauge():
     """With the price ``c`` of ``|s|`` the costate ``c`` suits one sign of ``s``: the other misses by ``2 c``."""
     for price in 10.0 ** np.arange(-6, 5, 2):

@@ -128,6 +128,7 @@ def test_functions_that_are_finite_nowhere_are_refused():
         classify(problem)
 
 
+@pytest.mark.slow
 def test_conditions_that_are_only_approached_are_not_called_contradictory():
     """``x' = log x + u``, cost ``x^2/2``: ``x = 0`` is at the edge of the domain; ``e^u = 0`` where ``u`` is
     infinite."""
@@ -177,6 +178,7 @@ def test_a_chain_of_integrators_loses_one_dimension_per_level():
     np.testing.assert_allclose(np.concatenate([c.stratum.q, c.stratum.p, c.stratum.u]), 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_the_morse_family_is_told_from_a_dummy_control():
     dummy, regular, singular = (classified(name).morse for name in ("dummy control", "regular", "aly-chan"))
     assert not dummy.family
@@ -212,6 +214,7 @@ class Cheap(eqx.Module):
         return (q @ q + u[0] ** 2 + self.price * (self.unit * u[1]) ** 2) / 2
 
 
+@pytest.mark.slow
 def test_a_cheap_control_is_no_free_one_in_any_unit():
     """``x' = y + u1``, ``y' = u2``, cost ``(x^2 + y^2 + u1^2 + 1e-8 u2^2)/2``: regular, as it is for ``solve``."""
     for price, unit in ((1e-8, 1.0), (1e-8, 1e4), (1e-8, 1e-2), (0.0, 1.0)):

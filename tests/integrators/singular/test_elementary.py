@@ -104,6 +104,7 @@ ELEMENTARY = {
 QUICK = ("exp", "sin of the unknown", "log", "power", "an identity")
 
 
+@pytest.mark.long("log", "power")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in ELEMENTARY]
 )

@@ -111,6 +111,7 @@ def test_what_is_no_extremal_is_not_certified(made):
         made(None)
 
 
+@pytest.mark.slow
 def test_the_necessary_conditions_of_a_dummy_control_are_not_lagrangian():
     # dH/du = 0 holds for every value of it: the critical set has one dimension too many, and H is no Morse family.
     submanifold = L_H(known("dummy control").problem)

@@ -29,6 +29,7 @@ class Height(eqx.Module):
         return (self.triad[2] @ q) ** 2 / 2
 
 
+@pytest.mark.long("0.3")
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, 0.3])
 @pytest.mark.usual("0.0", "0.3")
 def test_singular_arcs_on_a_circle_on_which_the_frames_of_the_sphere_jump(angle):

@@ -16,14 +16,8 @@ REST, LINES = (2, 0, 4), (3, 1, 2)
 ON_A_LINE = jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("bend", "seeds"),
-    [
-        (0.0, [0]),
-        pytest.param(0.0, [1, 2], marks=pytest.mark.slow),
-        pytest.param(0.5, [0, 1, 2], marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("bend", "seeds"), [(0.0, [0]), (0.0, [1, 2]), (0.5, [0, 1, 2])])
 def test_abnormal_extremals_of_the_martinet_distribution(bend, seeds):
     # H = p1 u1 + (p2 + p3 x^2 / 2) u2 / (1 + bend x).
     for seed in seeds:
@@ -105,6 +99,7 @@ def test_pieces_of_equal_ranks_that_cross_are_told_apart():
     assert seen == {(0,), (1,)}
 
 
+@pytest.mark.slow
 def test_flat_pieces_are_told_apart_by_their_tangent_spaces():
     """``q' = 0``, cost ``x y u``: ``x = 0`` and ``y = 0`` have equal ranks and controls; a circle is one piece."""
     found = {}

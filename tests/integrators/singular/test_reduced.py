@@ -253,6 +253,7 @@ def test_rattle_converges_to_the_same_trajectory_where_they_are_not():
     assert slope(1 / counts, apart, 1e-13) == pytest.approx(2, abs=0.06)
 
 
+@pytest.mark.slow
 def test_aly_chan_is_an_oscillator_that_the_midpoint_rule_turns_exactly():
     n, h = 20, np.pi / 40
     path = integrate(
@@ -339,6 +340,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.long("not constant", "gauge, or P_f empty")
 @pytest.mark.parametrize("reason", REFUSED)
 @pytest.mark.long("singular in combinations", "rough", "not Euclidean")
 def test_problems_without_a_reduction_are_refused_with_the_reason(reason):

@@ -115,6 +115,7 @@ UNITS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("exponents", "scales"), [((500.0,), UNITS[-1:]), pytest.param(EXPONENTS, UNITS, marks=SLOW)], ids=["few", "many"]
 )
@@ -200,6 +201,7 @@ class Arrhenius(eqx.Module):
         return jnp.stack([-self.rate * jnp.exp(-self.energy / q[1]) * q[0], u[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "energies", [(1.0, 8750.0), pytest.param(np.geomspace(1.0, 1e4, 16), marks=SLOW)], ids=["few", "many"]
 )

@@ -218,6 +218,7 @@ def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_give
     np.testing.assert_allclose(ends[32] + (ends[32] - ends[16]) / 3, [0.3473665, -0.3445070, p_y], atol=3e-7)
 
 
+@pytest.mark.slow
 def test_without_a_gauge_the_control_has_least_norm():
     method = chosen("academic")
     assert "gauge controls of least norm" in method.reason

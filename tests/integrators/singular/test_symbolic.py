@@ -54,6 +54,7 @@ def assert_same_levels(exact, numeric):
         assert set(level.strata) <= {piece.up_to(level.index).signature for piece in exact.strata}, level.index
 
 
+@pytest.mark.long("massless particle")
 @pytest.mark.parametrize("name", EUCLIDEAN)
 @pytest.mark.long("curved arc", "chain of 2", "brown")
 def test_exact_and_numeric_answers_agree(name):
@@ -192,6 +193,7 @@ def test_a_coefficient_that_vanishes_beside_a_control_that_is_not_linear():
     assert exact.regular
 
 
+@pytest.mark.slow
 def test_branches_too_long_to_follow_are_said():
     # The singular arc is of first order where {phi, {phi, H}}, a polynomial of 24 terms, does not vanish.
     exact = symbolic("curved arc")
