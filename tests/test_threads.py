@@ -24,7 +24,7 @@ print(__import__("os").environ.get("PJRT_NPROC"))
 
 
 @pytest.mark.parametrize("asked", [None, "16"])
-@pytest.mark.usual("16")
+@pytest.mark.slow
 def test_decompositions_of_a_batch_do_not_wait_for_ever(asked):
     environment = {name: value for name, value in os.environ.items() if name != "PJRT_NPROC"}
     environment |= {} if asked is None else {"PJRT_NPROC": asked}

@@ -98,6 +98,7 @@ def spun(x: np.ndarray, v: np.ndarray) -> np.ndarray:
     return x @ expm(np.asarray(hat(TOP * omega))) @ expm(np.asarray(hat(back)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["sphere", "rotations", "symmetric top", "cone"])
 @settings(max_examples=4)
 @given(seed=SEEDS)

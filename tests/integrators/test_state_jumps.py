@@ -54,6 +54,7 @@ def solver() -> Solver:
     return solver_of(price)
 
 
+@pytest.mark.slow
 def test_a_jump_that_is_passed_is_seen_from_a_height_on(solver):
     heights = np.array([0.0, *10.0 ** np.arange(-15, 3, 4), -1e-2])
     found = solver.solve_many(

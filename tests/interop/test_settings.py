@@ -46,6 +46,7 @@ for library in ("pymanopt", "geomstats"):
 """
 
 
+@pytest.mark.long("from_geomstats to_pymanopt")
 @pytest.mark.parametrize("names", [("from_pymanopt", "to_geomstats"), ("from_geomstats", "to_pymanopt")], ids=" ".join)
 def test_a_door_imports_its_library_when_opened_and_changes_no_setting(names):
     command = [sys.executable, "-W", "error", "-c", f"NAMES = {names}" + SETTINGS + CODE]

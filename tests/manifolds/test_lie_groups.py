@@ -193,7 +193,8 @@ def test_the_gell_mann_basis_is_the_published_one():
     )
 
 
-@pytest.mark.parametrize("group", [SE(2), pytest.param(SU(2), marks=pytest.mark.slow)], ids=str)
+@pytest.mark.slow
+@pytest.mark.parametrize("group", [SE(2), SU(2)], ids=str)
 def test_a_group_known_by_its_algebra_alone_is_the_same_set(group):
     twin, x = by_algebra(group), group.random_point(jax.random.key(1))
     assert twin.contains(x, 1e-13)

@@ -113,7 +113,7 @@ def test_find_root_is_differentiated_by_the_implicit_function_theorem(seed):
 
 @pytest.mark.parametrize("outer", [jax.jacfwd, jax.jacrev])
 @pytest.mark.parametrize("inner", [jax.jacfwd, jax.jacrev])
-@pytest.mark.usual("jacfwd-jacrev")
+@pytest.mark.slow
 def test_second_derivatives_of_roots_in_a_loop_are_right_in_every_mode(outer, inner):
     """The first guess is the root, and its inverse Jacobian is off by a factor: the iterations know no derivative."""
 
@@ -156,7 +156,7 @@ def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_un
 
 
 @pytest.mark.parametrize("scale", 10.0 ** np.arange(-40, 1, 10))
-@pytest.mark.parametrize("start", [0.0, 0.9, 1.05, 2.0, 3.0, 5.0])
+@pytest.mark.parametrize("start", [0.0, 1.05, 3.0])
 def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others(scale, start):
     def residual(c):
         noise = 1e-12 * jax.lax.stop_gradient(jnp.sin(1e15 * c[0]))

@@ -284,6 +284,7 @@ def test_arguments_of_other_shapes_are_refused():
         tape.push(0)
 
 
+@pytest.mark.slow
 def test_a_polar_retraction_of_frames_names_what_decided():
     with pytest.raises(NotTraceableError, match="svd"):
         Tape.trace(Polar(Stiefel(4, 2)), *(np.eye(4)[:, :2],) * 2)

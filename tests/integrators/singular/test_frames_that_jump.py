@@ -29,9 +29,8 @@ class Height(eqx.Module):
         return (self.triad[2] @ q) ** 2 / 2
 
 
-@pytest.mark.long("0.3")
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-9, 1e-4, 0.3])
-@pytest.mark.usual("0.0", "0.3")
 def test_singular_arcs_on_a_circle_on_which_the_frames_of_the_sphere_jump(angle):
     # With L = q x p the levels are e3 . L = 0, e2 . L = 0 and (e1 . L) u = (e1 . q) (e3 . q); where e1 . L is not zero
     # L . q = 0 asks for e1 . q = 0, and u = 0. For the angle 0 that circle is x = 0.

@@ -349,6 +349,7 @@ def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
         reduce_until_regular(OptimalControlProblem(*problem), singular)
 
 
+@pytest.mark.slow
 def test_a_start_off_the_final_manifold_and_another_problem_are_refused():
     integrator = integrator_of("aly-chan")
     off = (jnp.array([0.0, 1.0]), jnp.array([0.9, 0.0]))

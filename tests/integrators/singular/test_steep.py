@@ -132,6 +132,7 @@ def test_the_singular_arc_of_goddard_s_rocket_for_all_exponents_and_units(expone
         certify(c)
 
 
+@pytest.mark.slow
 def test_where_functions_overflow_nothing_is_said_of_p_f():
     """Random starts of Goddard's rocket are below its planet: drag is ``exp(500)`` there."""
     c = classify(rocket(500.0))

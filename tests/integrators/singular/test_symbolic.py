@@ -72,7 +72,7 @@ def test_exact_and_numeric_answers_agree(name):
 
 
 @pytest.mark.parametrize("bend", [0.0, 0.5])
-@pytest.mark.usual("0.0")
+@pytest.mark.slow
 def test_exact_and_numeric_pieces_agree(bend):
     exact, numeric = classify(martinet(bend), symbolic=True), classify(martinet(bend))
     assert signatures(exact) == [(2, 0, 4), (3, 1, 2)]
