@@ -2,6 +2,8 @@
 
 from functools import lru_cache
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,63 +12,53 @@ from retrax.retractions import BundleRetraction, CotangentLift, Exponential, Mid
 from retrax.retractions.discretization import newton_preimage
 from retrax.testing import check_cotangent_lift
 from retrax.testing.checks.cotangent_lift import omega_of_both_ends, tangent_lift_of_omega
-from retrax.testing.checks.discretization import both_ends, flat_ends
+from retrax.testing.checks.discretization import flat_ends
 from retrax.testing.numerics import ambient_size
 
-from tests.support.cases import LIFTED_MAPS, RETRACTIONS, THETAS, FreeTheta, reach
+from tests.support.cases import LIFTED_MAPS, REPRESENTATIVES, RETRACTIONS, THETAS, FreeTheta, reach
 from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, norm, unflat
 
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
 
 
-LARGE = (
-    "nearest-ellipsoid",
-    "exponential-(SO3*R3)*S2",
-    "polar-St42",
-    "projection-S4",
-    "cayley-Gr42",
-    "qr-SO4",
-    "exponential-SO3",
-    "cayley-SO2",
-    "cayley-SO4",
-)
-
-
-def marked(name: str):
-    repeated = name in ("theta=0.0, exponential-S2", "theta=1.0, exponential-S2", "two, cayley-SO3")
-    return pytest.param(name, marks=pytest.mark.slow) if repeated or name.split(", ")[-1] in LARGE else name
-
-
-@pytest.mark.parametrize("name", [marked(name) for name in LIFTED_MAPS])
-@pytest.mark.long(
-    "theta=0.3, polar-SO3",
-    "theta=0.3, projection-H2",
-    "theta=0.3, softmax-simplex3",
-    "theta=0.3, quadratic-SPD2",
-    "theta=0.5, exponential-S2",
-    "theta=0.0, addition-R2x3",
-    "theta=1.0, addition-R2x3",
-)
+@pytest.mark.parametrize("name", LIFTED_MAPS)
+@pytest.mark.usual("theta=0.3, exponential-S2")
 def test_is_a_cotangent_lift(name, seeds):
     lift, equivariant = CotangentLift(LIFTED_MAPS[name]), name.split("-")[-1] in EQUIVARIANT
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", RETRACTIONS)
-def test_the_lifts_over_every_retraction_are_symplectic(name, seeds):
-    """At the zero vector and at two others, by one compiled function of theta."""
+@pytest.mark.usual(*REPRESENTATIVES)
+def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
+    """The axioms of both at the zero vector, and symplecticity there and at two others, by one compiled function of
+    theta."""
     retraction = RETRACTIONS[name]
     n = ambient_size(retraction.manifold)
-    measure = compiled(lambda theta, sample: both_ends(CotangentLift(FreeTheta(retraction, theta)), sample)["push"])
+
+    def facts(theta, w, frame):
+        value, push = jax.linearize(flat_ends(CotangentLift(FreeTheta(retraction, theta))), w)
+        base = jnp.concatenate([jnp.split(part, 2)[0] for part in jnp.split(w, 2)])
+        named = {theta: flat_ends(Theta(retraction, theta))(base) for theta in THETAS}
+        return value, jax.vmap(push)(frame), named
+
+    measure = compiled(facts)
     for seed, length in zip(seeds, (0.0, 0.5, 1.0), strict=False):
         w, frame = draw_bundle_tangent(retraction.manifold, seed, length * min(1.0, reach(name)))
-        x, v = np.split(w, 2)
-        expected = frame @ tangent_lift_of_omega(n) @ frame.T
+        omega = frame @ tangent_lift_of_omega(n) @ frame.T
+        fibre = frame[len(frame) // 2 :, 2 * n :]
         for theta in THETAS:
-            push = measure(theta, {"x": x, "v": v, "frame": frame})
-            defect = norm(push @ omega_of_both_ends(n) @ push.T - expected)
-            assert defect < 1e-11 * (1 + norm(expected)), f"theta={theta}, seed={seed}"
+            value, push, named = measure(theta, w, frame)
+            left = {"the lift is symplectic": push @ omega_of_both_ends(n) @ push.T - omega}
+            lifted = np.concatenate([value[:n], value[2 * n : 3 * n]])
+            left["the lift is over the map with this theta"] = lifted - named[theta]
+            if length == 0.0:
+                first, second = np.split(push[len(frame) // 2 :], 2, axis=1)
+                left["R_d(z, 0) = (z, z)"] = value - np.tile(w[: 2 * n], 2)
+                left["D_v R2 - D_v R1 = Id"] = second - first - fibre
+                left["D_v R1 = -theta Id on the base"] = first[:, :n] + theta * fibre[:, :n]
+            for what, defect in left.items():
+                assert norm(defect) < 1e-11 * (1 + norm(omega)), f"{what}: theta={theta}, seed={seed}"
 
 
 @pytest.mark.parametrize("theta", THETAS)
