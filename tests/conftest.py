@@ -30,19 +30,24 @@ KERNELS = "kernels"
 def pytest_addoption(parser):
     parser.addoption(
         "--part",
-        help="K/M: the K-th of M parts of the tests that were selected, K from 0; a function's cases stay together",
+        help="K/M: of the slow tests the K-th of M parts, K from 0, a function's cases together; of those whose other "
+        "cases are run by default the K-th of 4, case by case",
     )
 
 
 def pytest_configure(config):
     if hasattr(config, "cache"):
-        jax.config.update("jax_compilation_cache_dir", str(config.cache.mkdir(KERNELS)))
+        # Processes that tests start read them from there too.
+        folder = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir(KERNELS)))
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        jax.config.update("jax_compilation_cache_dir", folder)
         jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
     config.addinivalue_line(
         "markers", "usual(*cases): of the cases of this test these are run by default, the others are slow"
     )
     config.addinivalue_line("markers", "long(*cases): of the cases of this test these are slow")
+    config.addinivalue_line("markers", "other_case: a slow case of a test of which others are run by default")
 
 
 @pytest.hookimpl(wrapper=True)
@@ -57,6 +62,7 @@ def pytest_pycollect_makeitem():
                 raise pytest.UsageError(f"{made[0].originalname} has no cases {marker.args}; it has {cases}")
             for item in [item for item in made if (item in named) == (marker.name == "long")]:
                 item.add_marker(pytest.mark.slow)
+                item.add_marker(pytest.mark.other_case)
     return made
 
 
@@ -76,9 +82,19 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: FIRST.isdisjoint(item.path.parts))
     if part := config.getoption("part"):
         number, parts = map(int, part.split("/"))
-        chosen = [item for item in items if crc32(item.nodeid.split("[")[0].encode()) % parts == number % parts]
-        config.hook.pytest_deselected(items=[item for item in items if item not in chosen])
-        items[:] = chosen
+        left = [item for item in items if item.get_closest_marker("slow") and not in_part(item, number, parts)]
+        config.hook.pytest_deselected(items=left)
+        items[:] = [item for item in items if item not in set(left)]
+
+
+QUARTERS = 4  # runs that have all cases of a test between them
+
+
+def in_part(item, number, parts):
+    """Whether a slow test is in a part; cases have programs of their own, a function's cases often share one."""
+    if item.get_closest_marker("other_case"):
+        return crc32(item.nodeid.encode()) % QUARTERS == number % QUARTERS
+    return crc32(item.nodeid.split("[")[0].encode()) % parts == number % parts
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -4,12 +4,12 @@ import ast
 import importlib
 import inspect
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from retrax import retractions
+
+from tests.support.pages import Pages
 
 ROOT = Path(__file__).parents[1]
 SLOW = (
@@ -124,12 +124,26 @@ def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
 
 
+@pytest.fixture(scope="module")
+def pages():
+    running = Pages()
+    yield running
+    running.close()
+
+
 @pytest.mark.parametrize("page", [marked(page) for page in PAGES if blocks(page, "python")])
-def test_the_code_of_a_page_runs_and_prints_what_the_page_says(page, tmp_path):
-    code = "\n".join(blocks(page, "python"))
-    how = {"capture_output": True, "text": True, "check": False, "timeout": 600, "cwd": tmp_path}  # pages write files
-    process = subprocess.run([sys.executable, "-"], input=code, **how)
-    assert process.returncode == 0, process.stderr
+def test_the_code_of_a_page_runs_and_prints_what_the_page_says(page, pages, tmp_path):
+    text, error = pages.run("\n".join(blocks(page, "python")), tmp_path)  # pages write files
+    assert not error
     for shown in blocks(page, "text"):
         pattern = re.escape(shown.strip()).replace(re.escape("..."), ".*")
-        assert re.search(f"^{pattern}$", process.stdout, re.MULTILINE), f"expected\n{shown}\nin\n{process.stdout}"
+        assert re.search(f"^{pattern}$", text, re.MULTILINE), f"expected\n{shown}\nin\n{text}"
+
+
+def test_a_page_has_names_and_settings_of_its_own(pages, tmp_path):
+    change = "import jax\njax.config.update('jax_enable_x64', True)\nkept = jax.numpy.ones(1)\nprint(kept.dtype)"
+    assert pages.run(change, tmp_path) == ["float64\n", ""]
+    assert pages.run("import jax\nprint(jax.numpy.ones(1).dtype)", tmp_path) == ["float32\n", ""]
+    text, error = pages.run("print(1)\nkept", tmp_path)
+    assert text == "1\n"
+    assert error.endswith("NameError: name 'kept' is not defined\n")

@@ -23,8 +23,6 @@ RETRACTIONS: dict[str, Retraction] = {
     "Cayley's on St(4, 2)": Cayley(Stiefel(4, 2)),
 }
 
-QUICK = "Cayley's on SO(3)", "the projection of S^2", "R^2"
-
 
 def gauss(stages: int) -> Gauss:
     return Gauss(stages, Addition(Euclidean(2)))
@@ -113,7 +111,8 @@ def kernel(name: str):
     return compiled(facts)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in RETRACTIONS])
+@pytest.mark.parametrize("name", RETRACTIONS)
+@pytest.mark.usual("Cayley's on SO(3)", "the projection of S^2", "R^2")
 def test_one_stage_is_the_midpoint_map_and_velocities_are_derivatives(name, seeds):
     for seed in seeds:
         facts = kernel(name)(seed)

@@ -11,7 +11,7 @@ from hypothesis import given
 from retrax.retractions.retraction import newton_preimage
 from retrax.testing.checks.derivatives import flat_retraction
 
-from tests.support.cases import QUICK, REPRESENTATIVES, RETRACTIONS, reach
+from tests.support.cases import REPRESENTATIVES, RETRACTIONS, reach
 from tests.support.numerics import (
     FRACTIONS,
     NODES,
@@ -81,10 +81,8 @@ def newton_derivatives(name: str, seed: int, length: float) -> dict:
     return {"c": c, **_newton_derivatives(name)(x, v, a, c)}
 
 
-@pytest.mark.long("exponential-SO3", "projection-H2", "softmax-simplex3")
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in REPRESENTATIVES]
-)
+@pytest.mark.parametrize("name", REPRESENTATIVES)
+@pytest.mark.usual("exponential-S2", "qr-SO4", "polar-St42")
 @given(seed=SEEDS, fraction=FRACTIONS)
 def test_newtons_method_finds_the_inverse_too(name, seed, fraction):
     v, found = newton_inverse(name, seed, fraction * min(1.0, reach(name)))

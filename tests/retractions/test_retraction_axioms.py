@@ -14,9 +14,8 @@ from tests.support.cases import METRICS, QUICK, RETRACTIONS, order, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name not in QUICK)) for name in RETRACTIONS]
-)
+@pytest.mark.parametrize("name", RETRACTIONS)
+@pytest.mark.usual(*QUICK)
 def test_is_a_retraction(name, seeds):
     claims = {"order": order(name), "metric": METRICS.get(name), "reach": reach(name)}
     check_retraction(RETRACTIONS[name], **claims, seeds=seeds, tolerance=1e-13)
