@@ -41,8 +41,8 @@ class Retraction(eqx.Module):
         super().__init_subclass__(**options)
         if "__call__" in vars(cls):
             raise InvalidInputError(
-                f"{cls.__name__} defines __call__, expected retract(self, x, v), which R(x, v) calls after a check of the "
-                "shapes; try the other name"
+                f"{cls.__name__} defines __call__, expected retract(self, x, v), which R(x, v) calls after a check of "
+                "the shapes; try the other name"
             )
 
     def __check_init__(self) -> None:

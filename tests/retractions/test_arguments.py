@@ -56,7 +56,9 @@ def test_one_point_and_one_vector_of_the_shapes_of_the_manifold(call, words):
 
 def test_arguments_by_their_names_are_checked_too():
     assert np.array_equal(SPHERE(v=ZEROS[0], x=POINTS[0]), POINTS[0])
-    with pytest.raises(InvalidInputError, match=r"a tangent vector of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"):
+    with pytest.raises(
+        InvalidInputError, match=r"a tangent vector of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"
+    ):
         SPHERE(v=ZEROS, x=POINTS[0])
 
 
@@ -70,7 +72,9 @@ def test_a_retraction_of_ones_own_is_given_the_shapes_of_its_manifold():
 
     rescaling = Rescaling(Sphere(2))
     assert np.allclose(rescaling(POINTS[0], POINTS[1]), [0.5**0.5, 0.5**0.5, 0.0])
-    with pytest.raises(InvalidInputError, match=r"a point of Sphere\(2\) has shape \(3,\) where \(3, 3\) came.*jax.vmap"):
+    with pytest.raises(
+        InvalidInputError, match=r"a point of Sphere\(2\) has shape \(3,\) where \(3, 3\) came.*jax.vmap"
+    ):
         rescaling(POINTS, ZEROS)
 
 
