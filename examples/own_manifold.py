@@ -51,7 +51,7 @@ class RadialRetraction(Retraction):
 
     manifold: Ellipsoid
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         moved = x + v
         return moved / jnp.sqrt(moved @ (self.manifold.weights * moved))
 

@@ -8,58 +8,11 @@ if __package__ != "retrax.integrators":
 
 from typing import TYPE_CHECKING
 
-from .boundary_value import (
-    Checks,
-    Continuation,
-    ControlStructure,
-    Derivative,
-    DiscretizationError,
-    Extremal,
-    Guess,
-    Phase,
-    PhasedSolution,
-    PhaseEnds,
-    RegularChecks,
-    Sensitivity,
-    SingularArc,
-    SingularChecks,
-    Solution,
-    Solutions,
-    Solver,
-    Statistics,
-    StepErrors,
-    continuation,
-    control_structure,
-    default_guess,
-    discretization_error,
-    load_solution,
-    load_solutions,
-    multistart,
-    solve,
-    solve_phases,
-    step_errors,
-)
-from .dirac import DiracIntegrator, DiracSystem
+from . import boundary_value, dirac, initial_value, stages
+from .boundary_value import *
+from .dirac import *
 from .free import Free
-from .initial_value import (
-    KAHAN_LI_6,
-    KAHAN_LI_8,
-    SUZUKI,
-    TRIPLE_JUMP,
-    YOSHIDA_6,
-    Composition,
-    Flow,
-    GeodesicRetraction,
-    Integrator,
-    LiftedIntegrator,
-    PresymplecticIntegrator,
-    SymplecticIntegrator,
-    Trajectory,
-    form_defect,
-    integrate,
-    integrate_many,
-    load_trajectory,
-)
+from .initial_value import *
 from .problem import OptimalControlProblem
 from .quantities import Quantities, Quantity
 from .results import Result
@@ -73,78 +26,30 @@ from .singular import (
     classify,
     singular_integrator,
 )
-from .stages import ControlStage, GaussStage, HamiltonianStage, Stage
+from .stages import *
 
 if TYPE_CHECKING:
     from .singular.symbolic import SymbolicClassification as SymbolicClassification
 
 __all__ = [
-    "KAHAN_LI_6",
-    "KAHAN_LI_8",
     "L_H",
-    "SUZUKI",
     "S_H",
-    "TRIPLE_JUMP",
-    "YOSHIDA_6",
-    "Checks",
     "Classification",
-    "Composition",
-    "Continuation",
-    "ControlStage",
-    "ControlStructure",
-    "Derivative",
-    "DiracIntegrator",
-    "DiracSystem",
-    "DiscretizationError",
-    "Extremal",
-    "Flow",
     "Free",
-    "GaussStage",
-    "GeodesicRetraction",
-    "Guess",
-    "HamiltonianStage",
-    "Integrator",
-    "LiftedIntegrator",
     "MorseTest",
     "OptimalControlProblem",
-    "Phase",
-    "PhaseEnds",
-    "PhasedSolution",
-    "PresymplecticIntegrator",
     "Quantities",
     "Quantity",
-    "RegularChecks",
     "Result",
-    "Sensitivity",
-    "SingularArc",
-    "SingularChecks",
     "SingularIntegrator",
-    "Solution",
-    "Solutions",
-    "Solver",
-    "Stage",
-    "Statistics",
-    "StepErrors",
     "Stratum",
-    "SymplecticIntegrator",
-    "Trajectory",
     "classify",
-    "continuation",
-    "control_structure",
-    "default_guess",
-    "discretization_error",
-    "form_defect",
-    "integrate",
-    "integrate_many",
-    "load_solution",
-    "load_solutions",
-    "load_trajectory",
-    "multistart",
     "singular_integrator",
-    "solve",
-    "solve_phases",
-    "step_errors",
 ]
+__all__ += boundary_value.__all__
+__all__ += dirac.__all__
+__all__ += initial_value.__all__
+__all__ += stages.__all__
 
 
 def __getattr__(name: str) -> type:

@@ -6,12 +6,13 @@ if __package__ != "retrax.manifolds":
         "a second copy of its classes would not match the first"
     )
 
+from . import groups, matrices, vectors
 from .bundles import CotangentBundle, TangentBundle
 from .combined_metrics import PowerMetric, ProductMetric, ScaledMetric
-from .groups import SE, SL, SO, SU, LeftInvariantMetric, MatrixLieGroup, U, hat, vee
+from .groups import *
 from .level_set import LevelSet
 from .manifold import HomogeneousSpace, Manifold, Verdict
-from .matrices import SPD, AffineInvariantMetric, CanonicalMetric, FixedRank, Grassmann, Oblique, Stiefel
+from .matrices import *
 from .metric import EmbeddedMetric, Metric
 from .numerics.errors import (
     ConvergenceError,
@@ -34,36 +35,21 @@ from .symplectic import (
     pullback_form,
     tangent_lift,
 )
-from .vectors import Euclidean, Hyperbolic, LorentzMetric, Simplex, Sphere
+from .vectors import *
 
 __all__ = [
-    "SE",
-    "SL",
-    "SO",
-    "SPD",
-    "SU",
-    "AffineInvariantMetric",
-    "CanonicalMetric",
     "ConvergenceError",
     "CotangentBundle",
     "DomainError",
     "EmbeddedMetric",
-    "Euclidean",
-    "FixedRank",
-    "Grassmann",
     "HomogeneousSpace",
-    "Hyperbolic",
     "Immersion",
     "InvalidInputError",
     "LagrangianVerdict",
-    "LeftInvariantMetric",
     "LevelSet",
-    "LorentzMetric",
     "Manifold",
-    "MatrixLieGroup",
     "Metric",
     "NotOnManifoldError",
-    "Oblique",
     "Power",
     "PowerMetric",
     "PresymplecticManifold",
@@ -71,19 +57,16 @@ __all__ = [
     "ProductMetric",
     "RetraxError",
     "ScaledMetric",
-    "Simplex",
-    "Sphere",
-    "Stiefel",
     "Submanifold",
     "TangentBundle",
     "TulczyjewTriple",
-    "U",
     "UnknownRetractionError",
     "Verdict",
     "form_matrix",
-    "hat",
     "is_lagrangian",
     "pullback_form",
     "tangent_lift",
-    "vee",
 ]
+__all__ += groups.__all__
+__all__ += matrices.__all__
+__all__ += vectors.__all__

@@ -113,6 +113,6 @@ class BundleRetraction(Retraction):
     def manifold(self) -> CotangentBundle:
         return CotangentBundle(self.base.manifold)
 
-    def __call__(self, x: Pair, v: Pair) -> Pair:
+    def retract(self, x: Pair, v: Pair) -> Pair:
         q = self.base(x[0], v[0])
         return q, self.base.manifold.projection(q, vec.add(x[1], v[1]))

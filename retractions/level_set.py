@@ -29,7 +29,7 @@ class LevelSetProjection(Retraction):
 
     manifold: LevelSet
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         shape, a = self.manifold.shape, jnp.ravel(x + v)
         start = jnp.ravel(self.manifold.restore(x + v))
         lengths = positive_norms(self.manifold.jacobian(start.reshape(shape)))

@@ -31,7 +31,7 @@ class Restored(Retraction):
 
     manifold: Manifold
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         y, _ = jax.lax.scan(lambda y, _: (self.manifold.restore(y), None), vec.add(x, v), length=NEWTON_STEPS)
         worst = jnp.max(jnp.stack([jnp.zeros(()), *self.manifold.violations(y).values()]))
         allowed = jnp.minimum(tolerance(worst, ON_IT) * (1 + vec.size(y)), tolerance(worst, FAR))

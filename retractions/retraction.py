@@ -3,7 +3,7 @@
 import inspect
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -16,15 +16,19 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, known_root
-from ..manifolds.numerics.shapes import check_shapes, require_shapes
+from ..manifolds.numerics.shapes import require_shapes
+
+DERIVED = ("preimage", "domain", "frame", "chart", "both_ways")
 
 
 class Retraction(eqx.Module):
     """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
 
     However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with
-    ``manifold`` and ``__call__``. ``preimage`` and ``domain`` have derived defaults (Newton's method and a round trip);
-    a class that knows closed forms writes them in their place.
+    ``manifold`` and ``retract``, which ``R(x, v)`` calls after a check of the shapes. ``preimage`` and ``domain`` have
+    derived defaults (Newton's method and a round trip), and so have ``frame``, ``chart`` and ``both_ways``; a class
+    that knows closed forms writes them in their place. Raises ``InvalidInputError`` for a class that defines
+    ``__call__``.
     """
 
     @attribute
@@ -33,10 +37,13 @@ class Retraction(eqx.Module):
         """The manifold on which this is a retraction."""
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Let ``__call__`` of every subclass refuse arrays of other shapes, as those of a batch without
-        ``jax.vmap``."""
+        """Raise for a class that would leave out the check of the shapes."""
         super().__init_subclass__(**options)
-        check_shapes(cls, {"__call__": ("a point", "a tangent vector")}, lambda retraction: retraction.manifold)
+        if "__call__" in vars(cls):
+            raise InvalidInputError(
+                f"{cls.__name__} defines __call__, expected retract(self, x, v), which R(x, v) calls after a check of "
+                "the shapes; try the other name"
+            )
 
     def __check_init__(self) -> None:
         """Raise unless the manifold, the retractions and the metric it is made of are of the classes in their
@@ -47,10 +54,25 @@ class Retraction(eqx.Module):
             if made_of and not isinstance(getattr(self, name), wanted):
                 raise InvalidInputError(f"{type(self).__name__} takes a {wanted.__name__}, got {getattr(self, name)!r}")
 
-    @abstractmethod
+    @final
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
-        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``; smooth also for ``x``, ``v`` off
-        ``TM``."""
+        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``, by ``retract``.
+
+        Raises ``InvalidInputError`` for arrays of other shapes, as those of a batch without ``jax.vmap``, which would
+        broadcast.
+        """
+        require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
+        return self.retract(x, v)
+
+    @abstractmethod
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
+        """``R(x, v)`` for arrays of the shape of a point; smooth also for ``x``, ``v`` off ``TM``."""
+
+    @property
+    def closed_forms(self) -> frozenset[str]:
+        """Which of ``preimage``, ``domain``, ``frame``, ``chart`` and ``both_ways`` the class writes in place of the
+        derived default."""
+        return frozenset(name for name in DERIVED if getattr(type(self), name) is not getattr(Retraction, name))
 
     def frame(self, x: Ambient) -> Any:
         """What ``chart`` needs of the basis at ``x``: computed once for a chart, because a basis may jump near

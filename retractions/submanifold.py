@@ -39,7 +39,7 @@ class Orthographic(Retraction):
                 f"Orthographic corrects a retraction of {self.manifold.parent}, got one of {self.parent.manifold}"
             )
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         normals = self.manifold.normals(x)
 
         def reached(multipliers: Array) -> Ambient:

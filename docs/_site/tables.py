@@ -68,7 +68,7 @@ def table() -> list[str]:
             name = f":class:`~{kind.__module__.split('.')[0]}.retractions.{kind.__name__}`"
             called = f" {', '.join(names)}" if names else ""
             costs = [f"{cost:.2g}" for cost in measured(retraction)]
-            lines += row(name + called, words(kind), closed(kind), *costs)
+            lines += row(name + called, words(kind), closed(retraction), *costs)
         lines.append("")
     return lines
 
@@ -99,13 +99,13 @@ def words(kind: type[Retraction]) -> str:
     return escaped(" ".join([paragraphs[0], *about]).rstrip(";.") + ".")
 
 
-def closed(kind: type[Retraction]) -> str:
-    """Letters for what a class has in closed form."""
+def closed(retraction: Retraction) -> str:
+    """Letters for what a retraction has in closed form."""
     own = {
-        "i": kind.preimage is not Retraction.preimage,
-        "d": kind.domain is not Retraction.domain,
-        "m": issubclass(kind, MidpointRetraction),
-        "D": issubclass(kind, DifferentiatedRetraction),
+        "i": "preimage" in retraction.closed_forms,
+        "d": "domain" in retraction.closed_forms,
+        "m": isinstance(retraction, MidpointRetraction),
+        "D": isinstance(retraction, DifferentiatedRetraction),
     }
     return " ".join(letter for letter, there in own.items() if there)
 

@@ -17,9 +17,9 @@ from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
 from ..compilation import compiled
 from ..functions import real_number
-from ..initial_value import LiftedIntegrator, StepResult
+from ..initial_value import LiftedIntegrator
 from ..initial_value.integrator import check_hamiltonian
-from ..initial_value.step import StepEquations
+from ..initial_value.step import StepEquations, StepResult
 from ..initial_value.true_hamiltonian import require_true_hamiltonian
 from ..stages import HamiltonianStage
 from .system import DiracSystem, Multipliers

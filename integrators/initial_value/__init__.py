@@ -6,7 +6,6 @@ from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .many import integrate_many
 from .preservation import form_defect
-from .step import StepResult, lifted_step
 from .trajectory import Trajectory, integrate, load_trajectory
 
 __all__ = [
@@ -21,12 +20,10 @@ __all__ = [
     "Integrator",
     "LiftedIntegrator",
     "PresymplecticIntegrator",
-    "StepResult",
     "SymplecticIntegrator",
     "Trajectory",
     "form_defect",
     "integrate",
     "integrate_many",
-    "lifted_step",
     "load_trajectory",
 ]

@@ -56,7 +56,7 @@ class GeodesicRetraction(Retraction):
     def manifold(self) -> Manifold:
         return self.metric.manifold
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         end = self.flow(x, self.metric.covector(x, v))
         return nan_unless(end.converged, end.q)
 

@@ -23,7 +23,8 @@ from ..functions import real_number
 from ..options import require_arguments
 from ..probing import FAILURES
 from ..problem import OptimalControlProblem
-from ..stages import ControlStage, GaussStage, GaussUnknowns, HamiltonianStage, Stage
+from ..stages import ControlStage, GaussStage, HamiltonianStage, Stage
+from ..stages.gauss import GaussUnknowns
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restored
 from .true_hamiltonian import require_true_hamiltonian

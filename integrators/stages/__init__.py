@@ -1,8 +1,8 @@
 """Stages: one step of a discrete variational problem, with its unknowns, its ends and its cost."""
 
 from .control import ControlStage
-from .gauss import GaussStage, GaussUnknowns
+from .gauss import GaussStage
 from .hamiltonian import HamiltonianStage
 from .stage import Stage
 
-__all__ = ["ControlStage", "GaussStage", "GaussUnknowns", "HamiltonianStage", "Stage"]
+__all__ = ["ControlStage", "GaussStage", "HamiltonianStage", "Stage"]

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..groups import skew_basis
+from ..groups.special_orthogonal import skew_basis
 from ..manifold import HomogeneousSpace
 from ..metric import Metric
 from ..numerics import ambient as vec

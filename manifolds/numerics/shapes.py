@@ -1,4 +1,9 @@
-"""Shapes of what is given to methods that act on one point, checked when they are traced."""
+"""Shapes of what is given to methods that act on one point, checked when they are traced.
+
+A retraction has one such method, its call, which checks and then calls the ``retract`` that a class writes. A manifold
+and a metric have several, and a second name for each, one to write and one to call, would be two words for one thing of
+the field: there the methods that a class defines are wrapped where it is made.
+"""
 
 import functools
 import inspect

@@ -32,7 +32,7 @@ class PowerRetraction(DifferentiatedRetraction):
     def manifold(self) -> Power:
         return Power(self.factor.manifold, self.k)
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         return jax.vmap(self.factor)(x, v)
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:

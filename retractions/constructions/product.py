@@ -32,7 +32,7 @@ class ProductRetraction(DifferentiatedRetraction):
     def manifold(self) -> Product:
         return Product(*(factor.manifold for factor in self.factors))
 
-    def __call__(self, x: tuple, v: tuple) -> tuple:
+    def retract(self, x: tuple, v: tuple) -> tuple:
         return tuple(r(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True))
 
     def frame(self, x: tuple) -> tuple:

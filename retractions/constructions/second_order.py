@@ -74,7 +74,7 @@ class SecondOrder(Retraction):
     def manifold(self) -> Manifold:
         return self.inner.manifold
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         return self.inner(x, self.bent(x, v))
 
     def bent(self, x: Ambient, v: Ambient) -> Ambient:

@@ -30,7 +30,7 @@ class Stabilized(DifferentiatedRetraction):
     def manifold(self) -> Manifold:
         return self.inner.manifold
 
-    def __call__(self, x: Ambient, v: Ambient) -> Ambient:
+    def retract(self, x: Ambient, v: Ambient) -> Ambient:
         return self.manifold.restore(self.inner(x, v))
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:

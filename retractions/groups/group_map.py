@@ -50,7 +50,7 @@ class GroupRetraction(Retraction):
     def group_map_inverse(self, b: Matrix) -> Matrix:
         """The ``A`` with ``g(A) = b``; entries are NaN where there is none."""
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return x @ self.group_map(self.manifold.left_trivialise(x, v))
 
     def frame(self, x: Array) -> Array | None:
@@ -124,7 +124,7 @@ class Translated(Retraction):
         _check_axioms(manifold, group_map)
         self.manifold, self.group_map, self.inverse_map, self.side = manifold, group_map, inverse_map, side
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         if self.side == "left":
             return x @ self.group_map(self.manifold.left_trivialise(x, v))
         return self.group_map(self.manifold.algebra_part(v @ self.manifold.inverse(x))) @ x

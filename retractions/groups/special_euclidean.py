@@ -32,7 +32,7 @@ class SEDecoupled(MidpointRetraction):
             raise InvalidInputError(f"SEDecoupled takes a symmetric retraction of SO({manifold.n}), got {rotations!r}")
         self.manifold, self.rotations = manifold, chosen
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         (rotation, translation), (turn, shift) = self.manifold.parts(x), self.manifold.parts(v)
         return self.manifold.pose(self.rotations(rotation, turn), translation + shift)
 

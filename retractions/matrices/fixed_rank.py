@@ -32,7 +32,7 @@ class FixedRankProjection(Retraction):
 
     manifold: FixedRank
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return _of_rank(self.manifold.r, self.manifold.restore(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
@@ -94,7 +94,7 @@ class FixedRankOrthographic(Retraction):
 
     manifold: FixedRank
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         u, w = self._bases(x)
         a = x + v
         return _of_rank(self.manifold.r, a @ w @ jnp.linalg.solve(u.T @ a @ w, u.T @ a))

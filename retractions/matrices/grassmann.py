@@ -33,7 +33,7 @@ class _RotatedProjector(MidpointRetraction):
     def rotation(self, omega: Array) -> Array:
         """``f(Omega)``."""
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         q = self.rotation(self.manifold.rotation(x, v))
         return q @ x @ q.T
 

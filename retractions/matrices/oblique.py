@@ -24,7 +24,7 @@ class Columnwise(MidpointRetraction, DifferentiatedRetraction):
     manifold: Oblique
     column: MidpointRetraction
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return jax.vmap(self.column, 1, 1)(x, v)
 
     def preimage(self, x: Array, y: Array) -> Array:

@@ -53,7 +53,7 @@ class SPDExponential(MidpointRetraction):
 
     manifold: SPD
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         factor = jnp.linalg.cholesky(x)
         return _in_cone(symmetric(factor @ sym_exp(_to_identity(factor, v)) @ factor.T))
 
@@ -86,7 +86,7 @@ class SPDSecondOrder(DifferentiatedRetraction):
 
     manifold: SPD
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         half = solve_triangular(jnp.linalg.cholesky(x), v, lower=True)
         return _in_cone(symmetric(x + v + half.T @ half / 2))
 
@@ -123,7 +123,7 @@ class SPDLogEuclidean(MidpointRetraction):
 
     manifold: SPD
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return _in_cone(symmetric(sym_exp(self._logarithm_of_value(x, v))))
 
     def _logarithm_of_value(self, x: Array, v: Array) -> Array:

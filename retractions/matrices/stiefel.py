@@ -46,7 +46,7 @@ class StiefelPolar(DifferentiatedRetraction):
 
     manifold: Stiefel
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return nan_unless(is_seen_beside(v), polar_factor(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
@@ -87,7 +87,7 @@ class StiefelQR(DifferentiatedRetraction):
 
     manifold: Stiefel
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return nan_unless(is_seen_beside(v), qr_factor(x + v))
 
     def preimage(self, x: Array, y: Array) -> Array:
@@ -137,7 +137,7 @@ class StiefelCayley(DifferentiatedRetraction):
 
     manifold: Stiefel
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return self._sum(x, v)[0] - x
 
     def preimage(self, x: Array, y: Array) -> Array:

@@ -37,7 +37,7 @@ class StiefelExponential(Retraction):
 
     manifold: Stiefel
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         p = x.shape[1]
         v = self.manifold.projection(x, v)
         a, s = self.manifold.skew(x, v), v.T @ v
@@ -80,7 +80,7 @@ class StiefelCanonicalExponential(Retraction):
 
     manifold: Stiefel
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         p = x.shape[1]
         a, k = self.manifold.skew(x, v), v - x @ (x.T @ v)
         flow = exponential(jnp.block([[a, -k.T @ k], [jnp.eye(p, dtype=x.dtype), jnp.zeros_like(a)]]))[:, :p]

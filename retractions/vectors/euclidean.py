@@ -15,7 +15,7 @@ class Addition(MidpointRetraction):
 
     manifold: Euclidean
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return x + v
 
     def frame(self, x: Array) -> None:

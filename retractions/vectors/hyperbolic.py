@@ -33,7 +33,7 @@ class HyperbolicExponential(MidpointRetraction):
 
     manifold: Hyperbolic
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         u = self.manifold.at_apex(x, v)
         s = u @ u
         y = series.hyperbolic_cosine(s) * x + series.sinhc(s) * v
@@ -67,7 +67,7 @@ class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
 
     manifold: Hyperbolic
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         u = self.manifold.at_apex(x, v)
         return self.manifold.restore((x + v) / jnp.sqrt(1 - u @ u))
 

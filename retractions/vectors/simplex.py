@@ -26,7 +26,7 @@ class SimplexExponential(Retraction):
 
     manifold: Simplex
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         logs = jnp.log(x) + v / x
         # Relative to the largest, of which derivatives would be multiplied by 1 - y, a difference, where y is nearly 1.
         y = jax.nn.softmax(logs - logs[jnp.argmax(logs)])

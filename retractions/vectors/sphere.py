@@ -31,7 +31,7 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
 
     manifold: Sphere
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         s = v @ v
         return series.cosine(s) * x + series.sinc(s) * v
 
@@ -77,7 +77,7 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
 
     manifold: Sphere
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         # Scaled, so that the square of a long vector is a number.
         y = (x + v) / jax.lax.stop_gradient(jnp.maximum(vec.size(x + v), 1.0))
         return y / jnp.sqrt(y @ y)

@@ -23,8 +23,7 @@ from retrax.integrators import (
     form_defect,
     integrate,
 )
-from retrax.integrators.initial_value import StepResult
-from retrax.integrators.initial_value.step import StepEquations
+from retrax.integrators.initial_value.step import StepEquations, StepResult
 from retrax.manifolds import (
     CotangentBundle,
     Euclidean,

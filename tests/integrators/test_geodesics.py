@@ -37,7 +37,7 @@ class Central(Retraction):
 
     manifold: Ellipsoid
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         y = x + v
         return y / jnp.sqrt(1 + self.manifold.constraint(y))
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import SymplecticIntegrator
-from retrax.integrators.initial_value import lifted_step
+from retrax.integrators.initial_value.step import lifted_step
 from retrax.manifolds import CotangentBundle, Euclidean, form_matrix
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction

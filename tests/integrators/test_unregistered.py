@@ -47,7 +47,7 @@ class Directions(Manifold):
 class Rescaling(Retraction):
     manifold: Directions
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return (x + v) / jnp.linalg.norm(x + v)
 
 

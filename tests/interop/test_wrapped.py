@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from retrax.integrators import SymplecticIntegrator
-from retrax.integrators.initial_value import lifted_step
+from retrax.integrators.initial_value.step import lifted_step
 from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.isolated_import import import_peer
 from retrax.interop.wrapped import WrappedManifold, wrap

@@ -1,5 +1,7 @@
 """What retractions are made of and given: anything else is refused in words."""
 
+from typing import final
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,9 +11,11 @@ from retrax.retractions import (
     QR,
     Addition,
     Cayley,
+    DifferentiatedRetraction,
     Exponential,
     GroupCayley,
     Orthographic,
+    Retraction,
     SecondOrder,
     Stabilized,
     StiefelCanonicalExponential,
@@ -48,6 +52,42 @@ ZEROS = np.zeros((3, 3))
 def test_one_point_and_one_vector_of_the_shapes_of_the_manifold(call, words):
     with pytest.raises(InvalidInputError, match=words):
         call()
+
+
+def test_arguments_by_their_names_are_checked_too():
+    assert np.array_equal(SPHERE(v=ZEROS[0], x=POINTS[0]), POINTS[0])
+    with pytest.raises(
+        InvalidInputError, match=r"a tangent vector of Sphere\(2\) has shape \(3,\) where \(3, 3\) came"
+    ):
+        SPHERE(v=ZEROS, x=POINTS[0])
+
+
+def test_a_retraction_of_ones_own_is_given_the_shapes_of_its_manifold():
+    @final
+    class Rescaling(Retraction):
+        manifold: Sphere
+
+        def retract(self, x, v):
+            return (x + v) / jnp.linalg.norm(x + v)
+
+    rescaling = Rescaling(Sphere(2))
+    assert np.allclose(rescaling(POINTS[0], POINTS[1]), [0.5**0.5, 0.5**0.5, 0.0])
+    with pytest.raises(
+        InvalidInputError, match=r"a point of Sphere\(2\) has shape \(3,\) where \(3, 3\) came.*jax.vmap"
+    ):
+        rescaling(POINTS, ZEROS)
+
+
+@pytest.mark.parametrize("inherited", [Retraction, DifferentiatedRetraction])
+def test_a_class_that_would_leave_out_the_check_of_shapes_is_told_what_to_write(inherited):
+    words = r"Unchecked defines __call__, expected retract\(self, x, v\), which .* try the other name"
+    with pytest.raises(InvalidInputError, match=words):
+
+        class Unchecked(inherited):
+            manifold: Sphere
+
+            def __call__(self, x, v):
+                return x + v
 
 
 def test_batches_by_vmap():

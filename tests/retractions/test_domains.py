@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from retrax.manifolds import SO, DomainError, Sphere, hat
-from retrax.retractions import Cayley, Exponential, Polar, Projection, Retraction
+from retrax.manifolds import SE, SO, DomainError, Sphere, hat
+from retrax.retractions import Cayley, Exponential, Orthographic, Polar, Projection, Retraction
 
-from tests.support.cases import RETRACTIONS
+from tests.support.cases import CURVE, RETRACTIONS
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
 NORTH = jnp.array([0.0, 0.0, 1.0])
@@ -26,7 +26,7 @@ class GreatCircle(Retraction):
 
     manifold: Sphere
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return Exponential(self.manifold)(x, v)
 
 
@@ -112,6 +112,21 @@ def test_the_domain_without_a_closed_form_is_where_the_inverse_comes_back():
     assert not domain(NORTH, jnp.array([5.0, 0.0, 0.0]))
     # Not a tangent vector: the inverse finds a tangent one.
     assert not domain(NORTH, jnp.array([0.3, 0.0, 0.3]))
+
+
+@pytest.mark.parametrize(
+    ("retraction", "written"),
+    [
+        (GreatCircle(Sphere(2)), set()),
+        (Exponential(Sphere(2)), {"preimage", "domain"}),
+        (Exponential(SE(3)), {"preimage", "domain", "frame", "chart"}),
+        (Polar(SO(3)), {"preimage", "domain", "frame", "chart", "both_ways"}),
+        (Orthographic(CURVE, Projection(Sphere(2))), {"preimage"}),
+    ],
+    ids=lambda case: type(case).__name__,
+)
+def test_a_retraction_says_which_defaults_its_class_has_closed_forms_for(retraction, written):
+    assert retraction.closed_forms == written
 
 
 @lru_cache

@@ -31,7 +31,7 @@ class Scaled(Retraction):
 
     manifold: Sphere
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return Exponential(self.manifold)(x, 1.01 * v)
 
 
@@ -41,7 +41,7 @@ class Moved(Retraction):
 
     manifold: Sphere
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return Exponential(self.manifold)(x, v + self.manifold.projection(x, jnp.array([0.1, 0.0, 0.0])))
 
 
@@ -51,7 +51,7 @@ class Upright(Retraction):
 
     manifold: Hyperbolic
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return self.manifold.restore(x + v)
 
 

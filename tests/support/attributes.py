@@ -80,7 +80,7 @@ class LineByProperty(MatrixLieGroup):
 class Step(Retraction):
     """All but the manifold."""
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return self.manifold.restore(x + v)
 
 

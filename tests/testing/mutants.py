@@ -60,7 +60,7 @@ class MutantRetraction(Retraction):
     def manifold(self):
         return SPHERE
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return self.move(x, v)
 
 
@@ -76,7 +76,7 @@ class MutantInverse(Retraction):
     def manifold(self):
         return SPHERE
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return self.move(x, v)
 
     def preimage(self, x, y):
@@ -96,7 +96,7 @@ class MutantAdjoint(DifferentiatedRetraction):
     def manifold(self):
         return SPHERE
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return PROJECTION(x, v)
 
     def fibre_derivative(self, x, v, w):
@@ -172,7 +172,7 @@ class MutantForms(MidpointRetraction):
     def manifold(self):
         return SPHERE
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return PROJECTION(x, v)
 
     def chart(self, x, frame, c):
@@ -195,7 +195,7 @@ class MutantMidpoint(MidpointRetraction):
     def manifold(self):
         return SPHERE
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return EXPONENTIAL(x, v)
 
     def preimage(self, x, y):
@@ -217,7 +217,7 @@ class ThroughEigenvalues(Retraction):
     def manifold(self):
         return DEFINITE.manifold
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         values, vectors = jnp.linalg.eigh(x)
         return x + v + v @ (vectors / values) @ vectors.T @ v / 2
 

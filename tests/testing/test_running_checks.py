@@ -51,7 +51,7 @@ class Longer(Retraction):
 
     manifold: Manifold
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return Projection(self.manifold)(x, 1.01 * v)
 
 
@@ -107,7 +107,7 @@ def test_an_error_on_the_way_is_a_fact_that_does_not_hold():
     class Broken(Retraction):
         manifold: Manifold
 
-        def __call__(self, x, v):
+        def retract(self, x, v):
             raise ZeroDivisionError("no such thing")
 
     report = check_retraction(Broken(SPHERE), throw=False)
@@ -121,7 +121,7 @@ def test_what_jax_cannot_trace_is_said_once_with_what_to_try():
     class WithNumPy(Retraction):
         manifold: Manifold
 
-        def __call__(self, x, v):
+        def retract(self, x, v):
             return x + v if np.linalg.norm(v) < 1 else x
 
     words = str(check_retraction(WithNumPy(SPHERE), throw=False))
@@ -299,7 +299,7 @@ class Ring(Retraction):
 
     manifold: Manifold
 
-    def __call__(self, x, v):
+    def retract(self, x, v):
         return Projection(self.manifold)(x, v)
 
     def domain(self, x, v):

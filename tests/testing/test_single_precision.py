@@ -103,7 +103,7 @@ class Stretched(Retraction):
     manifold: Manifold
     c: float
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         return x + (1 + self.c) * v
 
     def preimage(self, x: Array, y: Array) -> Array:

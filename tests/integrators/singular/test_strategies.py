@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
-from retrax.integrators.initial_value import StepResult
+from retrax.integrators.initial_value.step import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.integrators.singular.integrability.jets import hamiltonian_field
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere

@@ -108,7 +108,7 @@ class WrappedRetraction(Retraction):
 
     manifold: WrappedManifold
 
-    def __call__(self, x: Array, v: Array) -> Array:
+    def retract(self, x: Array, v: Array) -> Array:
         host = self.manifold.host
         values, moved = _retractions(host), _moved_tangents(host)
         point = jnp.concatenate([jnp.ravel(x), jnp.ravel(v)])
