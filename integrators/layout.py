@@ -24,19 +24,21 @@ class Layout:
         self._ends = np.cumsum(
             [0, *(math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True))]
         )
-        self.size = int(self._ends[-1])
-        self.shapes = [tuple(kind.shape) for kind in self._kinds]
-        self.places = [slice(begin, end) for begin, end in pairwise(self._ends.tolist())]  # of each array
+        self.size: int = int(self._ends[-1])
+        self.shapes: list[tuple[int, ...]] = [tuple(kind.shape) for kind in self._kinds]
+        # Of each array.
+        self.places: list[slice[int, int, None]] = [slice(*ends) for ends in pairwise(self._ends.tolist())]
         own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
         counts = [1 + np.max(column, initial=-1) for column in own]
-        self.array_of_columns = np.repeat(np.arange(len(own)), counts)
+        self.array_of_columns: np.ndarray = np.repeat(np.arange(len(own)), counts)
         numbers = np.concatenate(
             [np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))]
         )
         # Of matrices, or whole arrays.
-        self.columns = numbers  # of the entries
-        self.in_arrays = np.equal(self.array_of_columns[numbers], np.arange(len(own))[:, None]).astype(float)
-        self.in_columns = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
+        self.columns: np.ndarray = numbers  # of the entries
+        arrays = self.array_of_columns[numbers]
+        self.in_arrays: np.ndarray = np.equal(arrays, np.arange(len(own))[:, None]).astype(float)
+        self.in_columns: np.ndarray = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
 
     @classmethod
     def of(cls, manifold: Manifold) -> "Layout":

@@ -94,7 +94,7 @@ class CotangentBundle(VectorBundle):
     is ``2 n``.
     """
 
-    one_point: ClassVar = {
+    one_point: ClassVar[dict[str, tuple[str, ...]]] = {
         **VectorBundle.one_point,
         "one_form": ("a point", "a tangent vector"),
         "two_form": ("a point", "a tangent vector", "a second tangent vector"),

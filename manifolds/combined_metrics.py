@@ -1,6 +1,6 @@
 """Metrics made of metrics: sums over the factors of a product or the copies of a power, and multiples."""
 
-from typing import final
+from typing import Any, final
 
 import equinox as eqx
 import jax
@@ -33,12 +33,12 @@ class ProductMetric(Metric):
     def manifold(self) -> Product:
         return Product(*(factor.manifold for factor in self.factors))
 
-    def inner_product(self, x: tuple, v: tuple, w: tuple) -> Array:
+    def inner_product(self, x: tuple[Any, ...], v: tuple[Any, ...], w: tuple[Any, ...]) -> Array:
         return sum(
             (g.inner_product(*parts) for g, *parts in zip(self.factors, x, v, w, strict=True)), start=jnp.zeros(())
         )
 
-    def kinetic_energy(self, x: tuple, p: tuple) -> Array:
+    def kinetic_energy(self, x: tuple[Any, ...], p: tuple[Any, ...]) -> Array:
         return sum(
             (g.kinetic_energy(*parts) for g, *parts in zip(self.factors, x, p, strict=True)), start=jnp.zeros(())
         )

@@ -218,7 +218,11 @@ class HomogeneousSpace(Manifold):
     True
     """
 
-    one_point: ClassVar = {**Manifold.one_point, "generators": ("a point",), "momentum": ("a point", "a covector")}
+    one_point: ClassVar[dict[str, tuple[str, ...]]] = {
+        **Manifold.one_point,
+        "generators": ("a point",),
+        "momentum": ("a point", "a covector"),
+    }
 
     @abstractmethod
     def generators(self, x: Ambient) -> Frame:

@@ -37,24 +37,24 @@ class Product(Manifold):
     def ambient(self) -> tuple[Any, ...]:
         return tuple(factor.ambient for factor in self.factors)
 
-    def projection(self, x: tuple, a: tuple) -> tuple:
+    def projection(self, x: tuple[Any, ...], a: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(m.projection(xi, ai) for m, xi, ai in zip(self.factors, x, a, strict=True))
 
-    def basis(self, x: tuple) -> tuple:
+    def basis(self, x: tuple[Any, ...]) -> tuple[Any, ...]:
         return self.pad([m.basis(xi) for m, xi in zip(self.factors, x, strict=True)])
 
-    def restore(self, x: tuple) -> tuple:
+    def restore(self, x: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(m.restore(xi) for m, xi in zip(self.factors, x, strict=True))
 
-    def violations(self, x: tuple) -> dict[str, Array]:
+    def violations(self, x: tuple[Any, ...]) -> dict[str, Array]:
         pairs = enumerate(zip(self.factors, x, strict=True))
         return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
 
-    def random_point(self, key: Array) -> tuple:
+    def random_point(self, key: Array) -> tuple[Any, ...]:
         keys = jax.random.split(key, len(self.factors))
         return tuple(m.random_point(k) for m, k in zip(self.factors, keys, strict=True))
 
-    def pad(self, frames: list[vec.Frame]) -> tuple:
+    def pad(self, frames: list[vec.Frame]) -> tuple[Any, ...]:
         """Frames of the factors, one after the other, each zero on the other factors."""
         counts = [jax.tree.leaves(frame)[0].shape[0] for frame in frames]
         before = [sum(counts[:i]) for i in range(len(counts))]

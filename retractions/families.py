@@ -127,7 +127,7 @@ def _nearest_motion(group: SE) -> SEDecoupled:
     return SEDecoupled(group, SOPolar(SO(group.n)))
 
 
-Exponential = RetractionFamily(
+Exponential: RetractionFamily = RetractionFamily(
     "Exponential",
     {
         Sphere: SphereExponential,
@@ -140,11 +140,15 @@ Exponential = RetractionFamily(
         Oblique: lambda m: Columnwise(m, SphereExponential(m.column)),
     },
 )
-Cayley = RetractionFamily("Cayley", {SO: SOCayley, Stiefel: StiefelCayley, Grassmann: GrassmannCayley})
+Cayley: RetractionFamily = RetractionFamily(
+    "Cayley", {SO: SOCayley, Stiefel: StiefelCayley, Grassmann: GrassmannCayley}
+)
 Cayley.register(MatrixLieGroup, GroupCayley, where=GroupCayley.applies)
-Polar = RetractionFamily("Polar", {SO: SOPolar, U: UPolar, Stiefel: StiefelPolar, Grassmann: GrassmannPolar})
+Polar: RetractionFamily = RetractionFamily(
+    "Polar", {SO: SOPolar, U: UPolar, Stiefel: StiefelPolar, Grassmann: GrassmannPolar}
+)
 QR = RetractionFamily("QR", {SO: SOQR, U: UQR, Stiefel: StiefelQR, Grassmann: GrassmannPolar})
-Projection = RetractionFamily(
+Projection: RetractionFamily = RetractionFamily(
     "Projection",
     {
         Sphere: SphereProjection,

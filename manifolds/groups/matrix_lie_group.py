@@ -33,7 +33,7 @@ class MatrixLieGroup(HomogeneousSpace):
     defaults; a class that knows closed forms writes them in their place.
     """
 
-    one_point: ClassVar = {
+    one_point: ClassVar[dict[str, tuple[str, ...]]] = {
         **HomogeneousSpace.one_point,
         "algebra_part": ("a matrix",),
         "vee": ("a matrix",),

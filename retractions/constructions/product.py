@@ -1,6 +1,6 @@
 """Retractions of products, factor by factor."""
 
-from typing import final
+from typing import Any, final
 
 import jax.numpy as jnp
 import numpy as np
@@ -32,28 +32,28 @@ class ProductRetraction(DifferentiatedRetraction):
     def manifold(self) -> Product:
         return Product(*(factor.manifold for factor in self.factors))
 
-    def retract(self, x: tuple, v: tuple) -> tuple:
+    def retract(self, x: tuple[Any, ...], v: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(r(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True))
 
-    def frame(self, x: tuple) -> tuple:
+    def frame(self, x: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(r.frame(xi) for r, xi in zip(self.factors, x, strict=True))
 
-    def chart(self, x: tuple, frame: tuple, c: Array) -> tuple:
+    def chart(self, x: tuple[Any, ...], frame: tuple[Any, ...], c: Array) -> tuple[Any, ...]:
         ends = np.cumsum([factor.manifold.dimension for factor in self.factors])[:-1]
         return tuple(r.chart(*part) for r, *part in zip(self.factors, x, frame, jnp.split(c, ends), strict=True))
 
-    def both_ways(self, x: tuple, v: tuple) -> tuple[tuple, tuple]:
+    def both_ways(self, x: tuple[Any, ...], v: tuple[Any, ...]) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         pairs = [r.both_ways(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]
         return tuple(first for first, _ in pairs), tuple(second for _, second in pairs)
 
-    def preimage(self, x: tuple, y: tuple) -> tuple:
+    def preimage(self, x: tuple[Any, ...], y: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(r.preimage(xi, yi) for r, xi, yi in zip(self.factors, x, y, strict=True))
 
-    def fibre_derivative(self, x: tuple, v: tuple, w: tuple) -> tuple:
+    def fibre_derivative(self, x: tuple[Any, ...], v: tuple[Any, ...], w: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(differentiated(r, *parts) for r, *parts in zip(self.factors, x, v, w, strict=True))
 
-    def fibre_adjoint(self, x: tuple, v: tuple, xi: tuple) -> tuple:
+    def fibre_adjoint(self, x: tuple[Any, ...], v: tuple[Any, ...], xi: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(fibre_adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
 
-    def domain(self, x: tuple, v: tuple) -> Bool[Array, ""]:
+    def domain(self, x: tuple[Any, ...], v: tuple[Any, ...]) -> Bool[Array, ""]:
         return jnp.all(jnp.stack([r.domain(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]))

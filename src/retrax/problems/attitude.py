@@ -20,7 +20,7 @@ BETTS = (
 INERTIA = np.array([5621.0, 4547.0, 2364.0])  # kg m^2, of X-SAT in Betts 6.8
 RIGID = SO(3) * Euclidean(3)
 REST = np.zeros(3)
-TARGET = Rotation.from_rotvec(np.deg2rad(150) * np.array([1.0, 2.0, -2.0]) / 3).as_matrix()
+TARGET: np.ndarray = Rotation.from_rotvec(np.deg2rad(150) * np.array([1.0, 2.0, -2.0]) / 3).as_matrix()
 POSE = {"R": "attitude, body to inertial frame", "w": "angular velocity, rad/s, body frame"}
 TORQUE = {"u": "torque, N m, body frame"}
 
