@@ -14,6 +14,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
+from ....inlined import AS_PART
 from .arrays import LANES
 
 # Bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977].
@@ -25,17 +26,8 @@ intrinsic: Any = extending.intrinsic
 
 # None of these functions allocates: without counts of references they are a third shorter.
 compiled = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
-inner = njit(
-    error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, no_cpython_wrapper=True, no_cfunc_wrapper=True
-)
-reordered = njit(
-    error_model="numpy",
-    nogil=True,
-    fastmath={"contract", "reassoc"},
-    _nrt=False,
-    no_cpython_wrapper=True,
-    no_cfunc_wrapper=True,
-)
+inner = njit(error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, **AS_PART)
+reordered = njit(error_model="numpy", nogil=True, fastmath={"contract", "reassoc"}, _nrt=False, **AS_PART)
 
 
 @reordered

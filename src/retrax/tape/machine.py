@@ -13,6 +13,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
+from ..inlined import AS_PART
 from .program import NAMES
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
@@ -29,7 +30,7 @@ FIRST_OF_ONE = NEG
 # Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
 _njit: Any = numba.njit
 _compiled = _njit(cache=True, error_model="numpy", nogil=True)
-_inner = _njit(error_model="numpy", nogil=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+_inner = _njit(error_model="numpy", nogil=True, **AS_PART)
 _intrinsic: Any = extending.intrinsic
 _FUSED = ("contract",)  # a product and a sum may be one instruction
 

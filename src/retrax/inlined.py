@@ -1,0 +1,43 @@
+"""A compiler of Numba for functions that are nothing but parts of others: LLVM optimises them there, and only there.
+
+Numba optimises the code of a function, and again wherever it is called, with all that it calls in turn: of kernels that
+are made of small functions the most time goes into code that never runs by itself.
+"""
+
+from typing import Any, final
+
+from numba.core.compiler import CompilerBase, DefaultPassBuilder
+from numba.core.compiler_machinery import PassManager, register_pass
+from numba.core.typed_passes import NativeLowering
+
+
+@final
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PlainLowering(NativeLowering):
+    """Lowers to code that is left as it is."""
+
+    _name = "plain_lowering"
+
+    def run_pass(self, state: Any) -> bool:
+        state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        state.library._optimize_final_module = lambda: None
+        return super().run_pass(state)
+
+
+@final
+class InlinedCompiler(CompilerBase):
+    """The passes of Numba, with a plain one to lower."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        """The one pipeline of ``numba.njit``."""
+        passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
+        passes.passes = [
+            (_PlainLowering if pass_ is NativeLowering else pass_, words) for pass_, words in passes.passes
+        ]
+        passes.finalize()
+        return [passes]
+
+
+# Of ``numba.njit``, for functions that nothing but other compiled functions calls.
+AS_PART: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
