@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ..manifolds.numerics import ambient as vec
 from ..reading import one_reading, traced
 from .functions import is_transformed
 from .programs import PLAIN, content_key, program_key
@@ -92,9 +93,9 @@ def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> An
     count, parts = len(jax.tree.leaves(rows)[-1]), []
     for begin in range(0, count, size):
         which = np.minimum(np.arange(begin, begin + size), count - 1)
-        own = jax.tree.map(lambda leaf, which=which: np.asarray(leaf)[which], rows)
-        parts.append(jax.tree.map(np.asarray, function(*own)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+        own = vec.taken(rows, which)
+        parts.append(function(*own))
+    return vec.taken(vec.joined(parts), slice(count))
 
 
 def _is_data(leaf: Any) -> bool:

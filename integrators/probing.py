@@ -284,7 +284,7 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
 def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
     """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
-    u, size = vec.entries(probed.controls, first), probed.sizes[first]
+    u, size = vec.taken(probed.controls, first), probed.sizes[first]
     if not np.all(np.isfinite((size, *probed.costs))):
         raise InvalidInputError(
             f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "

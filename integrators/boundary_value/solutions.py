@@ -8,6 +8,7 @@ from typing import Any, Self, final, overload
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from .batch_file import save_batch
 from .solution import Solution
 
@@ -31,7 +32,7 @@ class Solutions(Sequence[Solution]):
     def of(cls, members: Sequence[Solution]) -> Self:
         """The batch of these solutions."""
         values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        stacked = vec.stacked(list(values))
         return cls(stacked, members.__getitem__, range(len(members)))
 
     def __reduce__(self) -> Any:
@@ -66,7 +67,7 @@ class Solutions(Sequence[Solution]):
                 if known is None
                 else [known[place] for place in self._places]
             )
-        return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
+        return vec.taken(self._fields[name], list(self._places))
 
     def save(self, path: str | Path) -> None:
         """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as

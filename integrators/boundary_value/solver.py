@@ -10,6 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics.ambient import taken
 from ...manifolds.numerics.precision import working_precision
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
@@ -31,7 +32,6 @@ from .arguments import (
     structure_of,
 )
 from .differentiable import Extremal, Given, extremal_of
-from .engine.batches import taken
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
 from .engine.stopwatch import Stopwatch

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ...progress import Advance, progress
 
 FIRST_PIECE = 8  # steps, before it is known how long one takes
@@ -66,7 +67,7 @@ def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
             stopped = bool(np.all(failed >= 0))
             last = int(np.max(failed)) - done if stopped else count - 1
             known = 1 + (phase + last) // every
-            _put(nodes, slice(row + 1, row + 1 + known), jax.tree.map(lambda a, n=known: a[:n], rows))
+            _put(nodes, slice(row + 1, row + 1 + known), vec.taken(rows, slice(known)))
             if stopped:
                 _put(nodes, slice(row + 1 + known, None), steps.kept())
                 return Outcome(nodes, failed, None)
@@ -75,7 +76,7 @@ def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
             count = 1 + int(count * min(MOST_GROWTH, PIECE_SECONDS / max(seconds, 1e-9)))
     except KeyboardInterrupt as interrupt:
         reached = done // every
-        return Outcome(jax.tree.map(lambda a: a[: reached + 1], nodes), failed, interrupt)
+        return Outcome(vec.taken(nodes, slice(reached + 1)), failed, interrupt)
     return Outcome(nodes, failed, None)
 
 

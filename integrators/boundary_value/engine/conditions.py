@@ -6,9 +6,10 @@ from typing import Any, ClassVar, cast, final
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined
 from .augmented import is_isolated_minimum
 from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
-from .batches import joined, merged
+from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned

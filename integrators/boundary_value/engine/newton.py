@@ -15,9 +15,10 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined, taken
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
 from .aside import aside, is_lost
-from .batches import joined, merged, put, taken
+from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
 from .inequalities import Slacks

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ....manifolds.numerics import ambient as vec
 from ..integrability_result import Signature
 from .classification import Stratum
 from .final import final_equations
@@ -96,7 +97,7 @@ def _stratum(members: list[Found]) -> Stratum:
         usual,
     )
     ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
-    z, u, frame = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (points.at.z, points.at.control, points.at.frame))
+    z, u, frame = jax.tree.map(jnp.asarray, vec.taken((points.at.z, points.at.control, points.at.frame), 0))
     return Stratum(
         signature=ranks.signature,
         count=len(members),
@@ -110,7 +111,7 @@ def _stratum(members: list[Found]) -> Stratum:
         p=z[1],
         u=u,
         kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), frame),
-        states=jax.tree.map(lambda *leaves: np.concatenate(leaves), *(item.points.at.z for item in members)),
+        states=vec.joined([item.points.at.z for item in members]),
         equations=final_equations(points, base, history[base]),
         feedback=final_equations(points, k_f, history[k_f]),
     )
