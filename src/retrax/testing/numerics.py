@@ -1,7 +1,6 @@
 """Numerics that facts are measured with: compiled kernels, flat real coordinates, differences."""
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -12,35 +11,23 @@ from jaxtyping import Array, Float
 from ..manifolds import Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.compiler import Option, known_options
 from ..manifolds.numerics.differences import FEWEST, central_difference, central_nodes
 from ..manifolds.numerics.precision import working_precision
 
 Vector = Float[Array, " N"]
 
 # The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
-# An XLA that does not know an option does without.
-_WISHES = {
+_WISHES: dict[str, Option] = {
     "xla_backend_optimization_level": 0,
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
 }
 
 
-@lru_cache
-def _compiler_options() -> dict[str, int | bool]:
-    def known(option: str) -> bool:
-        try:
-            jax.jit(lambda x: x + 1, compiler_options={option: _WISHES[option]})(1.0)
-        except jax.errors.JaxRuntimeError:
-            return False
-        return True
-
-    return {option: value for option, value in _WISHES.items() if known(option)}
-
-
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``function`` compiled quickly, with numpy arrays as its values: in double precision, for what is made of them."""
-    fast = jax.jit(function, compiler_options=_compiler_options())
+    fast = jax.jit(function, compiler_options=known_options(_WISHES))
     return lambda *arguments: jax.tree.map(_widened, fast(*arguments))
 
 
