@@ -19,7 +19,7 @@ from .differential import differentiated
 from .retraction import Retraction
 
 LENGTHS = 2.0 ** -np.arange(5, 12)
-HIDDEN = 1e3  # times eps: errors that may be rounding
+UNSEEN = 1e3  # times eps: errors that may be rounding
 
 
 class MeasuredOrder(NamedTuple):
@@ -110,4 +110,4 @@ def _measure(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> 
 
 def _slope(errors: np.ndarray) -> float:
     """Slope of ``log error`` over ``log t`` where the errors are above rounding; infinite where none of them is."""
-    return slope(LENGTHS, errors, HIDDEN * tolerance(errors, 1.0), 2) if np.all(np.isfinite(errors)) else np.nan
+    return slope(LENGTHS, errors, UNSEEN * tolerance(errors, 1.0), 2) if np.all(np.isfinite(errors)) else np.nan

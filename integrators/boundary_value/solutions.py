@@ -13,7 +13,7 @@ from .batch_file import save_batch
 from .solution import Solution
 
 LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields that are lists
-SAME = 1e-6  # relative distance within which two extremals are one
+SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
 
 
 @final
@@ -87,7 +87,7 @@ class Solutions(Sequence[Solution]):
         flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []
         for states in flat:
-            if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
+            if all(np.max(np.abs(states - other)) > SAME_EXTREMAL * (1 + np.max(np.abs(states))) for other in found):
                 found.append(states)
         return len(found)
 

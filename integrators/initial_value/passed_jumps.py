@@ -20,7 +20,7 @@ from ..kinks import JUMP, Zoom, closing_in, is_jump
 
 MANY = 4096  # segments of one call where there are more than of a chunk: two programs, whatever the number of nodes
 MOST = 4096  # segments in which a jump is looked for more closely
-SAME = 0.1  # of a jump: what the clocks alone may leave of it
+BY_CLOCKS = 0.1  # of a jump: what the clocks alone may leave of it
 # Of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart.
 SEEN_BESIDE = 0.5
 
@@ -114,7 +114,7 @@ class Energy(NamedTuple):
         for k, i in enumerate(where):
             change = float(zoom.changes[k, -1])
             # A time that is a coordinate: only its own momentum jumps, and nothing depends on that.
-            in_time = abs(by_clocks[k] - change) < SAME * abs(change)
+            in_time = abs(by_clocks[k] - change) < BY_CLOCKS * abs(change)
             if is_jump(zoom.widths[k], zoom.changes[k], float(sizes[i])) and not in_time:
                 state = vec.taken(states, k)
                 found.append(Passed(int(i), float(zoom.places[k, -1]), change, state, steps))

@@ -15,8 +15,9 @@ from .levels import PointRanks
 from .points import Points
 
 VANISHING_COSTATE = 1e-6
-SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
-APART = 1e-7  # larger differences are clear: between, a curved piece may be nearly flat
+SAME_DIRECTION = 1e-9  # largest difference of directions that are the same, in units
+FEWEST = 3  # points that show a piece
+APART = 1e-7  # larger differences of directions are clear: between, a curved piece may be nearly flat
 
 
 class Found(NamedTuple):
@@ -85,8 +86,8 @@ def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
         return joint, True
     spaces = np.array(tangents)
     values = np.linalg.svd(np.concatenate([spaces[i], spaces[j]], axis=2), compute_uv=False)
-    joint[i, j] = joint[j, i] = np.sum(values > SAME, axis=1)
-    return joint, not np.any((values > SAME) & (values <= APART))
+    joint[i, j] = joint[j, i] = np.sum(values > SAME_DIRECTION, axis=1)
+    return joint, not np.any((values > SAME_DIRECTION) & (values <= APART))
 
 
 def _stratum(members: list[Found]) -> Stratum:
@@ -101,7 +102,7 @@ def _stratum(members: list[Found]) -> Stratum:
     return Stratum(
         signature=ranks.signature,
         count=len(members),
-        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
+        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME_DIRECTION)),
         k_f=k_f,
         k_f_base=base,
         determined_at=tuple(
