@@ -170,5 +170,5 @@ def compiler_options() -> dict[str, Option]:
     """
     options: dict[str, Option] = {"xla_cpu_use_fusion_emitters": False}
     if not jax.config.read("jax_disable_most_optimizations"):
-        options["xla_backend_optimization_level"] = 1
+        options["xla_backend_optimization_level"] = "1"
     return known_options(options)

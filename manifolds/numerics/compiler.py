@@ -4,7 +4,7 @@ from functools import cache
 
 import jax
 
-Option = bool | int | str
+Option = str | bool
 
 
 def known_options(wishes: dict[str, Option]) -> dict[str, Option]:

@@ -311,6 +311,6 @@ def test_a_null_space_is_one_of_complex_matrices_too():
 
 
 def test_options_that_the_compiler_does_not_know_are_left_out():
-    known = {"xla_backend_optimization_level": 1}
+    known = {"xla_backend_optimization_level": "1"}
     assert known_options(known) == known
     assert known_options({**known, "xla_a_wish_that_nobody_has": True}) == known

@@ -19,7 +19,7 @@ Vector = Float[Array, " N"]
 
 # The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
 _WISHES: dict[str, Option] = {
-    "xla_backend_optimization_level": 0,
+    "xla_backend_optimization_level": "0",
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
 }
