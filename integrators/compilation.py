@@ -11,6 +11,8 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.compiler import Option, known_options
 from ..reading import one_reading, traced
 from .functions import is_transformed
 from .programs import PLAIN, content_key, program_key
@@ -92,9 +94,9 @@ def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> An
     count, parts = len(jax.tree.leaves(rows)[-1]), []
     for begin in range(0, count, size):
         which = np.minimum(np.arange(begin, begin + size), count - 1)
-        own = jax.tree.map(lambda leaf, which=which: np.asarray(leaf)[which], rows)
-        parts.append(jax.tree.map(np.asarray, function(*own)))
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *parts)
+        own = vec.taken(rows, which)
+        parts.append(function(*own))
+    return vec.taken(vec.joined(parts), slice(count))
 
 
 def _is_data(leaf: Any) -> bool:
@@ -160,20 +162,13 @@ def digest(function: Callable[..., Any], *shapes: Any) -> bytes | None:
 
 
 @cache
-def compiler_options() -> dict[str, str | bool]:
+def compiler_options() -> dict[str, Option]:
     """Per-function options that halve XLA's time to compile on a CPU and leave the running time unchanged.
 
     The fusion emitters of jaxlib 0.10 spend most of a compilation on the many small loops of per-stage derivatives, and
-    LLVM's higher levels find nothing more to do in them. A jaxlib without the options compiles with its defaults.
-    Nothing global is set, and ``jax_disable_most_optimizations`` asks for less still.
+    LLVM's higher levels find nothing more to do in them; ``jax_disable_most_optimizations`` asks for less still.
     """
-    options: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False}
+    options: dict[str, Option] = {"xla_cpu_use_fusion_emitters": False}
     if not jax.config.read("jax_disable_most_optimizations"):
         options["xla_backend_optimization_level"] = "1"
-    if jax.default_backend() != "cpu":
-        return {}
-    try:
-        jax.jit(lambda x: x).lower(0.0).compile(options)
-    except jax.errors.JaxRuntimeError:
-        return {}
-    return options
+    return known_options(options)

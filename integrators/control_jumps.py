@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from ..manifolds import InvalidInputError
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
 from .crossings import Crossings, Given, Jump, Lines, largest, rate_names, rates
@@ -27,7 +28,7 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -
     found = steps_in(lambda u: rates(problem, q, u), u)
     if not found:
         return
-    states, controls = (jax.tree.map(lambda leaf: np.asarray(leaf)[None], point) for point in (q, u))
+    states, controls = vec.taken((q, u), None)
     lines = control_lines(problem, states, controls, np.zeros(1, working_precision()), SCALES)
     jump = control_jump(Crossings(rates, problem, None), (None, None), lines)
     if jump:
@@ -43,7 +44,7 @@ def control_lines(
     k, entry, piece = (
         part.ravel() for part in np.meshgrid(range(count), range(m), range(len(grid) - 1), indexing="ij")
     )
-    q, u = (jax.tree.map(lambda leaf: np.asarray(leaf)[k], part) for part in (states, controls))
+    q, u = vec.taken((states, controls), k)
     turns, none = np.eye(m, dtype=grid.dtype)[entry], np.zeros((len(k), n), grid.dtype)
     return Lines.through(q, u, times[k], none, turns)._replace(low=grid[piece], high=grid[piece + 1])
 

@@ -64,7 +64,7 @@ def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...
     """A point and random ones, along the leading axis; those of its arrays that are ``fixed`` are the same in all."""
     keys = jax.random.split(jax.random.key(0), CURVATURES)
     points = [jax.tree.map(np.asarray, x) for x in (q, *map(problem.manifold.random_point, keys))]
-    leaves, structure = jax.tree.flatten(jax.tree.map(lambda *leaves: np.stack(leaves), *points))
+    leaves, structure = jax.tree.flatten(vec.stacked(points))
     known = fixed or (False,) * len(leaves)
     leaves = [np.broadcast_to(a[0], a.shape) if is_known else a for a, is_known in zip(leaves, known, strict=True)]
     return jax.tree.unflatten(structure, leaves)

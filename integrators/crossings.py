@@ -48,7 +48,7 @@ class Lines(NamedTuple):
 
     def __getitem__(self, which: Any) -> "Lines":  # pyright: ignore[reportIncompatibleMethodOverride]  # lines, not their parts
         """Some of the lines."""
-        return jax.tree.map(lambda leaf: leaf[which], self)
+        return vec.taken(self, which)
 
     @classmethod
     def through(
@@ -153,9 +153,7 @@ class Crossings:
                 shares = np.where(lasts, changes[-1] / np.maximum(own, changes[-1]), 0.0)
             if np.any(lasts):
                 i = int(np.argmax(shares))
-                state, control = (
-                    jax.tree.map(lambda a, k=k: a[k], part) for part in (located.states, located.controls)
-                )
+                state, control = vec.taken((located.states, located.controls), k)
                 found.append(
                     Jump(shares[i], i, located.changes[k, levels[-1], i], state, control, float(located.times[k]))
                 )

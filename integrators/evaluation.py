@@ -23,7 +23,7 @@ def at_each(function: Callable[..., Any], points: Any, *arguments: Any) -> Any:
     ``function`` is a JAX function of arrays. It is computed on a tape, or compiled where that has no rule for what the
     function calls, or arrays are large.
     """
-    tape = _tape(function, vec.entries(points, 0), *arguments)
+    tape = _tape(function, vec.taken(points, 0), *arguments)
     if tape is None:
         return jax.tree.map(np.asarray, call_compiled(_each, function, points, arguments)[0])
     count = len(jax.tree.leaves(points)[0])

@@ -125,10 +125,10 @@ class Inspection:
     def _along(self) -> AlongLine:
         """The functions along the lines of all flat directions, in NumPy arrays."""
         bases, ways = (np.stack([getattr(flat, name) for flat in self._every]) for name in ("bases", "direction"))
-        given = vec.entries(self._covectors, np.array([flat.sample for flat in self._every]))
+        given = vec.taken(self._covectors, np.array([flat.sample for flat in self._every]))
         ladder = LADDER.astype(self._directions.dtype)
         return jax.device_get(call_compiled(along_lines, self.problem, self.q, self.u, given, bases, ways, ladder)[0])
 
     @cached_property
     def _bends(self) -> list[Bend | None]:
-        return [bend(flat, vec.entries(self._along, k)) for k, flat in enumerate(self._every)]
+        return [bend(flat, vec.taken(self._along, k)) for k, flat in enumerate(self._every)]

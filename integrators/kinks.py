@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..manifolds import Euclidean
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import FINEST, rounding_of, tolerance
@@ -146,7 +147,7 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
         return ""
     stages = stages[np.linspace(0, len(stages) - 1, STAGES).round().astype(int)]
     found = solution.stage_states, solution.stage_costates, solution.controls
-    q, p, u = (jax.tree.map(lambda leaf: np.asarray(leaf)[stages], part) for part in found)
+    q, p, u = vec.taken(found, stages)
     ways, reach = _ways(problem, u)
     at_all: Any = jax.tree.map(np.asarray, call_compiled(zoomed, problem, q, p, u, ways, reach)[0])
     zoom, controls = at_all
@@ -154,7 +155,7 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
     for at in np.ndindex(zoom.size.shape):
         size, change = float(zoom.size[at]), float(zoom.changes[at][-1])
         if is_kink(zoom.widths[at], zoom.changes[at], zoom.curvatures[at], size) and abs(change) / size > worst:
-            place = jax.tree.map(lambda leaf, at=at: rounded(leaf[at], float(reach)), controls)
+            place = jax.tree.map(lambda leaf: rounded(leaf, float(reach)), vec.taken(controls, at))
             worst, words = (
                 abs(change) / size,
                 _words(at[-1], zoom.changes[at], place, float(solution.stage_times[stages[at[0]]])),

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 SPREAD = 0.3  # size of the coordinates of these controls around the resting one
 ACCOUNTS = 1e-3  # of a change of slope: second derivative times distance that is no rounding of a kink
-SAME = 1e-6  # largest distance of a direction from a space that it is in
+IN_SPACE = 1e-6  # largest distance of a direction from a space that it is in
 # How far along a flat line the functions are looked at: no numbers that users write.
 REACH = 10.0 ** np.arange(-4.5, 8.5)
 LADDER = np.concatenate([[0.0], REACH, -REACH])  # parameters along a line
@@ -146,7 +146,7 @@ def flats(probed: Probed, directions: np.ndarray) -> list[list[Flat]]:
 
 def _contains(directions: np.ndarray, d: np.ndarray) -> bool:
     """Whether ``d`` lies in the span of directions."""
-    return bool(np.linalg.norm(directions.T @ np.linalg.lstsq(directions.T, d)[0] - d) <= SAME)
+    return bool(np.linalg.norm(directions.T @ np.linalg.lstsq(directions.T, d)[0] - d) <= IN_SPACE)
 
 
 class AlongLine(NamedTuple):
@@ -284,7 +284,7 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
 def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
     """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
-    u, size = vec.entries(probed.controls, first), probed.sizes[first]
+    u, size = vec.taken(probed.controls, first), probed.sizes[first]
     if not np.all(np.isfinite((size, *probed.costs))):
         raise InvalidInputError(
             f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "

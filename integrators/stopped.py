@@ -53,7 +53,7 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
     found = own_rules(partial(_values, problem), q, u)
     if found:
         lines = call_compiled(_lines, problem, q, u, *_moves(problem, (BASES,)), SPANS.astype(working_precision()))[0]
-        words = _words(problem, q, jax.tree.map(lambda part: np.asarray(part)[None], lines), found, [""])
+        words = _words(problem, q, vec.taken(lines, None), found, [""])
         if words:
             raise InvalidInputError(words)
 
@@ -85,9 +85,9 @@ class TrueDerivatives:
         if not (self.rules and len(stages)):
             return ""
         stages = stages[np.linspace(0, len(stages) - 1, PLACES).round().astype(int)]
-        q, u, t = (jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (states, controls, times))
+        q, u, t = vec.taken((states, controls, times), stages)
         lines: Any = jax.tree.map(np.asarray, self._traced(parameters, q, u, t, *_moves(self.problem, (PLACES, BASES))))
-        bound, first = self.problem.with_parameters(parameters).at_time(0.0), jax.tree.map(lambda a: a[0], q)
+        bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(q, 0)
         return _words(bound, first, lines, self.rules, [f" near t = {time:.6g}" for time in t])
 
     def _lines(self, parameters: Any, *points: Any) -> tuple[Line, Line]:

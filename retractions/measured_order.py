@@ -11,12 +11,15 @@ from jaxtyping import Array
 from ..manifolds import EmbeddedMetric, Manifold, Metric
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.differences import slope
 from ..manifolds.numerics.precision import default_tolerance
+from ..manifolds.numerics.tolerances import tolerance
 from .constructions.second_order import acceleration, metric_on
 from .differential import differentiated
 from .retraction import Retraction
 
 LENGTHS = 2.0 ** -np.arange(5, 12)
+UNSEEN = 1e3  # times eps: errors that may be rounding
 
 
 class MeasuredOrder(NamedTuple):
@@ -63,11 +66,11 @@ def order(
         draws = jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], at)
     facts = jax.device_get(_measure(retraction, metric, *draws))
     base, velocity, curvature = (float(np.max(part)) for part in facts[:3])
-    slope = min(_slope(errors) for errors in facts[3])
+    rate = min(_slope(errors) for errors in facts[3])
     limit = default_tolerance()
     by_derivative = 0 if not max(base, velocity) <= limit else 1 if not curvature <= limit else 2
-    by_values = 2 if slope > 2.5 else 1 if slope > 1.5 else 0
-    return MeasuredOrder(min(by_derivative, by_values), base, velocity, curvature, slope)
+    by_values = 2 if rate > 2.5 else 1 if rate > 1.5 else 0
+    return MeasuredOrder(min(by_derivative, by_values), base, velocity, curvature, rate)
 
 
 @eqx.filter_jit
@@ -107,5 +110,4 @@ def _measure(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> 
 
 def _slope(errors: np.ndarray) -> float:
     """Slope of ``log error`` over ``log t`` where the errors are above rounding; infinite where none of them is."""
-    seen = ~(errors <= 1e3 * np.finfo(errors.dtype).eps)
-    return float(np.polyfit(np.log(LENGTHS[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= 2 else np.inf
+    return slope(LENGTHS, errors, UNSEEN * tolerance(errors, 1.0), 2) if np.all(np.isfinite(errors)) else np.nan

@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Shaped
 
+from ..manifolds.numerics.tolerances import HALF
+
 EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
 POINT = 4  # rounding units to which a retraction computes a point
 
@@ -16,7 +18,7 @@ POINT = 4  # rounding units to which a retraction computes a point
 def keeps_half_the_digits(magnification: Array) -> Bool[Array, ""]:
     """Whether rounding of a point that is magnified so much stays below ``sqrt(eps)``; no magnification that is NaN
     does."""
-    return jnp.abs(magnification) * POINT <= jnp.finfo(magnification.dtype).eps ** -0.5
+    return jnp.abs(magnification) * POINT <= jnp.finfo(magnification.dtype).eps ** -HALF
 
 
 def length(v: Shaped[Array, "..."]) -> Array:

@@ -90,7 +90,7 @@ def _arrays(solution: Solution) -> Extremal:
 
 def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
     """The derivative of the extremal along a tangent, to which it is linear."""
-    first, last = (vec.entries(solution.states, k) for k in (0, -1))
+    first, last = (vec.taken(solution.states, k) for k in (0, -1))
     ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
     pairs = [*zip(ends, (by.start, by.end), strict=True), (tangent.horizon, by.horizon)]
     if tangent.parameters is not None:

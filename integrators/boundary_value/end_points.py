@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ..compilation import call_compiled
@@ -159,7 +160,7 @@ class EndReader:
             return tuple(factor.member(part, k) for factor, part in zip(self.factors, given, strict=True))
         if not self._is_batch(guessed(given)):
             return given
-        return given.member(k) if isinstance(given, Free) else jax.tree.map(lambda leaf: np.asarray(leaf)[k], given)
+        return given.member(k) if isinstance(given, Free) else vec.taken(given, k)
 
     def require_on_manifold(self, start: Any, end: Any) -> None:
         """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""

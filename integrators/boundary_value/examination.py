@@ -23,7 +23,7 @@ from .state_jumps import Jumps
 
 T = TypeVar("T")
 
-VANISHES = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
+NO_PULL = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
 
 
@@ -148,11 +148,11 @@ class Examination:
             room = np.where(np.isfinite(wide), wide, room)
         for name in (LOWER, UPPER):
             pull += own.get(name, 0.0)
-        flat = pull * room <= VANISHES * solution.checks.hamiltonian_size
+        flat = pull * room <= NO_PULL * solution.checks.hamiltonian_size
         for name in limits.names:  # one that holds the trajectory may determine controls
             rows = own.get(name, np.zeros((count, 0)))
             largest = np.max(rows, initial=0.0)
-            flat &= ~np.any(rows > VANISHES * largest, axis=1)[:, None] if largest > 0 else True
+            flat &= ~np.any(rows > NO_PULL * largest, axis=1)[:, None] if largest > 0 else True
         if np.any(flat):
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative

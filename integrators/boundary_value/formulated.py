@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics import ambient as vec
 from ..free import guessed, is_free, near, scaled
 from ..results import sentence
 from .arguments import Method
@@ -160,7 +161,7 @@ class Formulated:
         formulation, solver = self.of(*each[0])
         constants = np.stack([formulation.guesses(*own) for own in each])
         parameters = [formulation.parameters(*own) for own in each]
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *parameters) if formulation.takes else None
+        stacked = vec.stacked(parameters) if formulation.takes else None
         guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
         ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons[:, None])
         own = Asked(*ends, members.horizons, None if members.guess is None else guesses, stacked)

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
 from ..controls import resting_control
@@ -130,7 +131,7 @@ def rolled_out(
     places = stage_places(method, fractions)
     if callable(controls):
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
-        controls = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        controls = vec.stacked(values)
     check_arrays("controls", controls, problem.controls, len(places))
     weights = np.array(method.weights) if isinstance(method, Gauss) else np.ones(1)
     ended = np.cumsum((fractions[:, None] * weights).ravel())

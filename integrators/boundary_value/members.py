@@ -63,12 +63,12 @@ class Members:
     def parameters_of(self, k: int) -> Any:
         """The parameters of a member."""
         given = self.asked.parameters
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[k], given) if self.axes else given
+        return vec.taken(given, k) if self.axes else given
 
     def parameters(self) -> Any:
         """The parameters as arrays of their own, with the members along the leading axis."""
         given = copied(self.asked.parameters)
-        return given if self.axes else vec.entries(given, None)
+        return given if self.axes else vec.taken(given, None)
 
     def problem_of(self, k: int) -> OptimalControlProblem:
         """The problem with the parameters of a member."""

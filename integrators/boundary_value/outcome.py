@@ -16,7 +16,7 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
     if solution.success or solution.result == sentence("stopped"):
         return solution
-    q, u = (vec.entries(part, 0) for part in (solution.stage_states, solution.controls))
+    q, u = vec.taken((solution.stage_states, solution.controls), 0)
     reason = problem.imprecise(q, u) or kinks_near(problem, solution)
     return (
         replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution

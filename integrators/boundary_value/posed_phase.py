@@ -80,7 +80,7 @@ class PosedPhase(NamedTuple):
 
     def recorded(self, found: Found, options: Options, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        given = vec.entries(copied(self.asked.parameters), None)
+        given = vec.taken(copied(self.asked.parameters), None)
         _, member = self.inner.recording.of(self.posed, given, found, options, seconds)
         solution = member(0)
         if self.formulation is not None:
@@ -122,7 +122,7 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) ->
         members = inner.reader.one(asked)
         equations = inner.posing.posed(members)
         bound, guess = members.problem_of(0), members.guess_of(0)
-        first = members.conditions_of(0)[0].point if guess is None else vec.entries(guess.states, 0)
+        first = members.conditions_of(0)[0].point if guess is None else vec.taken(guess.states, 0)
         inspection = Inspection(bound, first, resting_control(bound.controls))
         inspection.require_sound()
         regular = inspection.is_regular or bound.limits.along

@@ -26,7 +26,7 @@ from .solution import Solution
 
 RELATIVE = 0.01  # of the error: what the integrator may add to it
 UNRESOLVED = ROUNDING * EPS  # relative to the states: errors below it
-FINEST = 64  # parts of a step
+MOST_PARTS = 64  # parts of a step
 ROUNDS = 8  # of Newton's method, which takes two to four where the error is small
 SLOW = 0.1  # shrinking of its moves below which the derivatives are renewed
 STAGES = 12
@@ -152,7 +152,7 @@ class Propagator:
         rest = np.zeros((len(k), len(given.scales)))
         with np.errstate(all="ignore"):
             ends, change = self.ends(given, k, given.states[:-1], rest, parts), np.inf
-            while parts < FINEST and np.any(change > RELATIVE):
+            while parts < MOST_PARTS and np.any(change > RELATIVE):
                 parts, coarse, ends = 2 * parts, ends, self.ends(given, k, given.states[:-1], rest, 2 * parts)
                 size = np.max(np.abs(ends - given.states[1:]), axis=1)
                 size = np.maximum(size, UNRESOLVED * np.max(np.abs(given.states), initial=0.0))
@@ -191,7 +191,7 @@ class Propagator:
             error, change = self._distances(given.states, nodes), self._distances(coarse, nodes)
             largest = {name: float(np.max(values)) for name, values in change.items()}
             allowed = self._allowed(given, error)
-            if parts == FINEST or all(value <= allowed[name] for name, value in largest.items()):
+            if parts == MOST_PARTS or all(value <= allowed[name] for name, value in largest.items()):
                 return DiscretizationError(error, largest)
         return None
 

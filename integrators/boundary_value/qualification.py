@@ -17,7 +17,7 @@ from ..problem import OptimalControlProblem
 from .solution import Solution
 
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
-VANISHES = EPS**0.25  # of the largest derivative along the trajectory
+FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
 OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
@@ -48,7 +48,7 @@ class Qualification:
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         lengths = np.linalg.norm(slopes, axis=2)
-        flat = active & (lengths < VANISHES * np.max(lengths, axis=0))
+        flat = active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
         names = bound.inequality_names
         if np.any(flat):
             k, i = np.argwhere(flat)[0]

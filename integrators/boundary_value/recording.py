@@ -61,15 +61,15 @@ class Recording:
         known = {**_known(found, success), "active": _active(posed, found)}
 
         def member(k: int) -> Solution:
-            own: Any = vec.entries(diagnostics, k)
+            own: Any = vec.taken(diagnostics, k)
             return Solution(
-                **jax.tree.map(lambda leaf: leaf[k] if leaf.ndim > 1 else leaf[k].item(), fields),
+                **jax.tree.map(lambda leaf: leaf if leaf.ndim else leaf.item(), vec.taken(fields, k)),
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 quantities=self.problem.quantities,
                 interpolant=self.interpolant,
-                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
+                parameters=jax.tree.map(np.array, vec.taken(parameters, k)),
             )
 
         return {**fields, "parameters": parameters, "result": results}, member

@@ -30,7 +30,7 @@ MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
-AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
+HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
 
 class _Found(NamedTuple):
@@ -277,7 +277,7 @@ class Refinement:
             for bound, name in ((horizon.lower, HORIZON_LOWER), (horizon.upper, HORIZON_UPPER)):
                 away = abs(solution.horizon - bound) / solution.horizon
                 pull = np.sum(solution.multipliers.get(name, np.zeros(1))) * step / _unit(solution)
-                if away <= AT_BOUND and pull >= away:
+                if away <= HORIZON_AT_BOUND and pull >= away:
                     return bound
         return horizon
 

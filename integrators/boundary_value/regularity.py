@@ -3,10 +3,10 @@
 from functools import cached_property
 from typing import Any, final
 
-import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
 from ..inspection import Inspection, probes
 from ..singular import Classification, classify
@@ -36,7 +36,7 @@ class Regularity:
         key, values = self._key(members), members.rows[k].tobytes()
         if key not in self._classes or self._classes[key][0] != values:
             problem, (first, last), guess = members.problem_of(k), members.conditions_of(k), members.guess_of(k)
-            known = first.point if guess is None else jax.tree.map(lambda leaf: np.asarray(leaf[0]), guess.states)
+            known = first.point if guess is None else vec.taken(guess.states, 0)
             inspection = Inspection(problem, known, resting_control(problem.controls))
             inspection.require_sound()
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...manifolds.numerics.tolerances import SAME_TIME
 from .guess import Guess
 from .interpolation import Interpolant
 from .solution import Solution
-
-SAME = 1e-12  # of the horizon: times closer than that are rounding of one
 
 
 class Mesh(NamedTuple):
@@ -44,4 +43,5 @@ def resampled(solution: Solution, mesh: Mesh) -> Guess:
 
 
 def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    return one.shape == other.shape and bool(np.all(np.abs(one - other) <= SAME * np.max(np.abs(other), initial=0.0)))
+    horizon = np.max(np.abs(other), initial=0.0)
+    return one.shape == other.shape and bool(np.all(np.abs(one - other) <= SAME_TIME * horizon))

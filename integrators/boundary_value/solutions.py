@@ -8,11 +8,12 @@ from typing import Any, Self, final, overload
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from .batch_file import save_batch
 from .solution import Solution
 
 LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields that are lists
-SAME = 1e-6  # relative distance within which two extremals are one
+SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
 
 
 @final
@@ -31,7 +32,7 @@ class Solutions(Sequence[Solution]):
     def of(cls, members: Sequence[Solution]) -> Self:
         """The batch of these solutions."""
         values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *values)
+        stacked = vec.stacked(list(values))
         return cls(stacked, members.__getitem__, range(len(members)))
 
     def __reduce__(self) -> Any:
@@ -66,7 +67,7 @@ class Solutions(Sequence[Solution]):
                 if known is None
                 else [known[place] for place in self._places]
             )
-        return jax.tree.map(lambda leaf: leaf[list(self._places)], self._fields[name])
+        return vec.taken(self._fields[name], list(self._places))
 
     def save(self, path: str | Path) -> None:
         """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
@@ -86,7 +87,7 @@ class Solutions(Sequence[Solution]):
         flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []
         for states in flat:
-            if all(np.max(np.abs(states - other)) > SAME * (1 + np.max(np.abs(states))) for other in found):
+            if all(np.max(np.abs(states - other)) > SAME_EXTREMAL * (1 + np.max(np.abs(states))) for other in found):
                 found.append(states)
         return len(found)
 

@@ -10,7 +10,9 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics.ambient import taken
 from ...manifolds.numerics.precision import working_precision
+from ...manifolds.numerics.tolerances import SAME_TIME
 from ...reading import is_reading, one_reading
 from ...retractions import DiscretizationMap
 from ..evaluator import chosen
@@ -31,7 +33,6 @@ from .arguments import (
     structure_of,
 )
 from .differentiable import Extremal, Given, extremal_of
-from .engine.batches import taken
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
 from .engine.stopwatch import Stopwatch
@@ -339,7 +340,7 @@ class Solver:
                 f"the problem is singular, and solve takes a discretization map for it, got {self.method!r}; try "
                 "Midpoint(default_retraction(manifold))"
             )
-        if np.ptp(self.fractions) > 1e-12:
+        if np.ptp(self.fractions) > SAME_TIME:
             raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
         h = np.asarray(members.horizons[0] / self.steps, working_precision())
         limits = np.asarray(options.tolerance, working_precision()), options.max_iterations

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Euclidean
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import tolerance
 from ...retractions import Retraction
@@ -90,8 +91,8 @@ class Jumps:
         if located is not None:  # between two points it comes near to a jump
             touches = np.abs(located.margins) <= NEAR * size[step]
             steps = np.concatenate([steps, step[touches]])
-            at = jax.tree.map(lambda a: a[touches], (located.states, located.controls, located.times))
-            near = jax.tree.map(lambda a, b: np.concatenate([a, b]), near, self._resting(*at))
+            at = vec.taken((located.states, located.controls, located.times), touches)
+            near = vec.joined([near, self._resting(*at)])
         jump = self._on(crossings, given, near, steps, (size, sizes))
         return self._words(jump, names[jump.entry], self.of_states, "beside the trajectory, at") if jump else ""
 
@@ -124,9 +125,7 @@ class Jumps:
         """Words on a jump in the controls, from those of some stages."""
         count, given = len(solution.stage_times), (solution.parameters, None)
         stages = np.unique(np.linspace(0, count - 1, min(count, STAGES)).round().astype(int))
-        q, u = (
-            jax.tree.map(lambda a: np.asarray(a)[stages], part) for part in (solution.stage_states, solution.controls)
-        )
+        q, u = vec.taken((solution.stage_states, solution.controls), stages)
         reach = 1.0
         if isinstance(self.problem.controls, Euclidean):
             reach = float(np.max(np.abs(np.asarray(u)), initial=0.0)) or 1.0
@@ -142,11 +141,9 @@ class Jumps:
         for end, (steps, name) in enumerate(zip(self.of_ends, ("initial_cost", "terminal_cost"), strict=True)):
             if not steps or np.all(fixed[end] > 0):
                 continue
-            one, other = (jax.tree.map(lambda a, k=k: np.asarray(a)[[k]], solution.states) for k in (-end, end - 1))
-            u, t = (
-                jax.tree.map(lambda a, k=-end: np.asarray(a)[[k]], part) for part in (solution.controls, solution.times)
-            )
-            given = solution.parameters, jax.tree.map(lambda a: a[0], other)
+            one, other = (vec.taken(solution.states, [k]) for k in (-end, end - 1))
+            u, t = vec.taken((solution.controls, solution.times), [-end])
+            given = solution.parameters, vec.taken(other, 0)
             crossings, point = self._traced((_at_start, _at_end)[end], retraction), self._resting(one, u, t)
             seen = crossings.seen(given, point)
             size = seen.sizes[0, 0]

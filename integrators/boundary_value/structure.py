@@ -10,7 +10,7 @@ from ...manifolds.numerics.tolerances import EPS
 from ..problem import OptimalControlProblem
 from .solution import Solution
 
-AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
+CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
 JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
 VANISHED = 1e-6  # of the horizon: an arc that is shorter has vanished
 SIDES = {-1: "lower", 0: "free", 1: "upper"}
@@ -77,7 +77,7 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
     room = upper - lower
     spread = np.ptp(u, axis=0)
     room = np.where(np.isfinite(room), room, np.where(spread > 0, spread, 1.0))
-    sides = np.where(u - lower < AT_BOUND * room, -1, np.where(upper - u < AT_BOUND * room, 1, 0))
+    sides = np.where(u - lower < CONTROL_AT_BOUND * room, -1, np.where(upper - u < CONTROL_AT_BOUND * room, 1, 0))
     stages = len(u) // solution.steps
     runs = [_runs(side, column, stages) for side, column in zip(sides.T, (u / room).T, strict=True)]
     switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(own)] for own in runs]

@@ -10,6 +10,7 @@ from jaxtyping import Array, ArrayLike
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.tolerances import SAME_TIME
 from ...retractions import Retraction
 from .integrator import Integrator
 from .step import StepResult
@@ -60,7 +61,7 @@ class Composition(Integrator):
             raise InvalidInputError(
                 f"Composition takes an integrator, got {self.integrator!r}; try SymplecticIntegrator(lift)"
             )
-        if not abs(sum(self.weights) - 1) <= 1e-12:
+        if not abs(sum(self.weights) - 1) <= SAME_TIME:
             raise InvalidInputError(f"the weights of a composition must sum to 1, got {self.weights}; try SUZUKI")
 
     @property

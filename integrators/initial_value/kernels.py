@@ -12,7 +12,16 @@ import numba
 import numpy as np
 from numba import types
 
-from ...manifolds.numerics.newton import CURVED, MAX_CHORDS, MAX_JACOBIANS, ROUNDING, SLOW, STALLED
+from ...manifolds.numerics.newton import (
+    CURVED,
+    MAX_CHORDS,
+    MAX_JACOBIANS,
+    PROBE,
+    QUADRATIC_POWER,
+    SLOW,
+    SMALLEST_PART,
+    STALLED,
+)
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
@@ -21,7 +30,7 @@ from .programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
-QUADRATIC, SMALLEST = EPS**0.65, EPS / 4  # the limits of manifolds.numerics.newton
+QUADRATIC, SMALLEST = EPS**QUADRATIC_POWER, SMALLEST_PART * EPS
 # Chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step.
 PATIENCE = 6
 PUSH_COST = 3  # chord steps in whose time the image of one direction is computed
@@ -123,7 +132,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
         for i in range(m):
             turn = 1.0 if pattern == 3 else (0.0, 1.0, -1.0)[pattern % 3] * (1.0 - 2.0 * (i % 2))
             for j in range(v.shape[1]):
-                v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * ROUNDING * EPS) * v[places[SIZES] + i, j]
+                v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * PROBE * EPS) * v[places[SIZES] + i, j]
         machine(codes, operands, values, ranges, RESIDUAL, v, w)
         multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)
@@ -136,7 +145,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
         rounding = np.isfinite(v[places[LENGTH], j])
         for i in range(m):
             # Each entry by itself: that of an unknown that is next to nothing changes by any amount.
-            rounding = rounding and abs(v[places[DIRECTION] + i, j]) <= ROUNDING * max(changed[i, j], SMALLEST)
+            rounding = rounding and abs(v[places[DIRECTION] + i, j]) <= PROBE * max(changed[i, j], SMALLEST)
         if rounding:
             v[places[CONVERGED], j] = 1.0
 

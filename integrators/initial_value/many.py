@@ -46,7 +46,7 @@ def integrate_many(
     starts = _checked_starts(integrator.manifold, starts)
     count = len(jax.tree.leaves(starts)[0])
     sizes = _checked_sizes(step_sizes, count)
-    integrator.check(system, *vec.entries(starts, 0))
+    integrator.check(system, *vec.taken(starts, 0))
     saves, every = int(steps) // int(save_every), int(save_every)
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):
@@ -92,7 +92,7 @@ def _checked_starts(manifold: Manifold, starts: Any) -> tuple[Ambient, Ambient]:
             f"{jax.tree.map(np.shape, starts)}"
         )
     for part, role in zip(starts, ("a point", "a covector"), strict=True):
-        wrong = manifold.describe_shapes(jax.tree.map(lambda a: np.asarray(a)[0], part), role)
+        wrong = manifold.describe_shapes(vec.taken(part, 0), role)
         wrong = wrong or manifold.describe_mismatch(jax.tree.map(lambda a: _worst(np.asarray(a)), part), role)
         if wrong:
             raise NotOnManifoldError(f"starts: {wrong}")

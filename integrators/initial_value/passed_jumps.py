@@ -20,7 +20,7 @@ from ..kinks import JUMP, Zoom, closing_in, is_jump
 
 MANY = 4096  # segments of one call where there are more than of a chunk: two programs, whatever the number of nodes
 MOST = 4096  # segments in which a jump is looked for more closely
-SAME = 0.1  # of a jump: what the clocks alone may leave of it
+BY_CLOCKS = 0.1  # of a jump: what the clocks alone may leave of it
 # Of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart.
 SEEN_BESIDE = 0.5
 
@@ -35,11 +35,8 @@ class Segments(NamedTuple):
     @staticmethod
     def between(nodes: tuple[Ambient, Ambient], controls: Any) -> "Segments":
         """From each node to the next one, of trajectories along a leading axis, which are put one behind the other."""
-        first, last = (
-            jax.tree.map(lambda a, part=part: _joined(np.asarray(a)[:, part]), nodes)
-            for part in (slice(-1), slice(1, None))
-        )
-        return Segments(first, last, jax.tree.map(_joined, controls))
+        first, last = (jax.tree.map(_in_one, vec.taken(nodes, part)) for part in (np.s_[:, :-1], np.s_[:, 1:]))
+        return Segments(first, last, jax.tree.map(_in_one, controls))
 
 
 class Passed(NamedTuple):
@@ -101,7 +98,7 @@ class Energy(NamedTuple):
 
     def _steps(self, segments: Segments) -> list[str]:
         """Names of the steps that the Hamiltonian computes, asked once in a reading."""
-        z, u = (jax.tree.map(lambda a: np.zeros_like(a[0]), part) for part in (segments.first, segments.control))
+        z, u = jax.tree.map(np.zeros_like, vec.taken((segments.first, segments.control), 0))
         method = getattr(self.function, "__func__", self.function)
         with one_reading() as reading:  # which keeps what has the number that is asked for
             found = reading.once(
@@ -112,14 +109,14 @@ class Energy(NamedTuple):
 
     def _jumps(self, segments: Segments, where: np.ndarray, sizes: np.ndarray, steps: list[str]) -> list[Passed]:
         """Those of the segments with these indices."""
-        own, found = jax.tree.map(lambda leaf: leaf[where], segments), list[Passed]()
+        own, found = vec.taken(segments, where), list[Passed]()
         zoom, states, by_clocks = in_chunks(partial(_closer, *self), *own)
         for k, i in enumerate(where):
             change = float(zoom.changes[k, -1])
             # A time that is a coordinate: only its own momentum jumps, and nothing depends on that.
-            in_time = abs(by_clocks[k] - change) < SAME * abs(change)
+            in_time = abs(by_clocks[k] - change) < BY_CLOCKS * abs(change)
             if is_jump(zoom.widths[k], zoom.changes[k], float(sizes[i])) and not in_time:
-                state = jax.tree.map(lambda a, k=k: a[k], states)
+                state = vec.taken(states, k)
                 found.append(Passed(int(i), float(zoom.places[k, -1]), change, state, steps))
         return found
 
@@ -129,7 +126,7 @@ class Energy(NamedTuple):
         return in_chunks(partial(_ends, *self), *segments, size=MANY if many else CHUNK)
 
 
-def _joined(a: np.ndarray) -> np.ndarray:
+def _in_one(a: np.ndarray) -> np.ndarray:
     """The two leading axes in one."""
     return np.reshape(a, (-1, *np.shape(a)[2:]))
 

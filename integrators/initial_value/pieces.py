@@ -6,10 +6,12 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ...progress import Advance, progress
 
 FIRST_PIECE = 8  # steps, before it is known how long one takes
 PIECE_SECONDS = 0.1  # what a piece should take: two hundred times its call, and too short to wait for
+LEAST_SECONDS = 1e-9  # of a piece, for which a clock may show none
 MOST_GROWTH = 16  # of the number of steps from one piece to the next: the time of a short piece says little
 PIECE_NODES, PIECE_BYTES = 4096, 2**22  # the nodes that a piece can keep, fewer if they need more memory than this
 
@@ -66,16 +68,16 @@ def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
             stopped = bool(np.all(failed >= 0))
             last = int(np.max(failed)) - done if stopped else count - 1
             known = 1 + (phase + last) // every
-            _put(nodes, slice(row + 1, row + 1 + known), jax.tree.map(lambda a, n=known: a[:n], rows))
+            _put(nodes, slice(row + 1, row + 1 + known), vec.taken(rows, slice(known)))
             if stopped:
                 _put(nodes, slice(row + 1 + known, None), steps.kept())
                 return Outcome(nodes, failed, None)
             done += count
             advance(count)
-            count = 1 + int(count * min(MOST_GROWTH, PIECE_SECONDS / max(seconds, 1e-9)))
+            count = 1 + int(count * min(MOST_GROWTH, PIECE_SECONDS / max(seconds, LEAST_SECONDS)))
     except KeyboardInterrupt as interrupt:
         reached = done // every
-        return Outcome(jax.tree.map(lambda a: a[: reached + 1], nodes), failed, interrupt)
+        return Outcome(vec.taken(nodes, slice(reached + 1)), failed, interrupt)
     return Outcome(nodes, failed, None)
 
 

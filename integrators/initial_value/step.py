@@ -9,8 +9,8 @@ from jaxtyping import Array, Bool
 from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
-from ...manifolds.numerics.newton import tolerance
 from ...manifolds.numerics.root import find_root
+from ...manifolds.numerics.tolerances import HALF, tolerance
 from ..stages import Stage
 from ..stages.stage import covector_sizes
 
@@ -101,7 +101,7 @@ class StepEquations:
 
         def small(rest: Array, begun: Array, base: Array) -> Array:
             size = jnp.maximum(vec.size(begun), vec.size(base))
-            return vec.size(rest) <= tolerance(size, 0.5) * size
+            return vec.size(rest) <= tolerance(size, HALF) * size
 
         return jnp.all(jnp.stack(jax.tree.leaves(jax.tree.map(small, unseen, q0, x))))
 

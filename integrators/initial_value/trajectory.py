@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
+from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
 from ...reading import reads_once
 from ..compilation import compiled
@@ -166,7 +167,7 @@ def integrate(
         trajectory, jump = _examined(system, integrator, trajectory, every)
     if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
         failed = int(trajectory.failed_step)
-        first, last = (jax.tree.map(lambda a, i=i: a[i], (trajectory.q, trajectory.p)) for i in (0, -1))
+        first, last = (vec.taken((trajectory.q, trajectory.p), i) for i in (0, -1))
         reason = jump or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
         raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {reason}")
     return trajectory
@@ -174,8 +175,8 @@ def integrate(
 
 def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
     """The trajectory, with another result if it passes a jump, and words on that."""
-    batch, found = without_jumps(system, integrator, jax.tree.map(lambda a: np.asarray(a)[None], trajectory), every)
-    return (jax.tree.map(lambda a: jnp.asarray(a[0]), batch), found[0].words()) if found else (trajectory, "")
+    batch, found = without_jumps(system, integrator, vec.taken(trajectory, None), every)
+    return (jax.tree.map(jnp.asarray, vec.taken(batch, 0)), found[0].words()) if found else (trajectory, "")
 
 
 def without_jumps(
@@ -184,7 +185,7 @@ def without_jumps(
     """Trajectories along a leading axis, with another result where one passes a jump of the Hamiltonian; and these
     jumps."""
     energy, axes = Energy(integrator.energy, system, integrator.retraction), integrator.control_times.ndim
-    controls = jax.tree.map(lambda a: np.asarray(a)[:, :, *axes * (0,)], batch.controls)
+    controls = vec.taken(batch.controls, np.s_[:, :, *axes * (0,)])
     segments, count = Segments.between((batch.q, batch.p), controls), batch.times.shape[1] - 1
     found, solved = dict[int, Passed](), np.broadcast_to(batch.failed_step < 0, len(batch.times))
     for jump in energy.passed(segments, every > 1):
@@ -282,7 +283,7 @@ def _in_pieces(
         return run_on_tape(found, integrator, step_sizes[0], saves, every, verbose)
     steps = XlaSteps(system, integrator, start, step_size, found)
     nodes, failed, interrupt = run(steps, saves, every, verbose)
-    nodes = nodes._replace(controls=jax.tree.map(lambda a: a[1:], nodes.controls))
+    nodes = nodes._replace(controls=vec.taken(nodes.controls, np.s_[1:]))
     return _recorded(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
 
 
@@ -293,7 +294,7 @@ def run_on_tape(
     kept, failed, interrupt = run(steps, saves, every, verbose)
     nodes, failed = steps.nodes(kept), np.broadcast_to(failed, kept.shape[-1:])
     if not step_size.ndim:
-        nodes, failed = jax.tree.map(lambda a: a[0], (nodes, failed))
+        nodes, failed = vec.taken((nodes, failed), 0)
     return _recorded(integrator, step_size, every, nodes, failed, interrupt, steps.evaluator)
 
 

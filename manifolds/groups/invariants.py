@@ -11,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..numerics.rank import null_space, numerical_rank
+
 STRUCTURE = 1e-10  # relative: less in the matrices of a basis is rounding of what a user writes
 
 
@@ -30,10 +32,10 @@ def find_invariants(basis: np.ndarray) -> Invariants:
     on_forms = [np.kron(a.conj().T, eye) + np.kron(eye, a.T) for a in basis]
     on_coforms = [np.kron(a, eye) + np.kron(eye, a.conj()) for a in basis]
     return Invariants(
-        _null_space(np.concatenate(list(basis))),
-        _null_space(np.concatenate([a.T for a in basis])),
-        _null_space(np.concatenate(on_forms)).reshape(-1, n, n),
-        _null_space(np.concatenate(on_coforms)).reshape(-1, n, n),
+        _null_rows(np.concatenate(list(basis))),
+        _null_rows(np.concatenate([a.T for a in basis])),
+        _null_rows(np.concatenate(on_forms)).reshape(-1, n, n),
+        _null_rows(np.concatenate(on_coforms)).reshape(-1, n, n),
         bool(np.max(np.abs(np.trace(basis, axis1=1, axis2=2))) <= STRUCTURE * np.max(np.abs(basis))),
     )
 
@@ -53,7 +55,7 @@ def invariant_dimension(found: Invariants, n: int, is_complex: bool) -> int:
         )
         flat = np.concatenate([part.ravel() for part in parts])
         rows.append(np.concatenate([flat.real, flat.imag]))
-    return len(units) - int(np.linalg.matrix_rank(np.array(rows), tol=STRUCTURE))
+    return len(units) - numerical_rank(np.array(rows), unit=1.0, limit=STRUCTURE).rank
 
 
 def equations(found: Invariants, x: Array) -> Array:
@@ -75,8 +77,6 @@ def equations(found: Invariants, x: Array) -> Array:
     return jnp.concatenate([flat.real, flat.imag]) if jnp.iscomplexobj(flat) else flat
 
 
-def _null_space(matrix: np.ndarray) -> np.ndarray:
+def _null_rows(matrix: np.ndarray) -> np.ndarray:
     """Orthonormal basis, by rows, of the vectors that a matrix takes to zero."""
-    _, s, vh = np.linalg.svd(matrix)
-    rank = int(np.sum(s > STRUCTURE * max(s[0], 1e-300)))
-    return vh[rank:].conj()
+    return null_space(matrix, limit=STRUCTURE).T

@@ -5,6 +5,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 
 from ..numerics.errors import InvalidInputError
+from ..numerics.rank import numerical_rank
 from .invariants import STRUCTURE, Invariants, find_invariants, invariant_dimension
 
 
@@ -20,7 +21,7 @@ class LieAlgebra:
         if not np.all(np.isfinite(basis)):
             raise InvalidInputError("the basis of a Lie algebra has entries that are NaN or infinite")
         self.basis = basis
-        rank = np.linalg.matrix_rank(self._rows(basis), tol=STRUCTURE * np.max(np.abs(basis)))
+        rank = numerical_rank(self._rows(basis), limit=STRUCTURE).rank
         if rank < len(basis):
             raise InvalidInputError(
                 f"the {len(basis)} matrices of a Lie algebra's basis must be independent; their rank is {rank}"
@@ -62,7 +63,7 @@ class LieAlgebra:
     def contains(self, a: np.ndarray) -> bool:
         """Whether a matrix lies in the algebra, up to rounding."""
         c = np.real(np.tensordot(self.dual.conj(), a, 2))
-        return bool(np.max(np.abs(a - np.tensordot(c, self.basis, 1))) <= STRUCTURE * (np.max(np.abs(a)) + 1e-300))
+        return bool(np.max(np.abs(a - np.tensordot(c, self.basis, 1))) <= STRUCTURE * np.max(np.abs(a)))
 
     @cached_property
     def acts_unitarily(self) -> bool:

@@ -15,7 +15,7 @@ from ..numerics.attribute import attribute
 from ..numerics.errors import shapes_of
 from ..numerics.matrices import exponential
 from ..numerics.precision import complex_entries, real
-from ..numerics.tolerances import tolerance
+from ..numerics.tolerances import HALF, tolerance
 from . import invariants
 from .lie_algebra import LieAlgebra, lie_algebra
 
@@ -132,7 +132,7 @@ class MatrixLieGroup(HomogeneousSpace):
         units = jnp.concatenate([units, 1j * units]) if jnp.iscomplexobj(x) else units
         slopes = jax.vmap(lambda e: jax.jvp(self.equations, (x,), (e,))[1])(units)
         # The equations are dependent, as x'x = I is by symmetry: the step of least norm that solves them.
-        return x - vec.combine(units, jnp.linalg.pinv(slopes.T, rtol=tolerance(x, 0.5)) @ self.equations(x))
+        return x - vec.combine(units, jnp.linalg.pinv(slopes.T, rtol=tolerance(x, HALF)) @ self.equations(x))
 
     def violations(self, x: Array) -> dict[str, Array]:
         return {"max |equations of the group|": vec.size(self.equations(x))}

@@ -5,7 +5,7 @@ vector.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
@@ -93,8 +93,23 @@ def scale(s: ArrayLike, a: Ambient) -> Ambient:
 
 
 def entries(tree: Any, index: Any) -> Any:
-    """``leaf[index]`` of every array of a tree."""
+    """``leaf[index]`` of every array of a tree in a function of JAX, where arrays may be traced."""
     return jax.tree.map(lambda leaf: leaf[index], tree)
+
+
+def taken(tree: Any, index: Any) -> Any:
+    """``leaf[index]`` of every array of a tree, as one of NumPy: nothing is compiled for it."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree)
+
+
+def joined(trees: Sequence[Any]) -> Any:
+    """Trees of NumPy arrays one after the other, along their leading axes; one alone as it is."""
+    return trees[0] if len(trees) == 1 else jax.tree.map(lambda *leaves: np.concatenate(leaves), *trees)
+
+
+def stacked(trees: Sequence[Any]) -> Any:
+    """Trees of NumPy arrays beside each other, along a new leading axis."""
+    return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
 
 
 def zeros(ambient: PyTree) -> Ambient:

@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 
 from .matrices import lyapunov
 from .root import solve_small
+from .tolerances import HALF, tolerance
 
 Frame = Float[Array, "n p"]
 Matrix = Float[Array, "n n"]
@@ -44,7 +45,7 @@ def made_orthonormal(y: Frame) -> Frame:
     Functions of a large matrix with small eigenvalues, as of a rotation in a plane, lose as many digits as it has.
     """
     defect = y.conj().T @ y - jnp.eye(y.shape[1], dtype=y.dtype)
-    seen = jnp.max(jnp.abs(jax.lax.stop_gradient(defect))) <= float(jnp.finfo(y.dtype).eps ** 0.5)
+    seen = jnp.max(jnp.abs(jax.lax.stop_gradient(defect))) <= tolerance(y, HALF)
     return jnp.where(seen, y - y @ defect / 2, jnp.nan)
 
 

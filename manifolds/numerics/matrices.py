@@ -10,7 +10,7 @@ from jaxtyping import Array, Shaped
 
 from . import ambient as vec
 from . import series
-from .tolerances import tolerance
+from .tolerances import HALF, tolerance
 
 Matrix = Shaped[Array, "n n"]
 
@@ -64,7 +64,7 @@ def exponential(a: Matrix) -> Matrix:
     norm = vec.size(jnp.sum(jnp.abs(jax.lax.stop_gradient(a)), axis=0))
     halvings = jnp.clip(jnp.ceil(jnp.log2(jnp.maximum(norm, _PADE_RADIUS) / _PADE_RADIUS)), 0, _SQUARINGS)
     # Rounding of a changes the exponential by eps |a|; every squaring doubles rounding, which comes to the same.
-    known = norm <= min(_PADE_RADIUS * 2.0**_SQUARINGS, 1 / tolerance(a, 0.5))
+    known = norm <= min(_PADE_RADIUS * 2.0**_SQUARINGS, 1 / tolerance(a, HALF))
     a = jnp.where(known, a * 2.0**-halvings, jnp.nan)
     eye, square = jnp.eye(a.shape[0], dtype=a.dtype), a @ a
     fourth = square @ square
@@ -139,7 +139,7 @@ def _lyapunov_by_sign(a: Matrix, c: Matrix) -> Matrix:
 
     Of two blocks only one has to be inverted; scaled so that both have one norm [Roberts 1980; Higham 2008, 5.5].
     """
-    close, eye = float(jnp.finfo(c.dtype).eps ** 0.5), jnp.eye(a.shape[0], dtype=a.dtype)
+    close, eye = tolerance(c, HALF), jnp.eye(a.shape[0], dtype=a.dtype)
 
     def step(state: tuple[Matrix, Matrix, Array, Array]) -> tuple[Matrix, Matrix, Array, Array]:
         a, c, _, count = state

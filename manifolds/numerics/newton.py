@@ -15,8 +15,10 @@ MAX_CHORDS = 16
 CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 # Ratios of successive steps: renew the Jacobian above the one, do not take the step above the other.
 SLOW, STALLED = 0.2, 0.5
+QUADRATIC_POWER = 0.65  # of eps: a step, in the unknowns' sizes, from which on one that hardly shrinks is rounding
+SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
 # Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
-ROUNDING = 8.0
+PROBE = 8.0
 
 Vector = Float[Array, " k"]
 
@@ -75,9 +77,9 @@ def _chords(
     residual: Callable[[Vector], Vector], solve: Callable[[Vector], Vector], state: _Iteration, exact: bool
 ) -> _Iteration:
     """Steps with one Jacobian, ``exact`` at the first of them, until they converge or shrink too slowly."""
-    quadratic, smallest = tolerance(state.c, 0.65), tolerance(state.c, 1.0) / 4
+    quadratic, smallest = tolerance(state.c, QUADRATIC_POWER), SMALLEST_PART * tolerance(state.c, 1.0)
     turns = 1.0 - 2.0 * (jnp.arange(state.c.size) % 2)
-    patterns = ROUNDING * tolerance(state.c, 1.0) * jnp.stack([0.0 * turns, turns, -turns, jnp.ones_like(turns)])
+    patterns = PROBE * tolerance(state.c, 1.0) * jnp.stack([0.0 * turns, turns, -turns, jnp.ones_like(turns)])
     patterns = patterns.astype(state.c.dtype)
 
     def chord(s: _Iteration) -> _Iteration:
@@ -99,7 +101,7 @@ def _chords(
         missed = jnp.where(s.probed > 0, s.missed, d)
         # Each entry by itself: that of an unknown that is next to nothing changes by any amount.
         changed = jnp.maximum(s.changed, jnp.abs(d - missed))
-        rounding = jnp.all(jnp.abs(missed) <= ROUNDING * jnp.maximum(changed, smallest))
+        rounding = jnp.all(jnp.abs(missed) <= PROBE * jnp.maximum(changed, smallest))
         probed = s._replace(missed=missed, changed=changed, probed=s.probed + 1, converged=rounding)
         return jax.tree.map(lambda a, b: jnp.where(s.probed < 0, a, b), new, probed)
 

@@ -6,6 +6,7 @@ from jaxtyping import Array, Bool
 
 from . import ambient as vec
 from .ambient import Ambient
+from .tolerances import HALF
 
 
 def working_precision() -> np.dtype:
@@ -15,7 +16,7 @@ def working_precision() -> np.dtype:
 
 def default_tolerance() -> float:
     """Square root of the machine epsilon of the precision in use."""
-    return float(np.finfo(working_precision()).eps ** 0.5)
+    return float(np.finfo(working_precision()).eps ** HALF)
 
 
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:

@@ -18,12 +18,16 @@ class Rank(NamedTuple):
     gap: float
 
 
-def numerical_rank(matrix: np.ndarray, unit: float = 0.0) -> Rank:
-    """Number of singular values above the tolerance times the largest of them, or times ``unit`` if that is larger."""
+def numerical_rank(matrix: np.ndarray, unit: float = 0.0, limit: float | None = None) -> Rank:
+    """Number of singular values above ``limit`` times the largest of them, or times ``unit`` if that is larger.
+
+    ``limit``: by default that for matrices of derivatives.
+    """
     if not matrix.size:
         return Rank(0, np.zeros(0), np.inf)
     values = np.linalg.svd(matrix, compute_uv=False)
-    rank = int(np.sum(values > tolerance(values, RANK) * max(values[0], unit)))
+    relative = tolerance(values, RANK) if limit is None else limit
+    rank = int(np.sum(values > relative * max(values[0], unit)))
     dropped = values[rank] if rank < len(values) else 0.0
     return Rank(rank, values, float((values[rank - 1] if rank else unit) / dropped) if dropped else np.inf)
 
@@ -45,9 +49,9 @@ def is_regular(values: np.ndarray) -> bool:
     return bool(values.size == 0 or values[-1] > tolerance(values, REGULAR) * values[0] > 0)
 
 
-def null_space(matrix: np.ndarray, unit: float = 0.0) -> np.ndarray:
-    """Orthonormal basis of the null space, one column each."""
+def null_space(matrix: np.ndarray, unit: float = 0.0, limit: float | None = None) -> np.ndarray:
+    """Orthonormal basis of the null space, one column each, with the rank that ``numerical_rank`` finds."""
     if not matrix.size:
         return np.eye(matrix.shape[1])
     _, _, directions = np.linalg.svd(matrix)
-    return directions[numerical_rank(matrix, unit).rank :].T
+    return directions[numerical_rank(matrix, unit, limit).rank :].conj().T

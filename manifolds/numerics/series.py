@@ -13,6 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 _TERMS = 11
+_NEAR = 1e-2  # squares up to which the terms of the arcsine are enough
 _ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240, 6435 / 557056)
 
 
@@ -67,7 +68,7 @@ def sinhc(s: Array) -> Array:
 def arsinhc(s: Array) -> Array:
     """``arsinh(sqrt(s)) / sqrt(s)``."""
     coefficients = tuple((-1.0) ** k * c for k, c in enumerate(_ARCSINE))
-    return _switch(s, 1e-2, coefficients, lambda s: jnp.arcsinh(jnp.sqrt(s)) / jnp.sqrt(s))
+    return _switch(s, _NEAR, coefficients, lambda s: jnp.arcsinh(jnp.sqrt(s)) / jnp.sqrt(s))
 
 
 def sine_remainder(s: Array) -> Array:
@@ -87,7 +88,7 @@ def cotangent_remainder(s: Array) -> Array:
 
 def angle_over_sine(s: Array, cosine_of_angle: Array) -> Array:
     """``t / sin(t)`` for ``t`` in [0, pi), from ``s = sin(t)^2`` and ``cos(t)``: accurate from 0 to the edge."""
-    near = (s < 1e-2) & (cosine_of_angle > 0)
+    near = (s < _NEAR) & (cosine_of_angle > 0)
     small = jnp.polyval(jnp.asarray(_ARCSINE[::-1], s.dtype), jnp.where(near, s, 0.0))
     safe, c = jnp.where(near, 1.0, s), jnp.where(near, 0.0, cosine_of_angle)
     root = jnp.sqrt(jnp.where(safe > 0, safe, 1.0))

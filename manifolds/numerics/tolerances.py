@@ -1,6 +1,6 @@
-"""Tolerances that have one meaning in several rooms, from the tightest on; those of one algorithm stand beside it.
+"""Tolerances that have one meaning in several files, from the tightest on; those of one algorithm stand beside it.
 
-They are relative to what a number is made of.
+They are relative to what a number is made of, and most are multiples or powers of eps, which is 2e-16.
 """
 
 from typing import Any
@@ -10,8 +10,9 @@ import numpy as np
 
 EPS = float(np.finfo(float).eps)  # of double precision, in which what is not traced by JAX computes
 
-ROUNDING = 100.0  # times eps: what sums and products of a few terms lose
-FINEST = 256.0  # times eps, and the length of a line: as close as two points on it come that tell a jump from a slope
+ROUNDING = 100.0  # times eps, 2e-14: what sums and products of a few terms lose
+FINEST = 256.0  # times eps, 6e-14, and a line: as close as two points on it come that tell a jump from a slope
+SAME_TIME = 1e-12  # 5000 times eps, of the whole: what the sums of steps that times are may differ by
 REGULAR = 0.6  # power of eps, 4e-10: the smallest singular value, or pivot, of a matrix that is solved with
 HALF = 0.5  # power of eps, 1e-8: half of the digits, which differences, products of rows and derivatives by them leave
 RANK = 0.45  # power of eps, 9e-8: the smallest singular value that counts for the rank of a matrix of derivatives

@@ -12,7 +12,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.frames import complement, polar_factor, qr_factor
 from ...manifolds.numerics.matrices import exponential
 from ...manifolds.numerics.root import approach_root
-from ...manifolds.numerics.tolerances import tolerance
+from ...manifolds.numerics.tolerances import HALF, tolerance
 from ..groups.functions import rotations
 from ..retraction import Retraction, nan_unless, newton_preimage
 from ..rounding import keeps_half_the_digits, length
@@ -89,7 +89,7 @@ class StiefelCanonicalExponential(Retraction):
     def preimage(self, x: Array, y: Array) -> Array:
         v = newton_preimage(self, x, y, start=self._near(*jax.lax.stop_gradient((x, y))))
         # A little beyond the domain, whose last vectors rounding moves over its edge.
-        return nan_unless(self._squared_length(x, v) < 0.8 * jnp.pi**2 * (1 + tolerance(v, 0.5)), v)
+        return nan_unless(self._squared_length(x, v) < 0.8 * jnp.pi**2 * (1 + tolerance(v, HALF)), v)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return self._squared_length(x, v) < 0.8 * jnp.pi**2

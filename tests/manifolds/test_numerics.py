@@ -10,6 +10,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics import series
+from retrax.manifolds.numerics.compiler import known_options
+from retrax.manifolds.numerics.differences import central_difference, central_nodes, slope
+from retrax.manifolds.numerics.rank import null_space, numerical_rank
 from retrax.manifolds.numerics.root import find_root
 
 from tests.support.numerics import SEEDS, compiled
@@ -249,3 +252,65 @@ def test_the_size_of_what_is_not_a_number_is_none(batch, shape):
     np.testing.assert_array_equal(size(a), np.max(np.abs(a - 1.0), axis=tuple(range(1, a.ndim))))
     for broken in (np.full_like(a, np.nan), np.where(a % np.prod(shape) == 2, np.nan, a)):
         assert np.all(np.isnan(size(broken)))
+
+
+@pytest.mark.parametrize("kind", [np.asarray, jnp.asarray])
+@pytest.mark.parametrize("index", [1, slice(1, None), None, [2, 0], np.array([True, False, True])], ids=str)
+def test_entries_are_taken_from_every_array_as_numpy_arrays(kind, index):
+    tree = {"a": np.arange(3.0), "b": (np.arange(12.0).reshape(3, 4),)}
+    found = vec.taken(jax.tree.map(kind, tree), index)
+    for leaf, whole in zip(jax.tree.leaves(found), jax.tree.leaves(tree), strict=True):
+        assert isinstance(leaf, np.ndarray | np.generic)
+        np.testing.assert_array_equal(leaf, whole[index])
+
+
+def test_trees_are_joined_along_their_axes_and_stacked_along_a_new_one():
+    trees = [{"a": np.full((k, 2), k), "b": np.full(k, -k)} for k in (1, 2, 3)]
+    joined, stacked = vec.joined(trees), vec.stacked(3 * trees[:1])
+    np.testing.assert_array_equal(joined["b"], [-1, -2, -2, -3, -3, -3])
+    assert joined["a"].shape == (6, 2)
+    assert stacked["a"].shape == (3, 1, 2)
+    assert vec.joined(trees[:1]) is trees[0]
+
+
+@pytest.mark.parametrize(("order", "reach"), [(2, 1), (4, 3), (6, 3), (6, 4), (8, 4)])
+def test_a_central_difference_is_exact_for_polynomials_of_its_order_and_of_no_higher_odd_degree(order, reach):
+    h, places = 0.25, 0.25 * central_nodes(reach)
+    for degree in range(order + 1):
+        values = np.stack([places**degree, 2 * places**degree], axis=1)
+        found = central_difference(values, h, order)
+        np.testing.assert_allclose(found, (degree == 1) * np.array([1.0, 2.0]), atol=1e-13)
+        np.testing.assert_array_equal(found, central_difference(values.T, h, order, 1))
+    assert abs(central_difference(places ** (order + 1), h, order)) > 1e-3 * h**order
+
+
+def test_the_slope_of_errors_is_that_of_those_above_rounding():
+    t = 2.0 ** -np.arange(6)
+    errors = np.maximum(3 * t**2, 0.02)
+    assert slope(t, errors, 0.02) == pytest.approx(2, abs=1e-12)
+    assert slope(t, errors, 0.1) == pytest.approx(2, abs=1e-12)
+    assert slope(t, errors, 0.5) == np.inf
+    assert slope(t, errors, 0.5, 2) == pytest.approx(2, abs=1e-12)
+
+
+def test_a_rank_counts_singular_values_above_a_limit_relative_to_the_largest_or_to_a_unit():
+    matrix = np.diag([1e-3, 1e-6, 1e-12]) @ np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]
+    assert numerical_rank(matrix).rank == 2
+    assert numerical_rank(matrix, limit=1e-10).rank == 3
+    assert numerical_rank(matrix, limit=1e-8, unit=1e3).rank == 1
+    assert numerical_rank(matrix, limit=1e-2).rank == 1
+
+
+def test_a_null_space_is_one_of_complex_matrices_too():
+    draw = np.random.default_rng(1).standard_normal((2, 2, 4))
+    matrix = draw[0] + 1j * draw[1]
+    basis = null_space(matrix, limit=1e-10)
+    assert basis.shape == (4, 2)
+    np.testing.assert_allclose(matrix @ basis, 0.0, atol=1e-14)
+    np.testing.assert_allclose(basis.conj().T @ basis, np.eye(2), atol=1e-14)
+
+
+def test_options_that_the_compiler_does_not_know_are_left_out():
+    known = {"xla_backend_optimization_level": "1"}
+    assert known_options(known) == known
+    assert known_options({**known, "xla_a_wish_that_nobody_has": True}) == known

@@ -433,8 +433,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "the rounding of one unknown ends the search for others": Planted(
         "manifolds/numerics/newton.py",
-        "jnp.abs(missed) <= ROUNDING * jnp.maximum(changed, smallest)",
-        "jnp.abs(missed) <= ROUNDING * jnp.max(changed)",
+        "jnp.abs(missed) <= PROBE * jnp.maximum(changed, smallest)",
+        "jnp.abs(missed) <= PROBE * jnp.max(changed)",
         (f"{NUMERICS}::test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others",),
     ),
     "gaps are not asked of the nodes": Planted(

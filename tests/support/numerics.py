@@ -6,8 +6,9 @@ from functools import lru_cache
 import numpy as np
 from hypothesis import strategies as st
 from retrax.manifolds import Manifold
+from retrax.manifolds.numerics.differences import slope
 from retrax.testing.draws import Sampler, direction
-from retrax.testing.numerics import NODES, compiled, differences, flat, slope, unflat
+from retrax.testing.numerics import NODES, compiled, differences, flat, unflat
 from retrax.testing.numerics import largest as norm
 
 __all__ = [

@@ -10,13 +10,14 @@ from .system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 1e-2
-GENTLY, HALF = 0.1, 0.5  # of its distance to the infeasibility the funnel narrows by, for less cost or for less of that
+# Of its distance to the infeasibility the funnel narrows by so much, for less cost or for less of that.
+GENTLY, FIRMLY = 0.1, 0.5
 RECORD, FAST = 0.9, 1e-2  # times the best residual so far
 SHORTEST = 2.0**-4  # a share of a step
 FOLLOWED = 0.75
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT = 1e-4, 1e-8
-RULES = NARROWER, RECORD, FAST, SHORTEST, ARMIJO, SWITCH, GENTLY, HALF
+RULES = NARROWER, RECORD, FAST, SHORTEST, ARMIJO, SWITCH, GENTLY, FIRMLY
 SHIFTS = RAISE, LOWER, FOLLOWED, FIRST_SHIFT, SMALLEST_SHIFT
 
 

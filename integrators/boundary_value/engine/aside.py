@@ -15,7 +15,7 @@ from .scaling import SHARE, Units
 from .system import Assembled, Iterate, Step
 
 FAR = 30.0  # times its spread: a trajectory is not asked to move by more
-HALF = 0.5  # of its spread: what it is moved aside by
+MOVED = 0.5  # of its spread: what it is moved aside by
 OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
 UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
 MET = 1e-8  # of the size of the nodes: of a guess that lacks less, what a step leaves is rounding
@@ -57,7 +57,7 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Ite
     # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
     far = np.sort(np.where(far > 0, far, np.inf), axis=0)
     middle = far[np.maximum(np.isfinite(far).sum(axis=0) - 1, 0) // 2, range(batch)]
-    size = np.where(np.isfinite(middle), HALF / middle, 0.0)
+    size = np.where(np.isfinite(middle), MOVED / middle, 0.0)
     steps, largest = (
         np.where(found.finite, size[:, None] * a, 0.0) for a in (step.unknowns.reshape(batch, -1), step.largest)
     )

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .batches import taken
+from ....manifolds.numerics.ambient import taken
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, Slacks, stiffness
 from .scaling import Units

@@ -5,6 +5,7 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS
 from .inequalities import Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
@@ -14,7 +15,7 @@ KNOWN = 0.03  # of what known multipliers leave unsolved, or its square if that 
 LOWEST = 1e-12  # such a barrier is no lower
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
-ROUNDING = 4 * float(np.finfo(float).eps)
+REACHED = 4 * EPS  # of the last barrier: one that is above it by no more is the last
 LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
@@ -110,7 +111,7 @@ class Barrier(NamedTuple):
             barrier = slacks.barrier / rate
             told = cheap & (barrier <= TELLS)
             # The last barrier times the rate and back is rounded, to more than it was for some rates.
-            going = solved & (barrier > (1 + ROUNDING) * last) & ~told
+            going = solved & (barrier > (1 + REACHED) * last) & ~told
             if not going.any():
                 return slacks, told & solved
             less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))

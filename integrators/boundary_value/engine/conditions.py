@@ -6,9 +6,10 @@ from typing import Any, ClassVar, cast, final
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined
 from .augmented import is_isolated_minimum
 from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
-from .batches import joined, merged
+from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
@@ -21,6 +22,7 @@ from .system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_cov
 from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
+SOFTEST = 1e-3  # of the largest curvature of a coordinate, in its unit: those of less are shifted by as much
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 
 
@@ -337,7 +339,7 @@ class Conditions:
         if assembled.blocks.held is not None:
             return np.ones(d.shape)
         diagonal = assembled.extent.curvature * d * d / self.measured.cost[:, None]
-        floor = 1e-3 * diagonal.max(axis=1, keepdims=True)
+        floor = SOFTEST * diagonal.max(axis=1, keepdims=True)
         return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
     def length(self, step: Step) -> np.ndarray:

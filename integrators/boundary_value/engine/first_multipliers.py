@@ -13,7 +13,7 @@ import numpy as np
 from .batches import merged
 
 SHIFT = 1.0  # of the Hessian: a move by the unit of a coordinate costs as much as the unit of the cost
-ROUNDING = 1e-9
+NEGATIVE = 1e-9  # of the largest eigenvalue of a block: one that is below zero by less is none
 
 
 def with_first_multipliers(conditions: Any, iterate: Any, assembled: Any, flat: np.ndarray) -> Any:
@@ -35,4 +35,4 @@ def with_first_multipliers(conditions: Any, iterate: Any, assembled: Any, flat: 
 def _is_convex(hessian: np.ndarray) -> np.ndarray:
     """Whether no block, of which the upper triangle counts, has a negative eigenvalue beyond rounding, shape (B,)."""
     values = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 0.0), UPLO="U")
-    return np.all(values[..., 0] >= -ROUNDING * np.abs(values).max(axis=-1), axis=-1)
+    return np.all(values[..., 0] >= -NEGATIVE * np.abs(values).max(axis=-1), axis=-1)

@@ -6,9 +6,9 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER, Missed
-from .batches import joined
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling

@@ -15,9 +15,11 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined, taken
+from ....manifolds.numerics.tolerances import EPS
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
 from .aside import aside, is_lost
-from .batches import joined, merged, put, taken
+from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
 from .inequalities import Slacks
@@ -27,7 +29,7 @@ from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
 SHRINKS = 0.1
-EXACT = 64.0  # times the machine epsilon: a residual that is rounding
+EXACT = 64.0  # times eps: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
@@ -324,7 +326,7 @@ class _Search:
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
         # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
-        exact = state.isolated | (state.residuals.largest <= EXACT * np.finfo(float).eps)
+        exact = state.isolated | (state.residuals.largest <= EXACT * EPS)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
     def hopeless(self, state: State) -> np.ndarray:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from .batches import taken
+from ....manifolds.numerics.ambient import taken
 
 LESS = 0.1  # of the unit of the guess: one that is less by that much judges again
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined, taken
 from ....threads import on_its_own, parts_of
-from .batches import joined, taken
 from .newton import Found, newton
 
 # Points of a part: with fewer, threads wait for one another in Python; the numbers of more do not stay in a cache.

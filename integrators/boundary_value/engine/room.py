@@ -14,7 +14,7 @@ from .system import Assembled, Iterate
 if TYPE_CHECKING:
     from .conditions import Conditions
 
-ROUNDING = 1e-13  # of a curvature: less of it than this is what its sum with another is rounded by
+SUM_ROUNDING = 1e-13  # of a curvature: less of it than this is what its sum with another is rounded by
 
 
 def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
@@ -50,7 +50,7 @@ def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k:
     around = assembled.nodes, assembled.costates, assembled.paid
     both = conditions.blocks(iterate._replace(slacks=alone), *around).hessian, assembled.blocks.hessian
     pulled, own = (np.diagonal(a, axis1=2, axis2=3)[..., n:].reshape(*held.values.shape[:3], -1) for a in both)
-    curvature = np.where(np.abs(pulled - own) > ROUNDING * np.abs(own), pulled - own, 0.0)
+    curvature = np.where(np.abs(pulled - own) > SUM_ROUNDING * np.abs(own), pulled - own, 0.0)
     slope, value = held.jacobian[..., k, -curvature.shape[3] :], np.abs(held.values[..., k, None])
     with np.errstate(all="ignore"):
         curvature = curvature / held.weights[..., k, None]

@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from ....aligned import scratch
+from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain, whole
 
 if TYPE_CHECKING:
     from .elimination import BlockSystem
 
 SHARE = 1e-3  # of the natural unit: a coordinate that moves by less is not measured by its own size
-NOISE = 0.5  # power of the machine epsilon: what is reached less than this, beside the terms of it, is not reached
 
 
 @final
@@ -75,7 +75,7 @@ def _reach(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> Float[n
     between = np.minimum(reached[:, 0, :, :-1], reached[:, 1, :, 1:]) if reached.shape[3] > 1 else reached[:, 0]
     largest = between.max(axis=2)
     reach, terms = np.sqrt(np.where(np.isfinite(largest), np.maximum(largest, 0.0), 0.0)).transpose(1, 0, 2)
-    return np.where(reach > np.finfo(float).eps ** NOISE * terms, reach, 0.0)
+    return np.where(reach > EPS**HALF * terms, reach, 0.0)
 
 
 def _variances(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> np.ndarray:

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ...layout import Layout
 from .system import Assembled, Iterate, Step
 from .transcription import Data, Moves, Nodes
 
 DIAMETER = 2.0  # times the size of a point, which is the radius of the sphere that it stays on
-ROUNDING = np.sqrt(np.finfo(float).eps)
+UNCHANGED = EPS**HALF  # relative: sizes that differ by less are the same, and entries that move by less do not
 
 
 def followed(
@@ -60,7 +61,7 @@ def _turns(parts: list[Part], same: list[np.ndarray]) -> np.ndarray:
     """
     largest = np.zeros(len(parts[0][1]))
     for (layout, points, support, moves), steady in zip(parts, same, strict=True):
-        touched = np.einsum("bne,ce->cbn", support > ROUNDING, layout.in_columns) > 0
+        touched = np.einsum("bne,ce->cbn", support > UNCHANGED, layout.in_columns) > 0
         squares = np.einsum("b...e,ce->cb...", points * points, layout.in_columns)
         for k in range(len(layout.places)):
             own = steady & (layout.array_of_columns == k)[:, None]
@@ -81,11 +82,11 @@ def _sizes(layout: Layout, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _steady(layout: Layout, points: np.ndarray) -> np.ndarray:
     """Which columns have the same sizes along the trajectory, by themselves or as a whole array: (columns, B)."""
     both = [sizes.reshape(*sizes.shape[:2], -1) for sizes in _sizes(layout, points)]
-    return np.any([np.ptp(sizes, axis=2) <= ROUNDING * sizes.max(axis=2, initial=0.0) for sizes in both], axis=0)
+    return np.any([np.ptp(sizes, axis=2) <= UNCHANGED * sizes.max(axis=2, initial=0.0) for sizes in both], axis=0)
 
 
 def _kept(layout: Layout, points: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Which columns of points, by themselves or as a whole array, have the sizes that they had: (columns, B)."""
     pairs = zip(_sizes(layout, points), _sizes(layout, moved), strict=True)
-    same = [np.abs(after - before) <= ROUNDING * before for before, after in pairs]
+    same = [np.abs(after - before) <= UNCHANGED * before for before, after in pairs]
     return np.any([np.all(own.reshape(*own.shape[:2], -1), axis=2) for own in same], axis=0)

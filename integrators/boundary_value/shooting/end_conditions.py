@@ -144,7 +144,7 @@ def points_at_ends(c: Classification, conditions: EndConditions, move: Retractio
 
     Raises ``InvalidInputError`` where the boundary data contradict the equations of ``P_f``.
     """
-    starts = jax.tree.map(lambda leaf: jnp.asarray(leaf[: MOST_STARTS - 1]), c.stratum.states[1])
+    starts = jax.tree.map(jnp.asarray, vec.taken(c.stratum.states[1], slice(MOST_STARTS - 1)))
     if not c.zero_costate_excluded:
         starts = jax.tree.map(lambda leaf: jnp.concatenate([jnp.zeros_like(leaf[:1]), leaf]), starts)
     found = []
@@ -207,7 +207,7 @@ def _chosen(c: Classification, condition: NodeCondition, nodes: Node) -> Pair:
     worst = np.nan_to_num(np.max(np.abs(nodes.values), axis=1, initial=0.0), nan=np.inf)
     met = np.flatnonzero(worst <= CONTRADICTED)
     best = int(met[0]) if met.size else int(np.argmin(worst))
-    z = jax.tree.map(lambda leaf: jnp.asarray(leaf[best]), nodes.z)
+    z = jax.tree.map(jnp.asarray, vec.taken(nodes.z, best))
     if met.size:
         return z
     values = zip(c.equations.names, nodes.values[best], strict=True)

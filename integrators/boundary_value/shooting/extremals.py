@@ -240,11 +240,7 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
     broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, request.problem, method.retraction)
-    jumps = (
-        []
-        if broken
-        else energy.passed(Segments.between(*jax.tree.map(lambda a: a[None], (outcome.nodes, outcome.controls))))
-    )
+    jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
     if jumps:
         return False, f"The conditions hold at the points, but {jumps[0].words()}."
     return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]

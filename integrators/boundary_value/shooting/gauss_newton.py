@@ -21,6 +21,7 @@ MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
 FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-4, 1e2, 10.0
 STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
+DECREASE = 1e-6  # of the conditions: what a step takes away at least
 PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
 SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
 
@@ -89,7 +90,7 @@ def meet_conditions(
         if result != Result.too_many_iterations or count == max_iterations:
             break
         tried = _evaluate(shooting, conditions, state.iterate, state.frames, weights * d.reshape(weights.shape))
-        if tried.meets(tolerance) or tried.size < (1 - 1e-6) * state.size:
+        if tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size:
             state, damping = tried, damping / FACTOR if damping > FIRST_DAMPING else 0.0
         else:
             damping = max(FACTOR * damping, FIRST_DAMPING)

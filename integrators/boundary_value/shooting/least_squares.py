@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 
 from ....manifolds.numerics.levenberg import Damping, levenberg
 
-NEGLIGIBLE = 1e-11  # singular values below this fraction of the largest are taken for zero
+CUTOFF = 1e-11  # singular values below this fraction of the largest are taken for zero
 DAMPING = Damping(first=1e-3, factor=10.0, largest=1e4, solved=1e-13)  # in units of the largest singular value
 
 
@@ -23,7 +23,7 @@ def least_squares(
 
     def step(jacobian: Float[Array, "m n"], r: Float[Array, " m"], damping: Array) -> Float[Array, " n"]:
         u, s, vt = jnp.linalg.svd(jacobian, full_matrices=False)
-        kept = s > NEGLIGIBLE * s[0]
+        kept = s > CUTOFF * s[0]
         scales = jnp.where(kept, s / jnp.where(kept, s * s + (damping * s[0]) ** 2, 1.0), 0.0)
         return -vt.T @ (scales * (u.T @ r))
 
@@ -39,7 +39,7 @@ def shortest_step(
     With ``damping``, in units of the largest singular value, it is Levenberg's step instead.
     """
     u, s, vt = np.linalg.svd(matrix, full_matrices=False)
-    kept = s > NEGLIGIBLE * np.max(s, initial=0.0)
+    kept = s > CUTOFF * np.max(s, initial=0.0)
     u, s, vt = u[:, kept], s[kept], vt[kept]
     shortest = -vt.T @ (s / (s**2 + (damping * s[0]) ** 2) * (u.T @ residual)) if s.size else np.zeros(matrix.shape[1])
     free = np.zeros_like(shortest) if damping else vt.T @ (vt @ excess) - excess

@@ -11,6 +11,8 @@ from .. import words
 from .classification import Classification, Stratum
 from .levels import Level
 
+SHOWN = 1e-9  # of the size of numbers: smaller ones are shown as zeros
+
 
 def report_text(classification: Classification) -> str:
     """What a reader of a paper wants to know, a line each."""
@@ -147,4 +149,4 @@ def _point(x: object) -> str:
 def _array(a: object, size: float) -> str:
     """Numbers of this size, rounding among them as zeros."""
     values = np.asarray(a)
-    return np.array2string(np.where(np.abs(values) < 1e-9 * size, 0.0, values), precision=4, separator=", ")
+    return np.array2string(np.where(np.abs(values) < SHOWN * size, 0.0, values), precision=4, separator=", ")

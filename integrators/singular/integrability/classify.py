@@ -121,12 +121,12 @@ def _jump(problem: OptimalControlProblem, first: Points, strata: tuple[Stratum, 
     """Words on a jump of the functions between points of ``P_f``, or starts where it has none; empty if there is
     none."""
     states = [stratum.states[0] for stratum in strata] or [first.at.z[0]]
-    q = jax.tree.map(lambda *leaves: np.concatenate([np.asarray(leaf) for leaf in leaves]), *states)
-    count, u = len(jax.tree.leaves(q)[0]), vec.entries(first.at.control, 0)
+    q = vec.joined(states)
+    count, u = len(jax.tree.leaves(q)[0]), vec.taken(first.at.control, 0)
     i, j = np.triu_indices(min(count, MOST_PAIRED), 1)
     # Costates of the starts: those on P_f may vanish, and hide a jump of the dynamics.
-    z = (q, vec.entries(first.at.z[1], np.arange(count) % len(first.slow)))
-    before, after = (jax.tree.map(lambda a, k=k: np.asarray(a)[k], z) for k in (i, j))
+    z = (q, vec.taken(first.at.z[1], np.arange(count) % len(first.slow)))
+    before, after = (vec.taken(z, k) for k in (i, j))
     controls = jax.tree.map(lambda a: np.broadcast_to(a, (len(i), *np.shape(a))), u)
     energy = Energy(OptimalControlProblem.hamiltonian, problem, default_retraction(problem.manifold))
     jumps = energy.passed(Segments(before, after, controls))
@@ -230,7 +230,7 @@ def _known(points: Points) -> Points:
 def _require_finite(points: Points, level: Level) -> None:
     """Raise if the functions of the problem, or derivatives that a level needs, are finite at none of the points."""
     if not np.isfinite(level.residual):
-        q, u = (jax.tree.map(lambda leaf: leaf[0], part) for part in (points.at.z[0], points.at.control))
+        q, u = vec.taken((points.at.z[0], points.at.control), 0)
         raise InvalidInputError(
             f"the problem's functions or their derivatives are not finite at any of {level.tried} points of level "
             f"{level.index}, as at q = {q}, u = {u}: running cost {points.at.cost_rate[0]:.3g}; check their domain, or "

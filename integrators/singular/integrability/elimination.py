@@ -9,10 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS
+
 COUNTED = 1e3  # an entry is not zero if it is this many times what it changes by
 # Ranks are decided where all that counts is at least the first, and all else at most the second.
 CERTAIN, ZERO = 1e4, 1e2
-MOST = 1 / np.finfo(float).eps
+MOST = 1 / EPS
 # Relative changes of all entries, so that the rounding of the elimination itself is not the same in a stack.
 JITTER = 1e-13
 BALANCED = 4  # sweeps that scale rows and columns

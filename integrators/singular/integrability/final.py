@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
 from ..words import ordinal
@@ -92,7 +93,7 @@ def final_equations(points: Points, level: int, ranks: PointRanks) -> FinalEquat
     pivots = _pivots(ranks.pivots, points.at.jet.shape[-1], len(by_jet))
     return FinalEquations(
         array=DerivativeArray(points.array.problem, level),
-        center=jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), points.centers),
+        center=jax.tree.map(jnp.asarray, vec.taken(points.centers, 0)),
         jet=jnp.asarray(points.at.jet[0, : level + 1]),
         rows=jnp.asarray(points.units.rows[0, : level + 1].reshape(-1)),
         columns=jnp.asarray(points.units.jet[0, : level + 1].reshape(-1)),

@@ -133,7 +133,7 @@ class Points:
         """
         level = max(self.level, 0)
         zero = np.max(significance(self.stack("array")[:, :, : level + 1]), axis=(1, 2)) <= ZERO
-        inside = np.isfinite([relative(vec.entries(self.beside, i), self.sizes.rows, level) for i in range(SAMPLES)])
+        inside = np.isfinite([relative(vec.taken(self.beside, i), self.sizes.rows, level) for i in range(SAMPLES)])
         rows = np.maximum(self.sizes.rows, LOOSE * own_sizes(self.at))
         zero &= (np.max(relative(self.at, rows, level), axis=1) <= CONVERGED) & inside.all(axis=(0, 2))
         return (self.residuals <= CONVERGED) & zero & ~self.away & (self.level >= 0)
@@ -247,15 +247,15 @@ def moved(array: DerivativeArray, z: Pair, centers: Ambient, jets: Numbers, d: n
     size = CotangentBundle(array.problem.manifold).dimension + jets[0].size
     d = np.zeros((len(jets), size)) if d is None else d
     filled = np.pad(np.arange(len(jets)), (0, -len(jets) % BATCH))
-    arguments = jax.tree.map(lambda leaf: np.asarray(leaf)[filled], (z, centers, jets, d))
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[: len(jets)], _kernel()(array, *arguments))
+    arguments = vec.taken((z, centers, jets, d), filled)
+    return vec.taken(_kernel()(array, *arguments), slice(len(jets)))
 
 
 def tiny_steps(array: DerivativeArray, centers: Ambient, at: Linearised, units: Units) -> Linearised:
     """The array linearised a tiny random step away, several times, in the frames of the points."""
     steps = RESOLUTION * np.random.default_rng(0).standard_normal((SAMPLES, *units.both.shape)) * units.both
     found = [_turned(moved(array, at.z, centers, at.jet, d), at) for d in steps]
-    return jax.tree.map(lambda *leaves: np.stack(leaves), *found)
+    return vec.stacked(found)
 
 
 def _turned(beside: Linearised, at: Linearised) -> Linearised:
@@ -282,7 +282,7 @@ def with_order(points: Points, order: int) -> Points:
 
 def select(points: Points, which: Any) -> Points:
     """A part of a batch."""
-    centers, at = vec.entries((points.centers, points.at), which)
-    beside = jax.tree.map(lambda leaf: leaf[:, which], points.beside)
+    centers, at = vec.taken((points.centers, points.at), which)
+    beside = vec.taken(points.beside, np.s_[:, which])
     evidence = [part[which] for part in (points.slow, points.away, points.unclear, points.opposed, points.stiff)]
     return Points(points.array, centers, at, beside, points.sizes, points.level, *evidence)

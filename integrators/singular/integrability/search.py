@@ -11,6 +11,8 @@ from .units import Units, units_at
 
 ITERATIONS = 100
 SMALLEST_DAMPING = 1e-3
+FURTHER = 1e-3  # of what counts as converged: the search ends at as little
+ARMIJO = 1e-4  # of a step: what the equations shrink by at least, relative
 PSEUDO_INVERSE_CUTOFF = 1e-9
 LARGEST_SHIFT = 1e-2
 DESCENTS = 30  # steps of descent
@@ -53,13 +55,13 @@ def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) 
     at, damping, slow = points.at, np.where(which, 1.0, 0.0), np.zeros(len(which), int)
     residual = search.residual(at, at)
     for i in range(ITERATIONS):
-        active = (residual > CONVERGED * 1e-3) & (damping > SMALLEST_DAMPING)
+        active = (residual > FURTHER * CONVERGED) & (damping > SMALLEST_DAMPING)
         if not active.any():
             break
         d = np.where(active, damping, 0.0)[:, None] * search.directions(at, i < descents)
         tried = moved(points.array, at.z, points.centers, at.jet, d)
         now, own = search.residual(tried, at), search.residual(tried, tried)
-        better = active & (now < (1 - 1e-4 * damping) * residual)
+        better = active & (now < (1 - ARMIJO * damping) * residual)
         at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
         slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, own, residual)

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ....manifolds.numerics import ambient as vec
 from ..integrability_result import Signature
 from .classification import Stratum
 from .final import final_equations
@@ -14,8 +15,9 @@ from .levels import PointRanks
 from .points import Points
 
 VANISHING_COSTATE = 1e-6
-SAME, FEWEST = 1e-9, 3  # largest difference of directions that are the same, in units, and points that show a piece
-APART = 1e-7  # larger differences are clear: between, a curved piece may be nearly flat
+SAME_DIRECTION = 1e-9  # largest difference of directions that are the same, in units
+FEWEST = 3  # points that show a piece
+APART = 1e-7  # larger differences of directions are clear: between, a curved piece may be nearly flat
 
 
 class Found(NamedTuple):
@@ -84,8 +86,8 @@ def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
         return joint, True
     spaces = np.array(tangents)
     values = np.linalg.svd(np.concatenate([spaces[i], spaces[j]], axis=2), compute_uv=False)
-    joint[i, j] = joint[j, i] = np.sum(values > SAME, axis=1)
-    return joint, not np.any((values > SAME) & (values <= APART))
+    joint[i, j] = joint[j, i] = np.sum(values > SAME_DIRECTION, axis=1)
+    return joint, not np.any((values > SAME_DIRECTION) & (values <= APART))
 
 
 def _stratum(members: list[Found]) -> Stratum:
@@ -96,11 +98,11 @@ def _stratum(members: list[Found]) -> Stratum:
         usual,
     )
     ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
-    z, u, frame = jax.tree.map(lambda leaf: jnp.asarray(leaf[0]), (points.at.z, points.at.control, points.at.frame))
+    z, u, frame = jax.tree.map(jnp.asarray, vec.taken((points.at.z, points.at.control, points.at.frame), 0))
     return Stratum(
         signature=ranks.signature,
         count=len(members),
-        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME)),
+        flat=bool(np.all(np.abs(tangents - ranks.tangents @ (ranks.tangents.T @ tangents)) <= SAME_DIRECTION)),
         k_f=k_f,
         k_f_base=base,
         determined_at=tuple(
@@ -110,7 +112,7 @@ def _stratum(members: list[Found]) -> Stratum:
         p=z[1],
         u=u,
         kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), frame),
-        states=jax.tree.map(lambda *leaves: np.concatenate(leaves), *(item.points.at.z for item in members)),
+        states=vec.joined([item.points.at.z for item in members]),
         equations=final_equations(points, base, history[base]),
         feedback=final_equations(points, k_f, history[k_f]),
     )

@@ -33,7 +33,7 @@ SHRINKS = 64
 # Powers of the machine epsilon up to which steps of any length may depart: of a P_f that is flat to rounding, 1e-11,
 # and the first one, for a start may be beside P_f by what a check of it allows, 9e-8.
 STAYED, STARTED = 0.7, 0.45
-NEGLIGIBLE = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
+SMALLEST_ENTRY = 1e-8  # entries of a state or a costate this much smaller than the others are rounding on P_f
 
 
 @final
@@ -194,5 +194,5 @@ def _entries(batch: Ambient) -> Array:
 def _times(sizes: Array, rates: Array) -> Array:
     """Typical sizes of entries over their rates, NaN where one is zero or rounding."""
     size, rate = jnp.nanmedian(sizes, axis=0), jnp.nanmedian(jnp.where(jnp.isfinite(rates), rates, jnp.nan), axis=0)
-    moving = (rate > 0) & (size > NEGLIGIBLE * jnp.max(size, initial=0.0))
+    moving = (rate > 0) & (size > SMALLEST_ENTRY * jnp.max(size, initial=0.0))
     return jnp.where(moving, size / jnp.where(moving, rate, 1.0), jnp.nan)

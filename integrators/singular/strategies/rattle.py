@@ -14,7 +14,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ....manifolds.numerics.root import find_root
-from ....manifolds.numerics.tolerances import tolerance
+from ....manifolds.numerics.tolerances import HALF, tolerance
 from ....retractions import CotangentLift
 from ...compilation import compiled
 from ...controls import resting_control
@@ -123,7 +123,7 @@ class RattleIntegrator(SingularIntegrator):
         times = _leaf_times(split, (q, p))
         # The rounding of phi, over h, is a motion along the leaf, which the end does not depend on: its time is not
         # asked for.
-        moved_by = jnp.maximum(jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q)), tolerance(times, 0.5))
+        moved_by = jnp.maximum(jnp.abs(h) * vec.size(motion[0]) / positive(vec.size(q)), tolerance(times, HALF))
         sizes = jnp.concatenate([times / moved_by, equations.sizes])
         root, landed = find_root(residual, jnp.concatenate([jnp.zeros(m), equations.first]), sizes)
         moved, (q1, p1, unknowns) = predicted + root[:m], equations.end(root[m:])

@@ -35,6 +35,7 @@ from .leaves import Point
 Near = tuple[Any, Any]  # a point of Q and a control
 
 CONSTANT_POWER = 0.8  # of the machine epsilon: relative changes and brackets that are rounding
+MISSED = 1e-4  # of half of the digits: what the derivative of a potential may miss the cost by
 SAMPLES = 3  # random points at which a reduction is checked
 # Gauss-Legendre quadrature on [0, 1], exact for polynomials of degree 19.
 _NODES, _WEIGHTS = ((np.polynomial.legendre.leggauss(10)[i] + (1 - i)) / 2 for i in (0, 1))
@@ -271,7 +272,7 @@ def _check_potential(reduction: GohReduction, points: tuple[Ambient, ...]) -> No
                 f"the primary constraints of the controls {reduction.singular} do not commute: a bracket is "
                 f"{asymmetric:.3g} of its terms, expected 0; reduce by fewer controls"
             )
-        if missed > 1e-4 * default_tolerance():
+        if missed > MISSED * default_tolerance():
             raise InvalidInputError(
                 f"the potential of the cost of the controls {reduction.singular} misses it by {missed:.3g}: their cost "
                 f"is too rough along their directions for the quadrature with {len(_NODES)} nodes; use the strategy "

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Shaped
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.matrices import exponential
 from ....manifolds.numerics.precision import same_point
-from ....manifolds.numerics.tolerances import tolerance
+from ....manifolds.numerics.tolerances import HALF, tolerance
 
 Matrix = Shaped[Array, "n n"]
 
@@ -30,7 +30,7 @@ def logarithm(a: Matrix) -> Matrix:
     step = jax.lax.stop_gradient(_newton_step(log, a))
     # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d.
     error = vec.size(step)
-    log = log + jnp.where(error < tolerance(a, 0.5), step, 0.0)
+    log = log + jnp.where(error < tolerance(a, HALF), step, 0.0)
     return jnp.where(error < tolerance(a, 0.25), log, jnp.nan)
 
 

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ..manifolds.numerics.differences import slope
 from ..retractions import Retraction
 from ..testing.checks.retraction import LENGTHS, short_errors
 from ..testing.checks.retraction_facts import RetractionFacts
 from ..testing.facts import SEEDS
-from ..testing.numerics import slope
 from .axes import one
 
 

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ..manifolds import InvalidInputError, Manifold, MatrixLieGroup
+from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
 from .numerics import SCALES, coarse_differences, compiled, differences, violation_kernel
@@ -85,7 +86,7 @@ class Facts(ABC):
         """Values of ``kernel(subject, sample)`` at the samples of some kinds, with the samples; the first axis counts
         them."""
         found = [self._measure_kind(kernel, kind) for kind in kinds]
-        return jax.tree.map(lambda *parts: np.concatenate(parts), *found)
+        return vec.joined(found)
 
     def _measure_kind(self, kernel: Callable[..., dict], kind: str) -> Batch:
         name = kernel.__name__
@@ -99,7 +100,7 @@ class Facts(ABC):
             except Exception as error:
                 self._broken[name] = error
                 raise
-            found = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+            found = vec.stacked(rows)
             places = {"place": np.array([site.words for site in self.sites]), "doubtful": self._doubtful}
             self._measured[name, kind] = {**found, **places}
         return self._measured[name, kind]

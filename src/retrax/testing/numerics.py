@@ -1,7 +1,6 @@
-"""Numerics that facts are measured with: compiled kernels, flat real coordinates, differences, slopes."""
+"""Numerics that facts are measured with: compiled kernels, flat real coordinates, differences."""
 
 from collections.abc import Callable
-from functools import lru_cache
 from typing import Any
 
 import jax
@@ -12,34 +11,23 @@ from jaxtyping import Array, Float
 from ..manifolds import Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.compiler import Option, known_options
+from ..manifolds.numerics.differences import FEWEST, central_difference, central_nodes
 from ..manifolds.numerics.precision import working_precision
 
 Vector = Float[Array, " N"]
 
 # The kernels run a few times each: compiling them takes longer than running them, so the compiler is asked for less.
-# An XLA that does not know an option does without.
-_WISHES = {
-    "xla_backend_optimization_level": 0,
+_WISHES: dict[str, Option] = {
+    "xla_backend_optimization_level": "0",
     "xla_llvm_disable_expensive_passes": True,
     "xla_cpu_use_fusion_emitters": False,
 }
 
 
-@lru_cache
-def _compiler_options() -> dict[str, int | bool]:
-    def known(option: str) -> bool:
-        try:
-            jax.jit(lambda x: x + 1, compiler_options={option: _WISHES[option]})(1.0)
-        except jax.errors.JaxRuntimeError:
-            return False
-        return True
-
-    return {option: value for option, value in _WISHES.items() if known(option)}
-
-
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``function`` compiled quickly, with numpy arrays as its values: in double precision, for what is made of them."""
-    fast = jax.jit(function, compiler_options=_compiler_options())
+    fast = jax.jit(function, compiler_options=known_options(_WISHES))
     return lambda *arguments: jax.tree.map(_widened, fast(*arguments))
 
 
@@ -93,12 +81,8 @@ def largest(a: Any) -> float:
     return float(max(np.max(np.abs(leaf), initial=0.0) for leaf in jax.tree.leaves(a)))
 
 
-# Differences of orders 6 and 4: f'(0) = sum_k w_k f(k h) / h.
-NODES = np.array([-3.0, -2.0, -1.0, 1.0, 2.0, 3.0])
-WEIGHTS = np.array([-1.0, 9.0, -45.0, 45.0, -9.0, 1.0]) / 60.0
+NODES = central_nodes(3)  # of differences of orders 6 and 4
 SCALES = 4.0 ** -np.arange(4)  # of a step: the longest at which both orders agree is read
-SHOWN = 3  # least errors that make a slope
-_COARSE = np.array([0.0, 1.0, -8.0, 8.0, -1.0, 0.0]) / 12.0
 
 
 def along(function: Callable[[jax.Array], jax.Array], step: Any) -> jax.Array:
@@ -110,23 +94,14 @@ def along(function: Callable[[jax.Array], jax.Array], step: Any) -> jax.Array:
 
 def differences(values: np.ndarray, h: float) -> np.ndarray:
     """Derivative at 0, to order ``h^6``, of a function with these ``values`` at ``h NODES``."""
-    return np.tensordot(WEIGHTS, values, 1) / h
+    return central_difference(values, h, 6)
 
 
 def coarse_differences(values: np.ndarray, h: float) -> np.ndarray:
     """The same derivative to order ``h^4``; how far it is from the finer one bounds the finer one's error."""
-    return np.tensordot(_COARSE, values, 1) / h
-
-
-def slope(t: np.ndarray, errors: np.ndarray, floor: float) -> float:
-    """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``.
-
-    It is infinite where none is, and where fewer than three are: see ``is_hidden``.
-    """
-    seen = errors > floor
-    return float(np.polyfit(np.log(t[seen]), np.log(errors[seen]), 1)[0]) if seen.sum() >= SHOWN else np.inf
+    return central_difference(values, h, 4)
 
 
 def is_hidden(errors: np.ndarray, floor: float) -> bool:
     """Whether some errors are above the rounding ``floor``, but too few for a slope."""
-    return bool(0 < np.sum(errors > floor) < SHOWN)
+    return bool(0 < np.sum(errors > floor) < FEWEST)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...manifolds import InvalidInputError
+from ...manifolds.numerics.rank import numerical_rank
 from .differences import slopes
 from .manifold import HostSpace, WrappedManifold, WrappedRetraction, moved_points, projectors_of
 
@@ -35,7 +36,7 @@ def _describe_point(host: HostSpace, seed: int) -> str:
         return f"its points have shape {x.shape} where it says {host.shape}"
     units = np.eye(x.size).reshape(-1, *x.shape)
     images = host.project(np.broadcast_to(x, units.shape), units).reshape(-1, x.size)
-    rank = int(np.linalg.matrix_rank(images, tol=_TOLERANCE))
+    rank = numerical_rank(images, unit=1.0, limit=_TOLERANCE).rank
     if rank != host.dimension:
         return (
             f"its tangent vectors at a point span {rank} dimensions where it says {host.dimension}: its arrays are not "

@@ -14,14 +14,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ...manifolds.numerics.differences import central_difference, central_nodes
+
 STEP, SHORTER, SHORTENINGS = 1e-2, 0.25, 6
 # Relative difference at which a first derivative is not made better; for each order more, LOSS times as much.
 ENOUGH = 1e-11
 LOSS = 1e2
 LIMIT = 1e-7  # relative difference above which a derivative of any order is taken for unknown
-NODES = np.array([-4.0, -3.0, -2.0, -1.0, 1.0, 2.0, 3.0, 4.0])
-ORDER_8 = np.array([3.0, -32.0, 168.0, -672.0, 672.0, -168.0, 32.0, -3.0]) / 840.0
-ORDER_6 = np.array([0.0, -1.0, 9.0, -45.0, 45.0, -9.0, 1.0, 0.0]) / 60.0
+NODES = central_nodes(4)
 
 Host = Callable[[np.ndarray], np.ndarray]
 Moved = Callable[[np.ndarray, float], np.ndarray]
@@ -79,7 +79,7 @@ def _difference(
     batch, k = x.shape
     with np.errstate(all="ignore"):  # a long step may end where the library's functions overflow
         around = values(moved(x, step).reshape(-1, k)).reshape(batch, k, len(NODES), *shape)
-        fine, coarse = (np.moveaxis(np.tensordot(around, w / step, ((2,), (0,))), 1, -1) for w in (ORDER_8, ORDER_6))
+        fine, coarse = (np.moveaxis(central_difference(around, step, order, 2), 1, -1) for order in (8, 6))
         axes = tuple(range(1, fine.ndim))
         missed = np.max(np.abs(fine - coarse), axes) / np.maximum(1.0, np.max(np.abs(fine), axes))
     return fine, np.where(np.isfinite(missed), missed, np.inf)

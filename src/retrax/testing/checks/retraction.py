@@ -9,9 +9,10 @@ import numpy as np
 
 from ...manifolds import Metric
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.numerics.differences import slope
 from ...retractions import Retraction, acceleration
 from ..facts import SEEDS, Sample, examine, largest_entries
-from ..numerics import flat, is_hidden, slope, unflat
+from ..numerics import flat, is_hidden, unflat
 from ..precision import precision
 from ..report import Comparison, Inapplicable, Report, entries, fact
 from . import derivatives, inverses
