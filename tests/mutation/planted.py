@@ -65,13 +65,13 @@ PLANTED: dict[str, Planted] = {
         "integrators/singular/strategies/rattle.py",
         "q2, p2 = flow(near, last)",
         "q2, p2 = near",
-        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+        (f"{TESTS}/singular/test_rattle.py::test_steps_keep_both_constraints_with_the_mean_control_of_the_arc",),
     ),
     "the control of RATTLE lacks the second move along the leaf": Planted(
         "integrators/singular/strategies/rattle.py",
         "_Memory(unknowns, (2 * moved + last) / h)",
         "_Memory(unknowns, 2 * moved / h)",
-        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+        (f"{TESTS}/singular/test_rattle.py::test_steps_keep_both_constraints_with_the_mean_control_of_the_arc",),
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/conditions.py",
@@ -195,7 +195,7 @@ PLANTED: dict[str, Planted] = {
         "retractions/constructions/second_order.py",
         "vec.scale(0.5, ",
         "vec.scale(1.0, ",
-        ("tests/retractions/test_order.py",),
+        ("tests/retractions/test_order.py::test_the_correction_takes_half_the_acceleration",),
     ),
     "the acceleration lacks the force of the metric": Planted(
         "retractions/constructions/second_order.py",
