@@ -1,14 +1,18 @@
 """RATTLE on the final constraint manifold of a singular problem on the sphere: a long run, its leaves, wrong input."""
 
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, integrate
-from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator, leaf_flow
+from retrax.integrators.singular import ControlAffineSplitting, NotApplicableError, RattleIntegrator, leaf_flow
+from retrax.integrators.singular.strategies.affine import affine_tolerance
 from retrax.manifolds import (
     ConvergenceError,
     CotangentBundle,
@@ -106,6 +110,31 @@ def test_moving_along_a_leaf_keeps_the_level_and_composes():
     c, s = np.cos(0.15), np.sin(0.15)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
     np.testing.assert_allclose(at_once, (turn @ z[0], turn @ z[1]), atol=1e-14)
+
+
+class Paid(eqx.Module):
+    """The cost of the cubic problem, and of the control."""
+
+    weight: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return CUBIC.running_cost(q, u) + self.weight * u[0] ** 2 / 2
+
+
+def test_it_applies_where_second_derivatives_by_a_control_are_rounding():
+    states = jax.tree.map(lambda a: a[None], (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])))
+    for share in (0.0, 1e-3, 0.05, 20.0, 1e3, 1e9, 1e14):
+        problem = OptimalControlProblem(
+            CUBIC.manifold, CUBIC.dynamics, Paid(jnp.array(share * affine_tolerance())), CUBIC.controls
+        )
+        found: Any = SimpleNamespace(
+            problem=problem, stratum=SimpleNamespace(states=states, count=1, u=jnp.array([-0.5]))
+        )
+        if share < 1:
+            assert RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None).singular == (0,)
+        else:
+            with pytest.raises(NotApplicableError, match="H has a second derivative in every control"):
+                RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None)
 
 
 def test_bad_input_is_refused_with_the_reason():
