@@ -7,6 +7,8 @@ TESTS = "tests/integrators"
 CONDENSING = f"{TESTS}/engine/test_condensing.py"
 ELIMINATION = f"{TESTS}/engine/test_elimination.py"
 BARRIERS = f"{TESTS}/engine/test_barrier.py"
+ACCEPTANCE = f"{TESTS}/engine/test_acceptance.py"
+SCALING = f"{TESTS}/engine/test_scaling.py"
 LIMITS = f"{TESTS}/test_inequalities.py"
 FORCES = f"{LIMITS}::test_forces_are_those_of_the_conditions_as_a_bound_becomes_active"
 BARRIER = f"{LIMITS}::test_the_barrier_falls_to_its_last_value_in_any_unit_of_the_cost"
@@ -65,13 +67,13 @@ PLANTED: dict[str, Planted] = {
         "integrators/singular/strategies/rattle.py",
         "q2, p2 = flow(near, last)",
         "q2, p2 = near",
-        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+        (f"{TESTS}/singular/test_rattle.py::test_steps_keep_both_constraints_with_the_mean_control_of_the_arc",),
     ),
     "the control of RATTLE lacks the second move along the leaf": Planted(
         "integrators/singular/strategies/rattle.py",
         "_Memory(unknowns, (2 * moved + last) / h)",
         "_Memory(unknowns, 2 * moved / h)",
-        (f"{TESTS}/singular/test_rattle.py::test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc",),
+        (f"{TESTS}/singular/test_rattle.py::test_steps_keep_both_constraints_with_the_mean_control_of_the_arc",),
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/conditions.py",
@@ -195,7 +197,7 @@ PLANTED: dict[str, Planted] = {
         "retractions/constructions/second_order.py",
         "vec.scale(0.5, ",
         "vec.scale(1.0, ",
-        ("tests/retractions/test_order.py",),
+        ("tests/retractions/test_order.py::test_the_correction_takes_half_the_acceleration",),
     ),
     "the acceleration lacks the force of the metric": Planted(
         "retractions/constructions/second_order.py",
@@ -372,19 +374,19 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/acceptance_kernels.py",
         "accepted = improves or (inside and residual[m] <= max(record * best[m], tolerance))",
         "accepted = residual[m] < np.inf",
-        (f"{SECOND}", f"{TESTS}/test_swing_up.py"),
+        (ACCEPTANCE,),
     ),
     "a record leads anywhere": Planted(
         f"{ENGINE}/acceptance_kernels.py",
         "inside = shortfall[m] <= max(funnel[m], tolerance)",
         "inside = shortfall[m] < np.inf",
-        (f"{PHASES}::test_a_stage_tends_to_its_bound_from_afar",),
+        (f"{ACCEPTANCE}::test_a_record_counts_inside_the_funnel_only",),
     ),
     "what is rounding measures a coordinate": Planted(
         f"{ENGINE}/extent.py",
         "moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)",
         "moved = np.where(moved > 0 * self.along(columns), moved, 0.0)",
-        (f"{PHASES}::test_a_tilt_of_any_size_that_nothing_moves_measures_nothing",),
+        (f"{SCALING}::test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not_at_all",),
     ),
     "success is claimed wherever residuals are small": Planted(
         f"{ENGINE}/newton.py",

@@ -1,4 +1,4 @@
-"""Plants errors in a copy of the project, one after the other, and runs the tests that should notice them.
+"""Plants errors in a copy of the project, one after the other, and runs the fast tests that should notice them.
 
 ``python tests/mutation/run.py`` prints a line for each error, then those that no test noticed; its exit status is their
 number. ``--only WORDS``: those with these words in their name or file; ``--part K/M``: every M-th, from the K-th on;
@@ -98,8 +98,7 @@ class Copy:
             del sys.modules[name]
         sys.dont_write_bytecode = True
         numba.config.CACHE_DIR = str(self.folder / kernels)
-        slow = [] if any("::" not in test for test in tests) else ["-m", ""]  # of a whole file those that are not
-        options = ["-x", "-q", "-n", "0", *slow, "--assert=plain", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
+        options = ["-x", "-q", "-n", "0", "--assert=plain", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
         return int(pytest.main([*options, *tests]))
 
     def run_with(self, planted: Planted, number: int) -> tuple[int, float]:

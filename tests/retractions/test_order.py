@@ -109,6 +109,12 @@ def test_the_order_at_a_point_is_the_order_there():
     assert order(Exponential(Simplex(1)), at=(jnp.full(2, 0.5), jnp.array([1.0, -1.0]))).order == 2
 
 
+def test_the_correction_takes_half_the_acceleration():
+    # As above, a = (1, 1, -2).
+    x, v = jnp.full(3, 1 / 3), jnp.array([1.0, -1.0, 0.0])
+    np.testing.assert_allclose(compiled(SecondOrder(SOFTMAX).bent)(x, v), v - np.array([1, 1, -2]) / 2, atol=1e-14)
+
+
 @lru_cache
 def _corrected():
     retraction = SecondOrder(QR(SO(3)))

@@ -7,6 +7,7 @@ from retrax.integrators.boundary_value.engine.extent import Extent
 from retrax.integrators.boundary_value.engine.scaling import natural_units
 from retrax.integrators.layout import Layout
 from retrax.manifolds import Sphere
+from retrax.manifolds.numerics.tolerances import EPS, HALF
 
 from .systems import random_system
 
@@ -56,3 +57,17 @@ def test_what_a_coordinate_moves_does_not_know_of_other_members():
         alone = Extent(*(a[m : m + 1] for a in both))
         for together, own in zip(both.moved(layout), alone.moved(layout), strict=True):
             np.testing.assert_array_equal(together[m], own[0])
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("share", [0.0, 1e-3, 0.5, 0.99, 1.01, 2.0, 1e3])
+def test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not_at_all(share, size):
+    support = np.array([[[0.8, 0.1, 0.6], [0.1, 0.9, 0.4]]])
+    highest, spread = np.array([[0.2, 1.0, 0.7]]), share * EPS**HALF * np.array([[0.0, 1.0, 0.5]])
+    none, one = np.zeros((1, 2)), np.zeros(1)
+    found = Extent(size * highest, size * (spread - highest), support, none, none, one, none, none, none)
+    moved, sizes = found.moved(Layout.of(Sphere(2)))
+    # The first coordinate moves by three tenths of the spread, beside 0.8 of the column.
+    expected = np.array([[0.3, 0.9]]) * share * EPS**HALF * size
+    np.testing.assert_allclose(moved, np.where([[share > 0.8 / 0.3, share > 1]], expected, 0.0), rtol=1e-6)
+    np.testing.assert_allclose(sizes, size * np.array([[0.8, 0.9]]))

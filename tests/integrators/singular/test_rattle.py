@@ -1,16 +1,18 @@
 """RATTLE on the final constraint manifold of a singular problem on the sphere: a long run, its leaves, wrong input."""
 
-from collections.abc import Callable
 from functools import cache
+from types import SimpleNamespace
+from typing import Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, integrate
-from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator, leaf_flow
-from retrax.integrators.singular.strategies.leaves import ambient_field
+from retrax.integrators.singular import ControlAffineSplitting, NotApplicableError, RattleIntegrator, leaf_flow
+from retrax.integrators.singular.strategies.affine import affine_tolerance
 from retrax.manifolds import (
     ConvergenceError,
     CotangentBundle,
@@ -24,7 +26,7 @@ from retrax.retractions import Addition, Cayley, CotangentLift, Midpoint, Projec
 
 from tests.integrators.problems import SO3, SPHERE
 from tests.integrators.singular.cases import classified, scaled
-from tests.support.numerics import norm, slope
+from tests.support.numerics import compiled, norm, slope
 
 BUNDLE, LIFT = CotangentBundle(SPHERE), CotangentLift(Midpoint(Projection(SPHERE)))
 AXIS = jnp.array([0.0, 0.0, 1.0])
@@ -46,6 +48,11 @@ PROBLEM = OptimalControlProblem(SPHERE, turned, height_cost, 1)
 COSTLY = OptimalControlProblem(SPHERE, turned, lambda q, u: height_cost(q, u) + u @ u, 1)
 SPLIT = ControlAffineSplitting(PROBLEM, (0,))
 RATTLE = RattleIntegrator(LIFT, (0,))
+# x' = y, y' = u with the cost y^3 / 6 - x / 2.
+CUBIC = OptimalControlProblem(
+    Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1
+)
+CUBIC_RATTLE = RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,))
 
 
 def constraints(q: Array, p: Array) -> Array:
@@ -80,21 +87,17 @@ def test_the_control_of_a_step_is_that_of_the_arc_to_second_order():
     assert slope(steps, np.array(errors), 1e-13) == pytest.approx(2, abs=0.2)
 
 
-def arc_control(q: Array, p: Array) -> Array:
-    """The ``u`` with ``psi' = {psi, H_0} + u {psi, phi} = 0``."""
-
-    def rate(of: Callable) -> Array:
-        return jax.jvp(SPLIT.secondary, (q, p), ambient_field(of, (q, p)))[1]
-
-    return -rate(SPLIT.energy) / rate(lambda q, p: SPLIT.primary(q, p)[0])
-
-
-@pytest.mark.slow
-def test_a_few_steps_keep_both_constraints_with_the_control_of_the_arc():
-    path = integrate(PROBLEM, RATTLE, start(), 0.05, 3)
-    kept, control = jax.jit(jax.vmap(lambda q, p: (constraints(q, p), arc_control(q, p))))(path.q, path.p)
-    assert np.max(np.abs(kept)) < 1e-13
-    np.testing.assert_allclose(path.controls, (control[:-1] + control[1:]) / 2, atol=1e-4)
+def test_steps_keep_both_constraints_with_the_mean_control_of_the_arc():
+    """``y = sqrt(1 - t)`` on ``P_f`` and ``p_x = (1 - t) / 2``; moves along the leaves change ``y`` alone."""
+    h, z = 0.05, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0]))
+    memory = CUBIC_RATTLE.begin(CUBIC, *z)
+    step = compiled(lambda q, p, memory: CUBIC_RATTLE.step(CUBIC, h, q, p, memory))
+    for t in (h, 2 * h):
+        before, new = z[0][1], step(*z, memory)
+        assert new.converged
+        z, memory, y = (new.q, new.p), new.unknowns, np.sqrt(1 - t)
+        np.testing.assert_allclose((z[0][1], *z[1]), (y, y**2 / 2, 0.0), atol=1e-14)
+        np.testing.assert_allclose(CUBIC_RATTLE.control(memory), [(y - before) / h], rtol=1e-12)
 
 
 def test_moving_along_a_leaf_keeps_the_level_and_composes():
@@ -109,6 +112,31 @@ def test_moving_along_a_leaf_keeps_the_level_and_composes():
     np.testing.assert_allclose(at_once, (turn @ z[0], turn @ z[1]), atol=1e-14)
 
 
+class Paid(eqx.Module):
+    """The cost of the cubic problem, and of the control."""
+
+    weight: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return CUBIC.running_cost(q, u) + self.weight * u[0] ** 2 / 2
+
+
+def test_it_applies_where_second_derivatives_by_a_control_are_rounding():
+    states = jax.tree.map(lambda a: a[None], (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])))
+    for share in (0.0, 1e-3, 0.05, 20.0, 1e3, 1e9, 1e14):
+        problem = OptimalControlProblem(
+            CUBIC.manifold, CUBIC.dynamics, Paid(jnp.array(share * affine_tolerance())), CUBIC.controls
+        )
+        found: Any = SimpleNamespace(
+            problem=problem, stratum=SimpleNamespace(states=states, count=1, u=jnp.array([-0.5]))
+        )
+        if share < 1:
+            assert RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None).singular == (0,)
+        else:
+            with pytest.raises(NotApplicableError, match="H has a second derivative in every control"):
+                RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None)
+
+
 def test_bad_input_is_refused_with_the_reason():
     z = start()
     with pytest.raises(NotOnManifoldError, match="phi = dH/du"):
@@ -118,26 +146,22 @@ def test_bad_input_is_refused_with_the_reason():
     with pytest.raises(InvalidInputError, match="name controls by their indices"):
         integrate(PROBLEM, RattleIntegrator(LIFT, (1,)), z, 0.1, 1)
     chain = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[0] ** 2 / 2, 1)
-    higher = RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,))
     with pytest.raises(InvalidInputError, match="higher order"):
-        integrate(chain, higher, (jnp.zeros(2), jnp.zeros(2)), 0.1, 1)
+        integrate(chain, CUBIC_RATTLE, (jnp.zeros(2), jnp.zeros(2)), 0.1, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("h", [0.1, 0.025])
 def test_where_an_arc_ends_the_error_says_so(h):
-    """``x' = y``, ``y' = u``, cost ``y^3 / 6 - x / 2``: ``{phi, psi} = y`` and ``u = -1/(2 y)``, so ``y^2 = 1 - t``."""
-    problem = OptimalControlProblem(
-        Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: q[1] ** 3 / 6 - q[0] / 2, 1
-    )
-    method = Composition(RattleIntegrator(CotangentLift(Midpoint(Addition(Euclidean(2)))), (0,)), (1.0,))
-    arc = integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60, throw=False)
+    """``{phi, psi} = y`` and ``u = -1/(2 y)``, so ``y^2 = 1 - t``."""
+    method = Composition(CUBIC_RATTLE, (1.0,))
+    arc = integrate(CUBIC, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60, throw=False)
     failed = int(arc.failed_step)
     assert abs(failed * h - 1) < 2 * h
     where = rf"step {failed}, from t = {failed * h:.6g}"
     words = rf"{where}: .*leaves the regular part of P_f.*value is 1 at first, 0\.[0-3].* at last"
     with pytest.raises(ConvergenceError, match=words):
-        integrate(problem, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60)
+        integrate(CUBIC, method, (jnp.array([0.0, 1.0]), jnp.array([0.5, 0.0])), h, 60)
 
 
 @pytest.mark.slow

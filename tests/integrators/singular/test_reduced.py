@@ -13,13 +13,16 @@ from retrax.integrators import Composition, Integrator, OptimalControlProblem, i
 from retrax.integrators.extremal_controls import find_control
 from retrax.integrators.singular import (
     ControlAffineSplitting,
+    GohReduction,
     NotApplicableError,
     RattleIntegrator,
     ReducedIntegrator,
     reduce_until_regular,
 )
+from retrax.integrators.singular.strategies.reduction import CONSTANT_POWER
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, NotOnManifoldError, Product
 from retrax.manifolds.numerics import ambient as vec
+from retrax.manifolds.numerics.tolerances import EPS
 from retrax.problems import SINGULAR
 from retrax.retractions import Adjoint, Cayley, CotangentLift, Euler, Midpoint, default_retraction
 
@@ -347,6 +350,25 @@ def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
     *problem, singular = REFUSED[reason]
     with pytest.raises(InvalidInputError, match=reason):
         reduce_until_regular(OptimalControlProblem(*problem), singular)
+
+
+class Along(eqx.Module):
+    """``x' = u``, ``y' = bend x u``: a field that is constant for ``bend`` zero only."""
+
+    bend: Array
+
+    def __call__(self, q: Array, u: Array) -> Array:
+        return jnp.stack([u[0], self.bend * q[0] * u[0]])
+
+
+def test_fields_are_constant_to_rounding_or_not_at_all():
+    for share in (0.0, 1e-3, 0.1, 10.0, 1e3, 1e9, 1e13):
+        problem = OptimalControlProblem(PLANE, Along(jnp.array(share * EPS**CONSTANT_POWER)), QUADRATIC, 1)
+        if share < 1:
+            np.testing.assert_allclose(GohReduction(problem, (0,)).directions, [[1], [0]], atol=1e-13)
+        else:
+            with pytest.raises(InvalidInputError, match="their fields are not constant"):
+                GohReduction(problem, (0,))
 
 
 @pytest.mark.slow

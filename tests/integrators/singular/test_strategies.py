@@ -1,14 +1,18 @@
 """The strategies on P_f: which one is chosen and why, what each preserves, and which one must fail to."""
 
+from functools import lru_cache
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
 from retrax.integrators.initial_value.step import StepResult
 from retrax.integrators.singular import singular_integrator
 from retrax.integrators.singular.integrability.jets import hamiltonian_field
+from retrax.integrators.singular.strategies import STRATEGIES
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Gauss, Midpoint, Theta, default_retraction
@@ -16,6 +20,8 @@ from retrax.retractions import CotangentLift, DiscretizationMap, Exponential, Ga
 from tests.integrators.singular.cases import classified, known, scaled
 from tests.support.numerics import slope
 
+PLANE = Euclidean(2)
+MIDPOINT = Midpoint(default_retraction(PLANE))
 STEPS = np.array([0.2, 0.1, 0.05])
 STARTS = {
     "academic": ([0.7, 0.0], [-0.3, 0.2]),
@@ -205,17 +211,54 @@ def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
     assert np.log2(gaps[0] / gaps[1]) == pytest.approx(2, abs=0.2)
 
 
+class Coiled(eqx.Module):
+    """The paper's example in the coordinate ``w = y + bend x^2``: ``P_f = {w = 0}`` is flat for ``bend`` zero only."""
+
+    bend: Array
+
+    def level(self, q):
+        return q[1] + self.bend * q[0] ** 2
+
+    def __call__(self, q, u):
+        rate = jnp.sin(q[0]) + u[0]
+        return jnp.stack([rate, self.level(q) - 2 * self.bend * q[0] * rate])
+
+    def cost(self, q, u):
+        return (q @ q + u[0] ** 2) / 2 + q[0] * u[0] + self.level(q) * u[1]
+
+
+@lru_cache
+def coiled(bend: float):
+    functions = Coiled(jnp.asarray(bend))
+    return classify(OptimalControlProblem(PLANE, functions, functions.cost, 2))
+
+
+def by_cosine(t, q, p):
+    return jnp.cos(t)
+
+
 def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_given():
-    problem, z = classified("academic").problem, start("academic")
+    found, z = coiled(0.0), tuple(map(jnp.asarray, STARTS["academic"]))
     ends = {}
     for n in (16, 32):
-        path = integrate(problem, chosen("academic", gauge=lambda t, q, p: jnp.cos(t)), z, 1 / n, n)
+        path = integrate(found.problem, singular_integrator(found, MIDPOINT, gauge=by_cosine), z, 1 / n, n)
         ends[n] = np.array([path.q[-1, 0], path.p[-1, 0], path.p[-1, 1]])
         assert np.max(np.abs(path.q[:, 1])) < 1e-15
         np.testing.assert_allclose(path.controls[:, 1], np.cos(path.stage_times), atol=1e-14)
     # The paper's values, and p_y' = -p_y + cos t from 1/5.
     p_y = 0.2 * np.exp(-1) + (np.sin(1) + np.cos(1) - np.exp(-1)) / 2
     np.testing.assert_allclose(ends[32] + (ends[32] - ends[16]) / 3, [0.3473665, -0.3445070, p_y], atol=3e-7)
+
+
+def test_the_choice_flips_where_a_final_manifold_is_curved_by_more_than_rounding(monkeypatch):
+    monkeypatch.delitem(STRATEGIES, "rattle")  # which no gauge control admits, and which takes longest to compile
+    for bend, name in ((0.0, "direct"), (1e-16, "direct"), (1e-10, "project"), (1e-4, "project"), (0.1, "project")):
+        found = coiled(bend)
+        assert {s.signature for s in found.strata} == {(1, 1, 2)}, (bend, str(found))
+        method = singular_integrator(found, MIDPOINT, gauge=by_cosine)
+        assert method.reason.startswith(f"{name}: "), (bend, method.reason)
+        assert ("not direct: " in method.reason) == ("do not compose" in method.reason) == (name != "direct")
+        assert method.presymplectic == (name == "direct")
 
 
 @pytest.mark.slow
@@ -242,7 +285,7 @@ def test_without_a_gauge_the_control_has_least_norm():
 )
 def test_a_gauge_that_is_none_is_refused(gauge, message):
     with pytest.raises(InvalidInputError, match=message):
-        chosen("academic", gauge=gauge)
+        singular_integrator(coiled(0.0), MIDPOINT, gauge=gauge)
 
 
 @pytest.mark.slow

@@ -1,0 +1,44 @@
+"""Trials of a batch are judged by their records: those inside the funnel go on, those that lack more do not."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from retrax.integrators.boundary_value.engine.acceptance import RECORD, Judgement, Merit, judged
+
+TOLERANCE, WIDTH, BEST = 1e-9, 1e-2, 1e-4
+
+
+def judgement(residual: float, shortfall: float) -> Judgement:
+    """Of a whole step that promises less cost and comes to more, lacking ten times what the funnel is wide."""
+    one = np.ones(1)
+    step = SimpleNamespace(reach=one, followed=one)
+    state: Any = SimpleNamespace(
+        step=step,
+        descends=np.ones(1, bool),
+        promised=-one,
+        turned=0 * one,
+        merit=Merit(WIDTH * one, one, 0 * one),
+        funnel=WIDTH * one,
+        fraction=one,
+        best=BEST * one,
+        shift=0 * one,
+    )
+    trial = Merit(10 * WIDTH * one, 2 * one, 0 * one)
+    return judged(state, trial, (residual * one, shortfall * one, 2 * one), False, TOLERANCE)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.99, 1.01, 10.0, 1e6])
+def test_a_record_counts_inside_the_funnel_only(share):
+    found = judgement(BEST / 2, share * WIDTH)
+    assert found.good.tolist() == [share < 1]
+    assert found.best.tolist() == [BEST / 2 if share < 1 else BEST]
+    assert found.fraction.tolist() == [1.0 if share < 1 else 0.5]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.99, 1.01, 10.0, np.inf])
+def test_a_residual_is_a_record_well_below_the_best_one(share):
+    found = judgement(share * RECORD * BEST, WIDTH / 2)
+    assert found.good.tolist() == [share < 1]
+    assert found.funnel.tolist() == [10 * WIDTH if share < 1 else WIDTH]

@@ -1,0 +1,64 @@
+"""Which evaluator is chosen: swept through the sizes of what a tape writes out, with the same numbers on both sides."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, Solver, SymplecticIntegrator, integrate
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, CotangentLift, Midpoint
+from retrax.tape import NotTraceableError, Tape
+from retrax.tape.linear import LARGEST_FACTOR
+from retrax.tape.trace import LONGEST_LOOP
+
+LINE = Euclidean(1)
+MIDPOINT = Midpoint(Addition(LINE))
+TRIANGLE = np.eye(LARGEST_FACTOR + 1) + np.tril(np.random.default_rng(0).uniform(-0.3, 0.3, (LARGEST_FACTOR + 1,) * 2))
+
+
+def solved(rows):
+    """The first two unknowns of a triangular system, which no later row changes."""
+    matrix = TRIANGLE[:rows, :rows]
+
+    def cost(q):
+        x = jax.scipy.linalg.solve_triangular(matrix, jnp.sin(q[0]) * jnp.ones(rows), lower=True)
+        return x[:2] @ x[:2]
+
+    return cost
+
+
+def looped(count):
+    """``3 q``, in many factors."""
+    return lambda q: jax.lax.fori_loop(0, count, lambda i, x: 3 ** (1 / count) * x, q)[0]
+
+
+def test_a_solver_runs_on_the_tape_as_far_as_linear_systems_are_written_out():
+    costs = []
+    for rows in (LARGEST_FACTOR - 1, LARGEST_FACTOR, LARGEST_FACTOR + 1):
+        own = solved(rows)
+        problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u, own=own: u @ u / 2 + own(q), 1)
+        solver = Solver(problem, MIDPOINT, 4)
+        costs.append(solver.solve(np.zeros(1), np.ones(1), 1.0).cost)
+        assert solver.evaluator == ("tape" if rows <= LARGEST_FACTOR else "xla"), (rows, solver.reason)
+        assert (f"{rows} rows" in solver.reason) == (rows > LARGEST_FACTOR)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-12)
+
+
+def test_steps_run_on_the_tape_as_far_as_loops_are_written_out():
+    method, ends = SymplecticIntegrator(CotangentLift(MIDPOINT)), []
+    for count in (LONGEST_LOOP - 1, LONGEST_LOOP, LONGEST_LOOP + 1):
+        own = looped(count)
+        path = integrate(lambda q, p, own=own: p @ p / 2 + own(q), method, (np.zeros(1), np.ones(1)), 0.1, 3)
+        ends.append((path.q[-1, 0], path.p[-1, 0]))
+        assert path.evaluator.startswith("tape" if count <= LONGEST_LOOP else "XLA"), path.evaluator
+        assert (f"{count} iterations" in path.evaluator) == (count > LONGEST_LOOP)
+    np.testing.assert_allclose(ends, [(0.3 - 3 * 0.3**2 / 2, 1 - 3 * 0.3)] * 3, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "factor", [jnp.linalg.cholesky, lambda a: jnp.linalg.qr(a)[1], lambda a: jnp.linalg.solve(a, a[0])]
+)
+def test_no_larger_matrix_is_factorised_on_the_tape(factor):
+    for rows in (LARGEST_FACTOR + 1, 2 * LARGEST_FACTOR):
+        with pytest.raises(NotTraceableError, match=f"of a matrix of {rows} rows, where at most {LARGEST_FACTOR}"):
+            Tape.trace(lambda x, n=rows: factor(jnp.eye(n) + x[0]), np.ones(1))
