@@ -66,6 +66,7 @@ from .results import Result
 from .singular import (
     L_H,
     S_H,
+    Choice,
     Classification,
     MorseTest,
     SingularIntegrator,
@@ -87,6 +88,7 @@ __all__ = [
     "TRIPLE_JUMP",
     "YOSHIDA_6",
     "Checks",
+    "Choice",
     "Classification",
     "Composition",
     "Continuation",

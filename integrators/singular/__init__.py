@@ -4,6 +4,7 @@ from .integrability import L_H, S_H, Classification, FinalEquations, Level, Mors
 from .integrability_result import Signature
 from .strategies import (
     STRATEGIES,
+    Choice,
     ControlAffineSplitting,
     DirectIntegrator,
     FinalDynamics,
@@ -24,6 +25,7 @@ __all__ = [
     "L_H",
     "STRATEGIES",
     "S_H",
+    "Choice",
     "Classification",
     "ControlAffineSplitting",
     "DirectIntegrator",
