@@ -89,7 +89,7 @@ def measure(name, strategies, steps, repeats):
         start = classification.manifold.nearby(jax.tree.map(jnp.asarray, start))
     regular = made_regular(problem), PresymplecticIntegrator(CotangentLift(discretization))
     systems = {"regular": regular} | {
-        s: (problem, singular_integrator(classification, discretization, s)) for s in strategies
+        s: (problem, singular_integrator(classification, discretization, s)[0]) for s in strategies
     }
     runs = {
         key: lambda system=system, method=method: integrate(system, method, start, STEP, steps, save_every=steps).q

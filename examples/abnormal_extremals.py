@@ -118,8 +118,8 @@ def print_classification():
 def abnormal_line(found):
     """An abnormal line at unit speed, integrated on the piece of ``P_f`` that leaves one control free: its nodes."""
     lines = found.choose([stratum.free_controls for stratum in found.strata].index(1))
-    method = singular_integrator(lines, Midpoint(Addition(Q)), gauge=lambda t, q, p: jnp.ones(1))
-    print(f"\non that piece {method.reason}")
+    method, choice = singular_integrator(lines, Midpoint(Addition(Q)), gauge=lambda t, q, p: jnp.ones(1))
+    print(f"\non that piece {choice}")
     start = lines.manifold.nearby((jnp.zeros(3), jnp.array([0.0, 0.0, 1.0])))
     return np.asarray(integrate(found.problem, method, start, 0.1, 10).q)
 

@@ -75,8 +75,8 @@ def examine(problem, start):
     *start, horizon = start
     rate, body_costate, rate_costate = jnp.array(start)
     classification = classify(problem)
-    method = singular_integrator(classification, Midpoint(Cayley(Q)), "rattle")
-    print(f"{classification}\n{method.reason}")
+    method, choice = singular_integrator(classification, Midpoint(Cayley(Q)), "rattle")
+    print(f"{classification}\n{choice}")
     final = classification.manifold
     attitude = jnp.eye(3)
     z = final.nearby(((attitude, rate), (SO(3).covector(attitude, body_costate), rate_costate)))

@@ -61,8 +61,8 @@ def report(name, known, record):
 
 def integrated(record, start, time, steps, gauge=None):
     """The trajectory on P_f from a point of it, by the strategy that the classification chooses."""
-    method = singular_integrator(record, Midpoint(default_retraction(record.problem.manifold)), gauge=gauge)
-    print(f"    {method.reason}")
+    method, choice = singular_integrator(record, Midpoint(default_retraction(record.problem.manifold)), gauge=gauge)
+    print(f"    {choice}")
     return integrate(record.problem, method, start, time / steps, steps)
 
 

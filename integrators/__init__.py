@@ -19,6 +19,7 @@ from .results import Result
 from .singular import (
     L_H,
     S_H,
+    Choice,
     Classification,
     MorseTest,
     SingularIntegrator,
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 __all__ = [
     "L_H",
     "S_H",
+    "Choice",
     "Classification",
     "Free",
     "MorseTest",

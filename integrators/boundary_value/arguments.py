@@ -127,7 +127,7 @@ def check_method(
     if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
         raise InvalidInputError(
             f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
-            "try singular_integrator(classification, discretization), and a Composition of it in integrate"
+            "try method, choice = singular_integrator(classification, discretization); a Composition is for integrate"
         )
 
 

@@ -32,10 +32,11 @@ class Statistics:
 class SingularArc:
     """What is particular to an interior singular extremal, a curve in the final manifold ``P_f``.
 
-    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the ``strategy`` of the
-    integrator with its reason, and whether it is ``presymplectic``. ``conditions``: by how much each boundary condition
-    is violated, relative to 1 + size; ``independent``: how many of them are independent on ``P_f``, to first order.
-    ``second_order``: what the generalised Legendre-Clebsch condition says.
+    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the choice of the
+    ``strategy`` in words, or the class of an integrator that was given, and whether it is ``presymplectic``.
+    ``conditions``: by how much each boundary condition is violated, relative to 1 + size; ``independent``: how many of
+    them are independent on ``P_f``, to first order. ``second_order``: what the generalised Legendre-Clebsch condition
+    says.
     """
 
     dimension: int

@@ -219,7 +219,8 @@ def check_call(integrator: Any, steps: Any, save_every: Any, evaluator: Any) -> 
     """Raise for arguments of the wrong kind, and warn once if numbers are in single precision."""
     if not isinstance(integrator, Integrator):
         raise InvalidInputError(
-            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift)"
+            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift) "
+            "or the first of what singular_integrator returns"
         )
     if evaluator not in (None, "tape", "xla"):
         raise InvalidInputError(f"evaluator must be 'tape', 'xla' or None, got {evaluator!r}")

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -90,7 +89,7 @@ def solve_on_final_manifold(request: Request, c: Classification, integrator: Sin
 def _on_piece(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
     """An extremal on the first piece of ``P_f``."""
     began = time.perf_counter()
-    shooting, reason = _shooting(request, c, integrator)
+    shooting, strategy = _shooting(request, c, integrator)
     first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
     _require_choice(request, c)
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
@@ -99,7 +98,7 @@ def _on_piece(request: Request, c: Classification, integrator: SingularIntegrato
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged
-        return _record(request, c, replace(shooting.integrator, reason=reason), found, outcome, seconds)
+        return _record(request, _arc(request, c, shooting, strategy, found, outcome), shooting, found, outcome, seconds)
 
 
 def _require_choice(request: Request, c: Classification) -> None:
@@ -123,18 +122,17 @@ def _shooting(request: Request, c: Classification, integrator: SingularIntegrato
     """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the
     time.
 
-    With the reason for the integrator.
+    With the choice of the integrator in words.
     """
     length, h = -(-request.steps // min(MOST_SEGMENTS, request.steps)), jnp.asarray(request.h)
-    gauge = None
-    if integrator is None and c.gauge_controls:
-        gauge = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
-    method = singular_integrator(c, request.discretization, gauge=gauge) if integrator is None else integrator
+    if integrator is None:
+        still = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
+        method, choice = singular_integrator(c, request.discretization, gauge=still if c.gauge_controls else None)
+    else:
+        method, choice = integrator, f"{type(integrator).__name__}, as given"
     if not method.keeps_nodes or (integrator is not None and c.gauge_controls):
         length = request.steps
-    # The reason has numbers in it, and is static: without it one compiled kernel serves problems that differ in their
-    # data.
-    return Shooting(request.problem, replace(method, reason=""), c.manifold, h, request.steps, length), method.reason
+    return Shooting(request.problem, method, c.manifold, h, request.steps, length), str(choice)
 
 
 def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegrator | None) -> Array:
@@ -156,7 +154,8 @@ def _first_points(shooting: Shooting, c: Classification, request: Request, first
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
         raise InvalidInputError(
             "no points of P_f found near the guess of the trajectory; pass a guess with states and costates near P_f, "
-            "for instance along integrate(problem, singular_integrator(classification, discretization), ...)"
+            "for instance along integrate(problem, method, ...), where method, choice = "
+            "singular_integrator(classification, discretization)"
         )
     return points
 
@@ -248,16 +247,15 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
 
 def _record(
     request: Request,
-    c: Classification,
-    method: SingularIntegrator,
+    arc: SingularArc,
+    shooting: Shooting,
     found: Found,
     outcome: _Outcome,
     seconds: tuple[float, float],
 ) -> Solution:
     (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
-    arc = _arc(request, c, method, found, outcome)
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
-    success, result = _judged(request, method, found, outcome)
+    success, result = _judged(request, shooting.integrator, found, outcome)
     return Solution(
         times=times,
         states=states,
@@ -284,15 +282,15 @@ def _record(
 
 
 def _arc(
-    request: Request, c: Classification, method: SingularIntegrator, found: Found, outcome: _Outcome
+    request: Request, c: Classification, shooting: Shooting, strategy: str, found: Found, outcome: _Outcome
 ) -> SingularArc:
     """What is known of the singular arc."""
     return SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,
         gauge_controls=c.gauge_controls,
-        strategy=method.reason,
-        presymplectic=method.presymplectic,
+        strategy=strategy,
+        presymplectic=shooting.integrator.presymplectic,
         conditions={name: float(value) for name, value in found.ends.violations.items()},
         independent=found.independent,
         second_order=second_order(request.problem, vec.entries(outcome.nodes, slice(-1)), outcome.controls),

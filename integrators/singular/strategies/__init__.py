@@ -2,7 +2,7 @@
 
 from .affine import ControlAffineSplitting
 from .chain import ReductionChain, reduce_until_regular
-from .choice import STRATEGIES, singular_integrator
+from .choice import STRATEGIES, Choice, singular_integrator
 from .direct import DirectIntegrator
 from .dynamics import FinalDynamics
 from .leaves import leaf_flow
@@ -15,6 +15,7 @@ from .strategy import NotApplicableError, SingularIntegrator
 
 __all__ = [
     "STRATEGIES",
+    "Choice",
     "ControlAffineSplitting",
     "DirectIntegrator",
     "FinalDynamics",

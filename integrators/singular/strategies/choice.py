@@ -1,6 +1,7 @@
 """The choice of a strategy from the classification of a problem."""
 
-from dataclasses import replace
+from dataclasses import dataclass, field
+from typing import final
 
 import jax.numpy as jnp
 import numpy as np
@@ -29,18 +30,37 @@ STRATEGIES: dict[str, type[SingularIntegrator]] = {
 }
 
 
+@final
+@dataclass(frozen=True)
+class Choice:
+    """Which strategy of ``STRATEGIES`` integrates a problem on ``P_f``, and why. Printed, it says so, a line each.
+
+    ``strategy``: its name; ``reason``: why it applies; ``remarks``: which gauge controls are taken, and which piece of
+    ``P_f``, where there are several; ``refusals``: why the strategies that were tried before it do not apply, by their
+    names.
+    """
+
+    strategy: str
+    reason: str
+    remarks: tuple[str, ...] = ()
+    refusals: dict[str, str] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return clauses([f"{self.strategy}: {self.reason}", *self.remarks, *_refused(self.refusals)])
+
+
 @reads_once
 def singular_integrator(
     classification: Classification,
     discretization: DiscretizationMap,
     strategy: str | None = None,
     gauge: Gauge | None = None,
-) -> SingularIntegrator:
+) -> tuple[SingularIntegrator, Choice]:
     """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a
-    discretization map.
+    discretization map, and the choice of it.
 
-    By default the first strategy of ``STRATEGIES`` that applies; its ``reason`` says why, and why not those before it,
-    a line each.
+    By default the first strategy of ``STRATEGIES`` that applies; ``print(choice)`` says why, and why not those before
+    it.
     ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the
     control, ``t`` from the start of the integration; without it the control of least norm is taken.
 
@@ -71,25 +91,30 @@ def singular_integrator(
     if strategy is not None:
         found, others = _first([name for name in STRATEGIES if name != strategy], classification, lift, gauge)
         if found is not None:
-            raise InvalidInputError(f"{clauses(refusals)};\nwhat applies is\n{found.reason}")
-        refusals += others
-    raise InvalidInputError(f"no strategy applies:\n{clauses(refusals)}")
+            raise InvalidInputError(f"{clauses(_refused(refusals))};\nwhat applies is\n{found[1]}")
+        refusals |= others
+    raise InvalidInputError(f"no strategy applies:\n{clauses(_refused(refusals))}")
 
 
 def _first(
     names: list[str], classification: Classification, lift: CotangentLift, gauge: Gauge | None
-) -> tuple[SingularIntegrator | None, list[str]]:
+) -> tuple[tuple[SingularIntegrator, Choice] | None, dict[str, str]]:
     """The first of these strategies that applies, if one does, and why those before it do not."""
-    refusals = list[str]()
+    refusals = dict[str, str]()
     for name in names:
         try:
-            found = STRATEGIES[name].suited(classification, lift, gauge)
+            found, reason = STRATEGIES[name].suited(classification, lift, gauge)
         except NotApplicableError as error:
-            refusals.append(f"not {name}: {error}")
+            refusals[name] = str(error)
             continue
-        remarks = [*_gauge(classification, gauge), *_piece(classification), *refusals]
-        return replace(found, reason=clauses([f"{name}: {found.reason}", *remarks])), refusals
+        remarks = *_gauge(classification, gauge), *_piece(classification)
+        return (found, Choice(name, reason, remarks, refusals)), refusals
     return None, refusals
+
+
+def _refused(refusals: dict[str, str]) -> list[str]:
+    """Sentences on strategies that do not apply."""
+    return [f"not {name}: {why}" for name, why in refusals.items()]
 
 
 def _check_gauge(classification: Classification, gauge: Gauge) -> None:

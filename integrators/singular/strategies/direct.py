@@ -1,6 +1,5 @@
 """The definition of the paper, where it composes into a flow: stages on the final constraint manifold."""
 
-from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple, Self, final
 
 import jax
@@ -51,8 +50,8 @@ class DirectIntegrator(DynamicsIntegrator):
     meets_stages: ClassVar[bool] = True
 
     @classmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
-        found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason="")
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
+        found = cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge))
         trials = jax.tree.map(np.asarray, _trials(found, classification.problem, classification.stratum.states))
         count, composed, departed = len(trials.length), trials.solved, trials.departed > 1
         if np.any(departed):
@@ -67,9 +66,7 @@ class DirectIntegrator(DynamicsIntegrator):
             )
         gap, solved = np.max(trials.departure[composed]), int(np.sum(composed))
         rest = "" if solved == count else f"; from {count - solved} of {many(count, 'point')} tried no step was solved"
-        return replace(
-            found, reason=f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose"
-        )
+        return found, f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose"
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()

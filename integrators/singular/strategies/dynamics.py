@@ -172,7 +172,6 @@ class DynamicsIntegrator(SingularIntegrator):
 
     lift: CotangentLift
     dynamics: FinalDynamics
-    reason: str = eqx.field(static=True)
 
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
         self.dynamics.check(system, self.lift, (q, p))

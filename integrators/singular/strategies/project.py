@@ -30,10 +30,9 @@ class ProjectedIntegrator(DynamicsIntegrator):
     presymplectic: ClassVar[bool] = False
 
     @classmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
-        dynamics = FinalDynamics.of(classification, gauge)
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
         reason = "a projection needs P_f only; it is not presymplectic: omega_f changes by O(h^3) a step"
-        return cls(lift=lift, dynamics=dynamics, reason=reason)
+        return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge)), reason
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()

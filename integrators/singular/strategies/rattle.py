@@ -60,11 +60,10 @@ class RattleIntegrator(SingularIntegrator):
 
     lift: CotangentLift
     singular: tuple[int, ...] = eqx.field(static=True)
-    reason: str = eqx.field(static=True, default="chosen by hand")
     presymplectic: ClassVar[bool] = True
 
     @classmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
         problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
@@ -86,7 +85,7 @@ class RattleIntegrator(SingularIntegrator):
             raise NotApplicableError(next(filter(None, obstacles)))
         noun = "controls" if len(singular) > 1 else "control"
         reason = f"H is affine in the {noun} {singular}, and the arc is of first order"
-        return cls(lift=lift, singular=singular, reason=reason)
+        return cls(lift=lift, singular=singular), reason
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         check_splitting(system, self.singular)

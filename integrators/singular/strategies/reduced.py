@@ -1,9 +1,7 @@
 """Integration of singular problems through Goh's reduction to a regular one."""
 
-from dataclasses import replace
 from typing import ClassVar, NamedTuple, Self, final
 
-import equinox as eqx
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
@@ -45,7 +43,6 @@ class ReducedIntegrator(SingularIntegrator):
     lift: CotangentLift
     chain: ReductionChain
     discretization: DiscretizationMap | None = None
-    reason: str = eqx.field(static=True, default="chosen by hand")
     presymplectic: ClassVar[bool] = True
 
     def __check_init__(self) -> None:
@@ -65,7 +62,7 @@ class ReducedIntegrator(SingularIntegrator):
         )
 
     @classmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
         problem, stratum = classification.problem, classification.stratum
         if not isinstance(problem.controls, Euclidean):
             raise NotApplicableError(f"the controls lie on {problem.controls}, in which H cannot be affine")
@@ -82,7 +79,7 @@ class ReducedIntegrator(SingularIntegrator):
                 f"{classification.dimension}"
             )
         times = "once" if count == 1 else f"{count} times"
-        return replace(integrator, reason=f"P_f is the cotangent bundle of {reduced}, by Goh's reduction {times}")
+        return integrator, f"P_f is the cotangent bundle of {reduced}, by Goh's reduction {times}"
 
     @property
     def control_times(self) -> np.ndarray:

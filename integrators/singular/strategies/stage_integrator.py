@@ -32,7 +32,7 @@ class StageIntegrator(DynamicsIntegrator):
     meets_stages: ClassVar[bool] = True
 
     @classmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
         if classification.gauge_controls:
             raise NotApplicableError(
                 "the equations at the stages leave the gauge controls free, and the step with them"
@@ -51,7 +51,7 @@ class StageIntegrator(DynamicsIntegrator):
             "the primary constraints determine all controls along their motion; they hold at the stages, at "
             "nodes to O(h^2)"
         )
-        return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge), reason=reason)
+        return cls(lift=lift, dynamics=FinalDynamics.of(classification, gauge)), reason
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
         return q, self.dynamics.begin().control

@@ -8,7 +8,6 @@ from jaxtyping import Array
 
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.attribute import attribute
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
 from ...problem import OptimalControlProblem
@@ -32,11 +31,6 @@ class SingularIntegrator(LiftedIntegrator):
     keeps_nodes: ClassVar[bool] = True
     meets_stages: ClassVar[bool] = False
 
-    @attribute
-    @abstractmethod
-    def reason(self) -> str:
-        """Why this strategy was chosen."""
-
     def energy(self, system: OptimalControlProblem, q: Ambient, p: Ambient, control: Any) -> Array:
         return system.hamiltonian(q, p, control)
 
@@ -49,5 +43,8 @@ class SingularIntegrator(LiftedIntegrator):
 
     @classmethod
     @abstractmethod
-    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> Self:
-        """The integrator of this kind for a classified problem. Raises ``NotApplicableError`` if it has none."""
+    def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
+        """The integrator of this kind for a classified problem, and why it applies.
+
+        Raises ``NotApplicableError`` if there is none.
+        """

@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, Result, classify, integrate
-from retrax.integrators.singular import NotApplicableError, ReducedIntegrator, reduce_until_regular, singular_integrator
+from retrax.integrators.singular import (
+    NotApplicableError,
+    ReducedIntegrator,
+    SingularIntegrator,
+    reduce_until_regular,
+    singular_integrator,
+)
 from retrax.integrators.singular.strategies import STRATEGIES
 from retrax.integrators.singular.strategies.direct import DirectIntegrator
 from retrax.integrators.singular.strategies.dynamics import FinalDynamics
@@ -34,7 +40,7 @@ def applying(classification) -> list[str]:
 
 def chosen(classification) -> str:
     """The strategy that is chosen."""
-    return singular_integrator(classification, Midpoint(Addition(classification.problem.manifold))).reason.split(":")[0]
+    return singular_integrator(classification, Midpoint(Addition(classification.problem.manifold)))[1].strategy
 
 
 class Wave(eqx.Module):
@@ -76,6 +82,27 @@ def test_the_choice_does_not_depend_on_the_frequency_of_the_paper_s_example_nor_
         for scale in SCALES[::3]:
             for units in np.where(np.eye(3, dtype=bool), scale, 1.0):
                 assert chosen(classify(wave(rate, *units))) == "direct", (rate, units)
+
+
+def test_a_user_s_function_of_an_integrator_is_compiled_once_for_problems_that_differ_by_rounding():
+    """The words of a choice hold measured numbers, and the integrator has none of them."""
+    traces, methods, choices = [], [], []
+
+    @jax.jit
+    def step(method: SingularIntegrator, problem: OptimalControlProblem, q: Array, p: Array) -> Array:
+        traces.append(method)
+        return method.step(problem, 0.1, q, p, method.begin(problem, q, p)).q
+
+    for rate in (0.4, 0.4 + 1e-15):
+        found = classify(wave(rate))
+        method, choice = singular_integrator(found, Midpoint(Addition(PLANE)))
+        assert np.all(np.isfinite(step(method, found.problem, *found.manifold.nearby((jnp.ones(2), jnp.zeros(2))))))
+        methods.append(method)
+        choices.append(choice)
+    assert choices[0].reason != choices[1].reason
+    assert jax.tree.structure(methods[0]) == jax.tree.structure(methods[1])
+    assert hash(jax.tree.structure(methods[0])) == hash(jax.tree.structure(methods[1]))
+    assert len(traces) == 1
 
 
 @pytest.mark.slow
@@ -132,11 +159,11 @@ def test_a_final_manifold_is_kept_to_rounding_or_the_step_that_leaves_it_is_not_
     for bend in (0.0, 1e-13, 1e-12, 1e-11, 1e-10, 1e-7, 1e-4, 1e-1):
         c = classify(bent(bend))
         start = c.manifold.nearby((jnp.array([0.5, 0.3]), jnp.array([0.3, 0.0])))
-        direct = DirectIntegrator(lift=lift, dynamics=FinalDynamics.of(c, None), reason="by hand")
+        direct = DirectIntegrator(lift=lift, dynamics=FinalDynamics.of(c, None))
         paths = [integrate(c.problem, direct, start, 0.5, 1000, throw=False)]
         solved.append(paths[0].result == Result.successful)
         if 1e-12 <= bend <= 1e-11:
-            paths.append(integrate(c.problem, singular_integrator(c, lift.discretization), start, 0.5, 1000))
+            paths.append(integrate(c.problem, singular_integrator(c, lift.discretization)[0], start, 0.5, 1000))
         for path in paths:
             assert np.max(np.abs(jax.vmap(lambda q, p, c=c: c.equations((q, p)))(path.q, path.p))) < 1e-14, bend
     assert solved == sorted(solved, reverse=True)
@@ -237,5 +264,5 @@ def test_functions_with_a_domain_are_looked_at_where_they_are_finite():
     near = jnp.array([0.3, 1.2]), jnp.array([0.2, 0.0])
     found = classify(problem, near=near)
     assert {"rattle", "reduced"} <= set(applying(found))
-    method = singular_integrator(found, Midpoint(Addition(PLANE)), "reduced")
+    method, _ = singular_integrator(found, Midpoint(Addition(PLANE)), "reduced")
     assert isinstance(method, ReducedIntegrator)

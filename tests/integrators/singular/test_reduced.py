@@ -281,9 +281,9 @@ def test_a_chain_of_integrators_reduces_to_a_point():
 
 def test_it_is_made_from_a_classification_where_it_applies():
     found = classified("aly-chan")
-    method = singular_integrator(found, Midpoint(default_retraction(found.problem.manifold)), "reduced")
+    method, choice = singular_integrator(found, Midpoint(default_retraction(found.problem.manifold)), "reduced")
     assert isinstance(method, ReducedIntegrator)
-    assert method.reason == "reduced: P_f is the cotangent bundle of R^1, by Goh's reduction once"
+    assert str(choice) == "reduced: P_f is the cotangent bundle of R^1, by Goh's reduction once"
     with pytest.raises(NotApplicableError, match="gauge control"):
         ReducedIntegrator.suited(classified("academic"), method.lift, None)
 

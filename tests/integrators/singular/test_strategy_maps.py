@@ -83,7 +83,7 @@ def made(strategy: str) -> SingularIntegrator:
         return RattleIntegrator(CotangentLift(discretization), (0,))
     if strategy == "reduced":
         return ReducedIntegrator(CotangentLift(discretization), reduce_until_regular(problem))
-    return singular_integrator(classification_of(strategy), discretization, strategy)
+    return singular_integrator(classification_of(strategy), discretization, strategy)[0]
 
 
 def start_of(strategy: str) -> tuple:
