@@ -29,7 +29,7 @@ from retrax.integrators.boundary_value.engine.transcription import Data
 from retrax.integrators.evaluator import Automatic, TapeEvaluator, XlaEvaluator
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
 from retrax.integrators.probing import flat_directions
-from retrax.integrators.stages import HamiltonianStage
+from retrax.integrators.stages import ControlStage, GaussStage, HamiltonianStage
 from retrax.manifolds import SO, Euclidean, Sphere
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
@@ -102,14 +102,23 @@ def pendulum(theta: float, h: float) -> HamiltonianStage:
     return HamiltonianStage(lambda q, p: p @ p / 2 + q[2], Theta(Projection(SPHERE), theta), h)
 
 
-@pytest.mark.parametrize("theta", THETAS)
-def test_predicted_stages_begin_where_the_step_does(theta):
+TURNED = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3)
+PREDICTED = {
+    **{f"theta {theta}": lambda h, theta=theta: pendulum(theta, h) for theta in THETAS},
+    **{f"control, theta {t}": lambda h, t=t: ControlStage(TURNED, Theta(Projection(SPHERE), t), h) for t in THETAS},
+    "Gauss": lambda h: GaussStage.of_problem(TURNED, Gauss(2, Projection(SPHERE)), h),
+}
+
+
+@pytest.mark.parametrize("kind", PREDICTED)
+def test_predicted_stages_begin_where_the_step_does(kind):
     """To second order in the step, wherever the base point is."""
-    q, p = jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3])
+    q, p, u = jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3]), jnp.array([0.5, -1.0, 0.7])
     missed = []
     for h in (1e-2, 1e-3):
-        stage = pendulum(theta, h)
-        missed.append(np.max(np.abs(stage.ends(stage.predict(q, p, (q, p, p)))[0] - q)))
+        stage = PREDICTED[kind](h)
+        before = {ControlStage: (q, u), HamiltonianStage: (q, p, p)}.get(type(stage)) or stage.begin(q, p, u)
+        missed.append(np.max(np.abs(stage.ends(stage.predict(q, p, before))[0] - q)))
     assert missed[0] < 1e-3
     assert missed[1] < max(missed[0] / 80, 1e-15)
 

@@ -44,7 +44,7 @@ class Planted(NamedTuple):
 
 
 PLANTED: dict[str, Planted] = {
-    # The ten that once survived.
+    # Those that once survived, and their like.
     "the normal part of the gradient of the terminal cost is dropped": Planted(
         f"{ENGINE}/transcription.py",
         "return cost(point), layout.flat(derivative), vec.components(frame, derivative), curvature",
@@ -99,11 +99,41 @@ PLANTED: dict[str, Planted] = {
         "vec.scale(1 - self.discretization.theta, velocity)",
         (f"{PARTS}::test_predicted_stages_begin_where_the_step_does",),
     ),
+    "the predictor of a stage is at theta = 0": Planted(
+        "integrators/stages/hamiltonian.py",
+        "vec.scale(self.discretization.theta, velocity)",
+        "vec.scale(0.0, velocity)",
+        (f"{PARTS}::test_predicted_stages_begin_where_the_step_does",),
+    ),
+    "the predictor of a stage with a control is at theta = 0": Planted(
+        "integrators/stages/control.py",
+        "vec.scale(self.discretization.theta * self.step,",
+        "vec.scale(0.0 * self.step,",
+        (f"{PARTS}::test_predicted_stages_begin_where_the_step_does",),
+    ),
+    "the predictor of a Gauss method is at the begin of the step": Planted(
+        "integrators/stages/gauss.py",
+        "vec.scale(self.method.theta, ahead)",
+        "vec.scale(0.0, ahead)",
+        (f"{PARTS}::test_predicted_stages_begin_where_the_step_does",),
+    ),
     "a matrix is singular from ten thousand times the tolerance on": Planted(
         "integrators/probing.py",
         "tolerance(matrix, REGULAR)].T",
         "tolerance(matrix, REGULAR) * 1e4].T",
         (f"{PARTS}::test_directions_are_flat_through_the_power_of_the_rounding",),
+    ),
+    "a start is singular from ten thousand times the tolerance on": Planted(
+        "manifolds/numerics/rank.py",
+        "values[-1] > tolerance(values, REGULAR) * values[0] > 0",
+        "values[-1] > 1e4 * tolerance(values, REGULAR) * values[0] > 0",
+        (f"{TESTS}/test_presymplectic_step.py::test_solver_and_integrator_call_the_same_problems_singular",),
+    ),
+    "regularity is probed at one control": Planted(
+        "integrators/probing.py",
+        "CURVATURES = 3 ",
+        "CURVATURES = 1 ",
+        (f"{TESTS}/test_kinks.py::test_every_direction_of_two_controls_is_looked_at",),
     ),
     # Integrators of initial values.
     "the covector of a step is not made tangent": Planted(
@@ -168,6 +198,19 @@ PLANTED: dict[str, Planted] = {
         "pull((vec.scale(-1.0, p0), p1))",
         "pull((p0, p1))",
         (f"{MULTIPLIERS}::test_the_controls_make_the_hamiltonian_stationary_at_the_stage_costates",),
+    ),
+    # Ranks.
+    "a rank is measured by the largest singular value alone": Planted(
+        "manifolds/numerics/rank.py",
+        "tolerance(values, RANK) * max(values[0], unit)",
+        "tolerance(values, RANK) * values[0]",
+        ("tests/manifolds/test_rank.py",),
+    ),
+    "ranks are decided by what counts alone": Planted(
+        "integrators/singular/integrability/elimination.py",
+        "(self.smallest >= CERTAIN) & (self.largest <= ZERO)",
+        "self.smallest >= CERTAIN",
+        (f"{TESTS}/singular/test_ranks.py",),
     ),
     # Retractions.
     "the lift has the transposed matrix": Planted(
