@@ -2,6 +2,7 @@
 
 from typing import Any, final
 
+import jax
 import numpy as np
 
 from ..manifolds import InvalidInputError
@@ -83,6 +84,11 @@ def _real(name: str, value: Any) -> np.ndarray:
     array = np.array(array, float)
     array.setflags(write=False)
     return array
+
+
+def all_guessed(given: Any) -> Any:
+    """The guesses of the leaves that may be free."""
+    return jax.tree.map(guessed, given, is_leaf=is_free)
 
 
 def near(value: Any, found: Any) -> Any:

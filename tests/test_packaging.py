@@ -91,7 +91,7 @@ def test_importing_retrax_imports_neither_casadi_nor_numba():
 
 
 def test_the_downward_test_sees_an_upward_import(tmp_path):
-    assert imported_layers(ROOT / "integrators" / "boundary_value" / "solver.py", "integrators") >= {
+    assert imported_layers(ROOT / "integrators" / "boundary_value" / "request.py", "integrators") >= {
         "manifolds",
         "retractions",
     }

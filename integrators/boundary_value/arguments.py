@@ -10,7 +10,9 @@ import numpy as np
 from ...manifolds import InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics.ambient import is_count, is_finite_number
 from ...manifolds.numerics.precision import default_tolerance, working_precision
+from ...manifolds.numerics.tolerances import SAME_TIME
 from ...retractions import DiscretizationMap, Gauss
+from ..free import is_free, near
 from ..problem import OptimalControlProblem
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
@@ -24,10 +26,40 @@ BETWEEN = "boundary constraints", "periodic ends"
 Method = DiscretizationMap | Gauss
 
 
+class Given(NamedTuple):
+    """What an extremal is a function of; ``None`` where an end is free, and for no parameters."""
+
+    start: Any
+    end: Any
+    horizon: Any
+    parameters: Any
+
+    def near(self, solution: Any) -> "Given":
+        """The same, with what is free guessed as it was found."""
+        found = solution.horizon, solution.parameters
+        horizon, parameters = jax.tree.map(near, (self.horizon, self.parameters), found, is_leaf=is_free)
+        return self._replace(horizon=horizon, parameters=parameters)
+
+
 class Options(NamedTuple):
+    """The options of an iteration, checked."""
+
     tolerance: float
     max_iterations: int
     callback: Callable[[Iteration], Any] | None
+
+    @classmethod
+    def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
+        """The options as they are given."""
+        warn_about_precision()
+        limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+        if not (is_finite_number(limit) and limit > 0):
+            raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
+        if not is_count(max_iterations):
+            raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+        if callback is not None and not callable(callback):
+            raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
+        return cls(float(limit), int(max_iterations), printed(callback) if verbose else callback)
 
 
 def structure_of(parameters: Any, axes: int = 0) -> Any:
@@ -57,19 +89,6 @@ def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
     for leaf in jax.tree.leaves(parameters):
         if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
             raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {leaf!r:.80}")
-
-
-def checked_options(tolerance: float | None, max_iterations: int, callback: Any, verbose: bool) -> Options:
-    """The options of an iteration, checked."""
-    warn_about_precision()
-    limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
-    if not (is_finite_number(limit) and limit > 0):
-        raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
-    if not is_count(max_iterations):
-        raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
-    if callback is not None and not callable(callback):
-        raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
-    return Options(float(limit), int(max_iterations), printed(callback) if verbose else callback)
 
 
 def fractions_of(steps: Any) -> np.ndarray:
@@ -104,30 +123,61 @@ def check_problem(problem: Any, method: Any) -> None:
     problem.check_discretization(method)
 
 
-def check_method(
-    problem: OptimalControlProblem,
-    method: Method,
-    classification: Classification | None,
-    integrator: SingularIntegrator | None,
-) -> None:
-    """Raise if the classification or the integrator belongs to something else than the problem."""
-    if classification is not None and not (
-        isinstance(classification, Classification) and classification.is_of(problem)
-    ):
+def check_accuracy(accuracy: Any) -> None:
+    if not (is_finite_number(accuracy) and accuracy > 0):
+        raise InvalidInputError(f"accuracy must be a positive finite number, got {accuracy!r}; try 1e-8")
+
+
+def check_classification(problem: OptimalControlProblem, classification: Any) -> None:
+    """Raise if the classification is that of something else than the problem."""
+    if not (isinstance(classification, Classification) and classification.is_of(problem.at_time(0.0))):
         raise InvalidInputError(
             f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
             "classify(problem)"
         )
-    if integrator is None:
-        return
-    if classification is None or classification.regular:
+
+
+def check_regular(integrator: SingularIntegrator | None) -> None:
+    """Raise if there is an integrator for a regular problem."""
+    if integrator is not None:
         raise InvalidInputError(
             f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out"
         )
-    if not (isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)):
+
+
+def check_singular(
+    problem: OptimalControlProblem,
+    method: Method,
+    fractions: np.ndarray,
+    c: Classification,
+    integrator: SingularIntegrator | None,
+) -> None:
+    """Raise unless a singular problem has extremals that are found on ``P_f``, in these steps by this method."""
+    if integrator is not None and not (
+        isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)
+    ):
         raise InvalidInputError(
             f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
             "try method, choice = singular_integrator(classification, discretization); a Composition is for integrate"
+        )
+    problem.require_treated("solve of a singular problem", "control bounds", "constraints")
+    if not isinstance(method, DiscretizationMap):
+        raise InvalidInputError(
+            f"the problem is singular, and solve takes a discretization map for it, got {method!r}; try "
+            "Midpoint(default_retraction(manifold))"
+        )
+    if np.ptp(fractions) > SAME_TIME:
+        raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
+    if c.empty:
+        raise InvalidInputError(
+            "the problem is singular, and no point of P_f, on which its interior singular extremals lie, was "
+            f"found\n{c}"
+        )
+    c.require_reliable()
+    if problem.abnormal:
+        raise InvalidInputError(
+            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start "
+            "(q0, p0)"
         )
 
 

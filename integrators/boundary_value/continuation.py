@@ -12,11 +12,12 @@ from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...retractions import default_retraction
 from ..evaluator import Automatic
-from ..free import guessed, is_free, near
+from ..free import guessed, is_free
 from ..layout import Layout
 from ..options import known_options
 from ..results import Result
-from .differentiable import Given, pushed
+from .arguments import Given
+from .differentiable import pushed
 from .guess import Guess
 from .solution import Solution
 from .solutions import Solutions
@@ -136,8 +137,7 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
 def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, options: dict[str, Any]) -> _Trial:
     """The solution at the end of a step, corrected from what is predicted."""
     guess, solver = predictor(last, *way), predictor.solver
-    asked = _informed(way[1], last)
-    found = solver.solve(**asked._asdict(), guess=last if guess is None else guess, throw=False, **options)
+    found = solver.solve(**way[1].near(last)._asdict(), guess=last if guess is None else guess, throw=False, **options)
     if not found.success:
         return _Trial(found, np.inf, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
@@ -210,14 +210,6 @@ def _change(a: Any, b: Any) -> np.ndarray:
     """The difference of two values; of what is free there is none."""
     first, second = (np.asarray(guessed(value), float) for value in (a, b))
     return np.zeros_like(first) if is_free(a) or is_free(b) else second - first
-
-
-def _informed(given: Given, last: Solution) -> Given:
-    """The problem with what is free first guessed as it was found last."""
-    horizon, parameters = jax.tree.map(
-        near, (given.horizon, given.parameters), (last.horizon, last.parameters), is_leaf=is_free
-    )
-    return given._replace(horizon=horizon, parameters=parameters)
 
 
 def _between(solution: Solution, at_nodes: np.ndarray) -> np.ndarray:

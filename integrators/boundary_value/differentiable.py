@@ -11,6 +11,7 @@ from jax.core import eval_context
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ..functions import is_transformed
+from .arguments import Given
 from .sensitivity import Derivative, Sensitivity
 from .solution import Solution
 
@@ -26,15 +27,6 @@ class Extremal(NamedTuple):
     states: Any
     costates: Any
     controls: Any
-
-
-class Given(NamedTuple):
-    """What an extremal is a function of; ``None`` where an end is free, and for no parameters."""
-
-    start: Any
-    end: Any
-    horizon: Any
-    parameters: Any
 
 
 def extremal_of(

@@ -16,7 +16,7 @@ from ..stopped import TrueDerivatives
 from .arguments import structure_of
 from .checks import RegularChecks
 from .control_curvature import ControlCurvature
-from .end_points import EndReader
+from .end_points import Prescribed
 from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import Jumps
@@ -35,32 +35,31 @@ class Examination:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
 
-    def __call__(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any] = (None, None)) -> Solution:
+    def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
 
         With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is
-        ``given`` of the start or the end violates a constraint of the states, of which the conditions at the stages
-        know nothing.
+        prescribed of the ends violates a constraint of the states, of which the conditions at the stages know nothing.
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
         with one_reading(), np.errstate(all="ignore"):
-            wrong = self._wrong(solution, free_horizon, given)
+            wrong = self._wrong(solution, free_horizon, ends)
             if wrong:
                 how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
                 return _failed(solution, f"The conditions {how} {wrong}.")
-            outside = self._outside(solution, given)
+            outside = self._outside(solution, ends)
             if outside and solution.success:
                 return _failed(solution, outside)
             notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
             said = " ".join(filter(None, notes))
             return replace(solution, result=f"{solution.result} {said}") if said else solution
 
-    def _wrong(self, solution: Solution, free_horizon: bool, given: tuple[Any, Any]) -> str:
+    def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
         jumps, derivatives = self._examiners(free_horizon, solution.parameters)
         points = solution.stage_states, solution.controls, solution.stage_times
-        jump = jumps(solution, self._fixed(given)) if jumps else ""
+        jump = jumps(solution, _fixed(ends)) if jumps else ""
         return jump or (derivatives(*points, solution.parameters) if derivatives else "")
 
     def _once(self, kind: Callable[..., T], parameters: Any, *which: Any) -> T:
@@ -74,11 +73,12 @@ class Examination:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
         return self._once(Qualification, solution.parameters)(solution) if self.problem.limits.functions else ""
 
-    def _outside(self, solution: Solution, given: tuple[Any, Any]) -> str:
+    def _outside(self, solution: Solution, ends: tuple[Prescribed, Prescribed]) -> str:
         """A sentence on a constraint of the states that an end violates."""
-        if not self.problem.limits.functions or all(end is None for end in given):
+        fixed = _fixed(ends) if self.problem.limits.functions else np.zeros(0)
+        if not np.any(fixed):
             return ""
-        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, self._fixed(given))
+        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, fixed)
         for end, over in zip(("start", "end"), excess, strict=True):
             if np.max(over, initial=0.0) > 0:
                 worst = int(np.argmax(over))
@@ -88,15 +88,6 @@ class Examination:
                     "where it is not positive; try another one, or a wider constraint."
                 )
         return ""
-
-    def _fixed(self, given: tuple[Any, Any]) -> np.ndarray:
-        """Which coordinates of both ends are prescribed, shape ``(2, n)``."""
-        return (
-            np.stack(
-                [part.coordinates for part in EndReader(self.problem.manifold).ends(*given, batched=True).prescribed]
-            )
-            > 0
-        )
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
@@ -157,6 +148,11 @@ class Examination:
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative
         return flat
+
+
+def _fixed(ends: tuple[Prescribed, Prescribed]) -> np.ndarray:
+    """Which coordinates of both ends are prescribed, shape ``(2, n)``."""
+    return np.stack([end.coordinates for end in ends]) > 0
 
 
 def _failed(solution: Solution, words: str) -> Solution:

@@ -6,17 +6,15 @@ from dataclasses import astuple, replace
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
-import jax
 import numpy as np
 
-from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
-from ..free import guessed, is_free, near, scaled
+from ..free import Free, all_guessed, guessed, is_free, scaled
 from ..results import sentence
-from .arguments import Method
-from .formulation import Formulation, Kind, checked_horizon
+from .arguments import Given
+from .formulation import Formulation, Kind
 from .guess import Guess
-from .members import Asked, MemberReader, Members
+from .request import Request, RequestReader
 from .resampling import resampled
 from .sensitivity import Sensitivity
 from .solution import Solution, Statistics
@@ -45,14 +43,14 @@ MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: hori
 class Formulated:
     """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for."""
 
-    def __init__(self, reader: MemberReader, method: Method, make: Callable[[Formulation], Any]) -> None:
-        self.reader, self.method, self._make = reader, method, make
+    def __init__(self, reader: RequestReader, make: Callable[[Formulation], Any]) -> None:
+        self.reader, self._make = reader, make
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
-    def on(self, reader: MemberReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
+    def on(self, reader: RequestReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
         """The same on another mesh."""
-        other = Formulated(reader, self.method, make)
+        other = Formulated(reader, make)
         other._made = {
             kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()
         }
@@ -63,63 +61,60 @@ class Formulated:
         """The formulation for a horizon and parameters, and its solver."""
         kind = Kind.of(horizon, parameters)
         if kind not in self._made:
-            example = self.reader.problem.with_parameters(_guessed(parameters)).at_time(0.0)
+            example = self.reader.problem.with_parameters(all_guessed(parameters)).at_time(0.0)
             example.require_values()
-            formulation = Formulation(self.reader.problem, self.method, kind)
+            formulation = Formulation(self.reader.problem, self.reader.method, kind)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
 
-    def solve(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
-        """The extremal of a single trajectory; ``choice``: of the classification and the integrator of a singular
-        one."""
-        first = self._in_own_units(asked, self._solved(asked, options, *choice), options, *choice)
-        return self._from_elsewhere(asked, first, options, *choice)
+    def solve(self, request: Request) -> Solution:
+        """The extremal of a single trajectory."""
+        return self._from_elsewhere(request, self._in_own_units(request, self._solved(request)))
 
-    def _from_elsewhere(self, asked: Asked, first: Solution, options: dict[str, Any], *choice: Any) -> Solution:
+    def _from_elsewhere(self, request: Request, first: Solution) -> Solution:
         """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
         is one."""
-        horizon = asked.horizon
+        horizon = request.given.horizon
         if first.success or not is_free(horizon) or first.result == sentence("stopped"):
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
             guess = scaled(horizon, factor)
             if guess is not None:
-                again = asked._replace(horizon=guess)
-                found = self._in_own_units(again, self._solved(again, options, *choice), options, *choice)
+                again = request.again(self.reader, request.given._replace(horizon=guess), request.guess)
+                found = self._in_own_units(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
                 if found.success or found.result == sentence("stopped"):
                     return self._renewed(found, statistics=effort)
         return self._renewed(first, statistics=effort)
 
-    def _in_own_units(self, asked: Asked, solution: Solution, options: dict[str, Any], *choice: Any) -> Solution:
+    def _in_own_units(self, request: Request, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
 
         A horizon that tends to zero takes all conditions with it.
         """
         for _ in range(AGAIN):
-            horizon = asked.horizon
+            horizon = request.given.horizon
             ratio = solution.horizon / guessed(horizon)
             if not (solution.success and is_free(horizon)):
                 return solution
             if 1 / FAR < ratio < FAR:
-                return self._with_its_hamiltonian(asked, solution)
+                return self._with_its_hamiltonian(horizon, solution)
             if not 0 < solution.horizon < np.inf:
                 break
             before = solution.statistics
-            parameters = jax.tree.map(near, asked.parameters, solution.parameters, is_leaf=is_free)
-            asked = asked._replace(horizon=near(horizon, solution.horizon), guess=solution, parameters=parameters)
-            solution = self._solved(asked, options, *choice)
+            request = request.again(self.reader, request.given.near(solution), solution)
+            solution = self._solved(request)
             solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
         return self._renewed(solution, success=False, result=LOST.format(solution.horizon))
 
-    def _with_its_hamiltonian(self, asked: Asked, solution: Solution) -> Solution:
+    def _with_its_hamiltonian(self, horizon: Free, solution: Solution) -> Solution:
         """The solution, without success where the Hamiltonian is nowhere zero, as its mean is between the bounds of a
         free horizon.
 
         Beside other costs, as those of the ends, it is not seen in the residuals where the horizon is next to nothing.
         """
-        horizon, size = asked.horizon, solution.checks.hamiltonian_size
+        size = solution.checks.hamiltonian_size
         held = not HELD * horizon.lower < solution.horizon < horizon.upper / HELD
         values = solution.hamiltonians / (size if size > 0 else 1.0)
         if held or self.reader.problem.time_dependent or (values.min() <= UNMET and values.max() >= -UNMET):
@@ -127,51 +122,42 @@ class Formulated:
         words = UNDETERMINED.format(solution.horizon, solution.hamiltonians[0] / size)
         return self._renewed(solution, success=False, result=words)
 
-    def _solved(self, asked: Asked, options: dict[str, Any], *choice: Any) -> Solution:
-        formulation, solver, own = self.formulated(asked)
-        found = solver.found(own, options, *choice)
-        return self._kept(formulation, solver, found, asked.parameters)
+    def _solved(self, request: Request) -> Solution:
+        formulation, solver, own = self.formulated(request)
+        return self._kept(formulation, solver, solver.found(own), request.given.parameters)
 
-    def formulated(self, asked: Asked, begins: float | None = None) -> tuple[Formulation, Any, Asked]:
+    def formulated(self, request: Request, begins: float | None = None) -> tuple[Formulation, Any, Request]:
         """The formulation of a single trajectory, its solver, and what is asked of that.
 
         The time starts at zero, or is free at the start and guessed to begin there.
         """
-        if is_free(asked.horizon):
-            checked_horizon(asked.horizon)
-        members = self.reader.one(_guesses(asked))
-        formulation, solver = self.of(asked.horizon, asked.parameters)
-        constants, times = formulation.guesses(asked.horizon, asked.parameters), members.horizons + (begins or 0.0)
-        start, end = formulation.start(asked.start, constants, begins), formulation.end(asked.end, times)
-        guess = self._guess(formulation, members, 0, constants, begins or 0.0)
-        if isinstance(asked.guess, Solution) and guess is not None:
-            guess = self._with_covectors(formulation, guess, asked.guess, float(members.horizons[0]))
-        own = formulation.parameters(asked.horizon, asked.parameters)
-        return formulation, solver, Asked(start, end, float(members.horizons[0]), guess, own)
+        given, horizon = request.given, float(request.horizons[0])
+        formulation, solver = self.of(given.horizon, given.parameters)
+        constants, times = formulation.guesses(given.horizon, given.parameters), request.horizons + (begins or 0.0)
+        start, end = formulation.start(given.start, constants, begins), formulation.end(given.end, times)
+        guess = self._guess(formulation, request, 0, constants, begins or 0.0)
+        if isinstance(request.guess, Solution) and guess is not None:
+            guess = self._with_covectors(formulation, guess, request.guess, horizon)
+        own = Given(start, end, horizon, formulation.parameters(given.horizon, given.parameters))
+        return formulation, solver, request.again(solver.reader, own, guess)
 
-    def solve_many(self, asked: Asked, options: dict[str, Any]) -> Solutions:
+    def solve_many(self, request: Request) -> Solutions:
         """The extremals of a batch."""
-        members = self.reader.many(_guesses(asked))
-        each = [(_member(asked.horizon, k), _member(asked.parameters, k)) for k in range(len(members))]
-        for horizon, _ in each:
-            if is_free(horizon):
-                checked_horizon(horizon)
-        if len({Kind.of(*own) for own in each}) > 1:
-            raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
+        members = [request.member(k) for k in range(len(request))]
+        each = [(member.given.horizon, member.given.parameters) for member in members]
         formulation, solver = self.of(*each[0])
         constants = np.stack([formulation.guesses(*own) for own in each])
         parameters = [formulation.parameters(*own) for own in each]
         stacked = vec.stacked(parameters) if formulation.takes else None
-        guesses = [self._guess(formulation, members, k, c) for k, c in enumerate(constants)]
-        ends = formulation.start(asked.start, constants), formulation.end(asked.end, members.horizons[:, None])
-        own = Asked(*ends, members.horizons, None if members.guess is None else guesses, stacked)
-        found = solver.all_found(own, options)
+        guesses = [self._guess(formulation, request, k, c) for k, c in enumerate(constants)]
+        start = formulation.start(request.given.start, constants)
+        end = formulation.end(request.given.end, request.horizons[:, None])
+        own = Given(start, end, request.horizons, stacked)
+        found = solver.all_found(request.again(solver.reader, own, None if request.guesses is None else guesses))
         solutions = []
-        for k, (one, free) in enumerate(zip(found, each, strict=True)):
-            solution = self._kept(formulation, solver, one, free[1])
-            start, end = (self.reader.ends.member(given, k) for given in (asked.start, asked.end))
-            own = Asked(start, end, free[0], None, free[1])
-            solutions.append(self._from_elsewhere(own, self._in_own_units(own, solution, options), options))
+        for member, one in zip(members, found, strict=True):
+            solution = self._kept(formulation, solver, one, member.given.parameters)
+            solutions.append(self._from_elsewhere(member, self._in_own_units(member, solution)))
         return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:
@@ -182,9 +168,9 @@ class Formulated:
         return formulation.sensitivity(solver.sensitivity(found))
 
     def _guess(
-        self, formulation: Formulation, members: Members, k: int, constants: np.ndarray, begins: float = 0.0
+        self, formulation: Formulation, request: Request, k: int, constants: np.ndarray, begins: float = 0.0
     ) -> Guess | None:
-        guess, (nodes, stages) = members.guess_of(k), self.reader.mesh.times(float(members.horizons[k]))
+        guess, (nodes, stages) = request.guess_of(k), self.reader.mesh.times(float(request.horizons[k]))
         return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
 
     def _with_covectors(self, formulation: Formulation, guess: Guess, solution: Solution, horizon: float) -> Guess:
@@ -221,23 +207,3 @@ class Formulated:
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:
     return Statistics(*(a + b for a, b in zip(astuple(one), astuple(other), strict=True)))
-
-
-def _guesses(asked: Asked) -> Asked:
-    """What is asked for with the guesses of the horizon and of parameters that are free."""
-    return asked._replace(horizon=guessed(asked.horizon), parameters=_guessed(asked.parameters))
-
-
-def _guessed(parameters: Any) -> Any:
-    return jax.tree.map(guessed, parameters, is_leaf=is_free)
-
-
-def _member(given: Any, k: int) -> Any:
-    """Number ``k`` of a batch."""
-
-    def one(leaf: Any) -> Any:
-        if is_free(leaf):
-            return leaf.member(k)
-        return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
-
-    return jax.tree.map(one, given, is_leaf=is_free)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...manifolds import Euclidean, InvalidInputError, Product
+from ...manifolds import Euclidean, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
@@ -341,9 +341,3 @@ class _Beside(DiscretizationMap):
         begin, end = self.first(x[0], v[0])
         rest = list(zip(x[1:], v[1:], strict=True))
         return (begin, *(a - self.theta * b for a, b in rest)), (end, *(a + (1 - self.theta) * b for a, b in rest))
-
-
-def checked_horizon(horizon: Any) -> None:
-    """Raise if a free horizon is no number, or not positive."""
-    if np.ndim(horizon.guess) or not horizon.guess > 0 or not horizon.upper > 0:
-        raise InvalidInputError(f"horizon must be free around a positive finite time, got {horizon!r}; try Free(10.0)")

@@ -18,7 +18,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..results import sentence
 from ..text import many
-from .arguments import Method, Options, check_problem, checked_options
+from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
 from .engine.coupling import Link
 from .engine.joint import JointConditions
@@ -86,14 +86,15 @@ def solve_phases(
     nothing depends on the time. Raises what ``solve`` raises.
     """
     require_concrete("solve_phases", guess)
-    options = checked_options(tolerance, max_iterations, callback, verbose)
+    options = Options.of(tolerance, max_iterations, callback, verbose)
     if horizon is not None and not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(
             f"horizon must be a positive finite time, the sum of all durations, or None, got {horizon!r}"
         )
     given = _checked(phases, guess)
-    task = _Task(_checked_links(links, given), horizon, _checked_constraints(boundary_constraints, len(given)))
-    solution = task.settled(guessed_phases(given, task.links), options)
+    between = _checked_links(links, given), _checked_constraints(boundary_constraints, len(given))
+    task = _Task(*between, horizon, options)
+    solution = task.settled(guessed_phases(given, task.links))
     if throw and not solution.success:
         raise ConvergenceError(f"{solution.result}\n{solution}", solution)
     return solution
@@ -102,12 +103,13 @@ def solve_phases(
 class _Task:
     """What links phases."""
 
-    def __init__(self, links: list[Any], horizon: float | None, constraints: dict[str, Any]) -> None:
-        self.links, self.horizon, self.constraints, self.made = links, horizon, constraints, TracedPhases()
+    def __init__(self, links: list[Any], constraints: dict[str, Any], horizon: float | None, options: Options) -> None:
+        self.links, self.constraints, self.horizon, self.options = links, constraints, horizon, options
+        self.made = TracedPhases(options)
 
-    def settled(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+    def settled(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, from durations of another magnitude where there is none from those that are guessed."""
-        first = self._in_own_units(phases, options)
+        first = self._in_own_units(phases)
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if first.success or not free or first.result == sentence("stopped"):
             return first
@@ -115,27 +117,27 @@ class _Task:
             durations = [scaled(phase.duration, factor) for phase in phases]
             if all(duration is not None for duration in durations):
                 pairs = zip(phases, durations, strict=True)
-                found = self._in_own_units([phase._replace(duration=duration) for phase, duration in pairs], options)
+                found = self._in_own_units([phase._replace(duration=duration) for phase, duration in pairs])
                 settled = found.success and not _strayed(phases, found, FARTHEST)
                 if settled or found.result == sentence("stopped"):
                     return found
         return first
 
-    def _in_own_units(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+    def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
         judged."""
-        solution, given = self.solved(phases, options), phases
+        solution, given = self.solved(phases), phases
         for _ in range(AGAIN):
             if not (solution.success and _strayed(phases, solution, FAR)) or _strayed(given, solution, FARTHEST):
                 break
             phases = [_near(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
-            solution = self.solved(phases, options)
+            solution = self.solved(phases)
         lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR) or _strayed(given, solution, FARTHEST)
         if not lost:
             return solution
         return solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))
 
-    def solved(self, phases: Sequence[Phase], options: Options) -> PhasedSolution:
+    def solved(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal from guesses of all phases."""
         began = time.perf_counter()
         begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
@@ -143,7 +145,7 @@ class _Task:
             posed_phase(k, phase, float(begin), self.made)
             for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
         ]
-        owns = [Own(part.inner.problem, part.asked.parameters) for part in parts]
+        owns = [Own(part.inner.problem, part.own.known.parameters) for part in parts]
         sizes = dict[str, int]()
         coupling = coupling_of(
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
@@ -154,10 +156,10 @@ class _Task:
         require_independent(joint, first, [*equation_words(owns), *names])
         tracing = time.perf_counter() - began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found = newton(joint, first, *options)  # pyright: ignore[reportArgumentType]
+            found = newton(joint, first, *self.options)  # pyright: ignore[reportArgumentType]
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            solutions = [part.recorded(phase_of(found, k, owns), options, seconds) for k, part in enumerate(parts)]
+            solutions = [part.recorded(phase_of(found, k, owns), seconds) for k, part in enumerate(parts)]
         free = any(is_free(phase.duration) for phase in phases)
         solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
         joined: Any = found.assembled

@@ -23,7 +23,7 @@ from .engine.start import Start
 from .engine.system import Ends, Iterate
 from .engine.transcription import Data, Known, Nodes, OneStage
 from .given_guess import FlatGuess
-from .members import Members
+from .request import Request
 
 
 class Traced(NamedTuple):
@@ -92,43 +92,43 @@ class Posing:
             self._found[key] = Traced(*functions, mask, named, flat, own, coupling, self.evaluator)
         return self._found[key]
 
-    def of(self, members: Members) -> Traced:
-        """The functions with the parameters of members."""
+    def of(self, request: Request) -> Traced:
+        """The functions with the parameters of a request."""
         return (
-            self._found[members.structure]
-            if members.structure in self._found
-            else self.traced(members.parameters_of(0))
+            self._found[request.structure]
+            if request.structure in self._found
+            else self.traced(request.parameters_of(0))
         )
 
-    def posed(self, members: Members) -> Posed:
-        """The conditions and guesses of members."""
-        traced, ends = self.of(members), members.ends
-        shape = len(members), self.state.size
+    def posed(self, request: Request) -> Posed:
+        """The conditions and guesses of a request."""
+        traced, ends = self.of(request), request.ends
+        shape = len(request), self.state.size
         rows = np.broadcast_to(ends.start, shape), np.broadcast_to(ends.end, shape)
         asked = None if traced.mask is None else traced.mask(len(self.fractions), len(self.stages)).astype(float)
-        asked = None if asked is None else np.broadcast_to(asked, (len(members), *asked.shape))
-        data = Data(members.horizons[:, None] * self.fractions, members.rows, asked)
+        asked = None if asked is None else np.broadcast_to(asked, (len(request), *asked.shape))
+        data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         first, last = ends.prescribed
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
         return Posed(
-            traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, members, rows, data)
+            traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, request, rows, data)
         )
 
     @cached_property
     def _resting(self) -> np.ndarray:
         return self.control.rows(resting_control(self.problem.controls), 0)
 
-    def _guess(self, traced: Traced, members: Members, rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
+    def _guess(self, traced: Traced, request: Request, rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
         """The guesses that are given, or curves from start to end with controls at rest and costates zero."""
-        count, size = len(members), self.state.size
+        count, size = len(request), self.state.size
         shape = count, len(self.fractions), len(self.stages)
-        if members.guess is None:
-            members.ends.require_known(members.asked.start)
+        if request.guesses is None:
+            request.ends.require_known(request.given.start)
             slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
             controls = np.broadcast_to(self._resting, (*shape, self.control.size))
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
-            own = members.guess.of(count)
+            own = request.guesses.of(count)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
             costates, slacks = own.costates, self._pulling(traced, own, shape)
             both = own.nodes, own.stage_costates

@@ -11,16 +11,16 @@ from ..controls import resting_control
 from ..evaluator import Automatic, Evaluator
 from ..inspection import Inspection
 from ..problem import OptimalControlProblem
-from .arguments import Method, Options, copied, fractions_of
+from .arguments import Given, Method, Options, fractions_of
 from .engine.newton import Found
 from .examination import Examination
 from .formulated import SINGULAR, Formulated
-from .formulation import Formulation, is_formulated
+from .formulation import Formulation
 from .interpolation import Interpolant
-from .members import Asked, MemberReader
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
+from .request import Request, RequestReader
 from .resampling import Mesh
 from .solution import Solution
 
@@ -44,25 +44,26 @@ class _Inner:
     ) -> None:
         self.problem, self.posing = problem, Posing(problem, method, fractions, evaluator)
         self.interpolant = Interpolant(method.retraction, problem.controls)
-        self.reader = MemberReader(problem, Mesh(fractions, self.posing.stages, self.interpolant), evaluator)
+        mesh = Mesh(fractions, self.posing.stages, self.interpolant)
+        self.reader = RequestReader(problem, method, mesh, evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
-        self.formulated = Formulated(
-            self.reader, method, lambda own: _Inner(own.problem, own.method, fractions, evaluator)
-        )
+        self.formulated = Formulated(self.reader, lambda own: _Inner(own.problem, own.method, fractions, evaluator))
 
 
 @final
 class PosedPhase(NamedTuple):
-    """A phase as equations: the problem as given, its formulation if it has one, and the equations of that."""
+    """A phase as equations: the problem as given, its formulation if it has one, and the equations of that.
+
+    ``request``: what is asked of the problem; ``own``: of its formulation.
+    """
 
     problem: OptimalControlProblem
-    parameters: Any
     formulation: Formulation | None
     outer: _Inner
     inner: _Inner
-    asked: Asked
-    given: tuple[Any, Any]  # the start and the end, as they were asked for
+    request: Request
+    own: Request
     posed: Posed
 
     def state(self, y: Any) -> Any:
@@ -72,35 +73,37 @@ class PosedPhase(NamedTuple):
     def ends(self, first: Any, last: Any) -> PhaseEnds:
         """What a boundary constraint sees."""
         rate = 1.0 if self.formulation is None else self.formulation.rate(first)
-        return PhaseEnds(self.state(first), self.state(last), rate * self.asked.horizon)
+        return PhaseEnds(self.state(first), self.state(last), rate * self.own.known.horizon)
 
     def time(self, first: Any) -> Any:
         """The time at which the phase begins."""
         return jnp.zeros(()) if self.formulation is None else self.formulation.rate(first) * first[-1][0]
 
-    def recorded(self, found: Found, options: Options, seconds: tuple[float, float]) -> Solution:
+    def recorded(self, found: Found, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        given = vec.taken(copied(self.asked.parameters), None)
-        _, member = self.inner.recording.of(self.posed, given, found, options, seconds)
+        _, member = self.inner.recording.of(self.posed, self.own.parameters(), found, self.own.options, seconds)
         solution = member(0)
         if self.formulation is not None:
-            solution = self.formulation.solution(solution, self.parameters, self.outer.interpolant)
+            solution = self.formulation.solution(solution, self.request.given.parameters, self.outer.interpolant)
         return solution
 
     def checked(self, solution: Solution, free: bool) -> Solution:
         """The solution with what its conditions do not tell; ``free``: whether times are, of any phase."""
-        bound = self.inner.problem.with_parameters(self.asked.parameters)
-        solution = solution if self.formulation is not None else explained(bound, solution)
-        return self.outer.examination(solution, free, self.given)
+        solution = solution if self.formulation is not None else explained(self.own.problem, solution)
+        return self.outer.examination(solution, free, self.request.ends.prescribed)
 
 
 @final
 class TracedPhases:
-    """Makes the equations of phases; those with the same problem, method and steps are traced once."""
+    """Makes the equations of phases; those with the same problem, method and steps are traced once.
 
-    def __init__(self) -> None:
-        self.evaluator: Evaluator = Automatic()
+    What is asked of a phase is checked the first time, and not again for other guesses.
+    """
+
+    def __init__(self, options: Options) -> None:
+        self.options, self.evaluator = options, Automatic()
         self._made: dict[Any, tuple[Any, _Inner]] = {}
+        self._asked: dict[int, Request] = {}
 
     def inner(self, phase: Any) -> _Inner:
         """What a phase is solved with."""
@@ -110,19 +113,25 @@ class TracedPhases:
             self._made[key] = phase, _Inner(phase.problem, phase.method, fractions, self.evaluator)
         return self._made[key][1]
 
+    def request(self, number: int, phase: Any) -> Request:
+        """What is asked of a phase."""
+        reader, given = self.inner(phase).reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
+        if number in self._asked:
+            return self._asked[number].again(reader, given, phase.guess)
+        return self._asked.setdefault(number, Request.of(reader, given, phase.guess, self.options))
+
 
 def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) -> PosedPhase:
     """The equations of a phase that is guessed to begin at a time."""
     problem, outer = phase.problem, phases.inner(phase)
-    inner = outer
-    asked, formulation = Asked(phase.start, phase.end, phase.duration, phase.guess, phase.parameters), None
+    inner, formulation = outer, None
     try:
-        if is_formulated(problem, phase.duration, phase.parameters):
-            formulation, inner, asked = outer.formulated.formulated(asked, begins if number else None)
-        members = inner.reader.one(asked)
-        equations = inner.posing.posed(members)
-        bound, guess = members.problem_of(0), members.guess_of(0)
-        first = members.conditions_of(0)[0].point if guess is None else vec.taken(guess.states, 0)
+        own = request = phases.request(number, phase)
+        if request.formulated:
+            formulation, inner, own = outer.formulated.formulated(request, begins if number else None)
+        equations = inner.posing.posed(own)
+        bound, guess = own.problem, own.guess_of(0)
+        first = own.conditions_of(0)[0].point if guess is None else vec.taken(guess.states, 0)
         inspection = Inspection(bound, first, resting_control(bound.controls))
         inspection.require_sound()
         regular = inspection.is_regular or bound.limits.along
@@ -130,4 +139,4 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) ->
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:
         raise InvalidInputError(f"phase {number}: {SINGULAR}")
-    return PosedPhase(problem, phase.parameters, formulation, outer, inner, asked, (phase.start, phase.end), equations)
+    return PosedPhase(problem, formulation, outer, inner, request, own, equations)

@@ -3,22 +3,19 @@
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, final
 
-import jax
 import numpy as np
 
 from ...manifolds import InvalidInputError, RetraxError
-from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.tolerances import EPS
 from ...retractions import Gauss
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER
-from ..free import is_free, near
+from ..free import is_free
 from ..problem import OptimalControlProblem
 from .arcs import DURATIONS, Arcs
-from .arguments import Method, fractions_of
+from .arguments import Given, Method
 from .checks import RegularChecks
-from .examination import Examination
 from .guess import Guess
-from .members import Asked
+from .request import Request
 from .resampling import Mesh
 from .solution import Solution, Statistics
 from .solver import Solver
@@ -56,29 +53,25 @@ class Refinement:
     jump from bound to bound, or to a singular arc, the switches become nodes, see ``Arcs``.
     """
 
-    problem: OptimalControlProblem
-    method: Method
-    asked: Asked
+    solver: Solver  # on the mesh to begin with
+    request: Request
     accuracy: float
-    options: dict[str, Any]
-    choice: tuple[Any, Any] = (None, None)  # the classification and the integrator of a singular problem
 
     def __post_init__(self) -> None:
-        if not (is_finite_number(self.accuracy) and self.accuracy > 0):
-            raise InvalidInputError(f"accuracy must be a positive finite number, got {self.accuracy!r}; try 1e-8")
-        self._solvers: dict[tuple[Any, Any], Solver] = {}
+        self.problem, self.given = self.solver.problem, self.request.given
+        self.method: Method = self.solver.method
+        self._solvers: dict[tuple[Any, Any], Solver] = {(id(self.problem), self.method): self.solver}
         self._arcs: dict[tuple[bytes, float | None], Arcs] = {}
         self._estimator: Estimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most = MOST_STAGES
 
-    def solve(self, steps: Any) -> Solution:
+    def solve(self) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
-        given = self.asked.start, self.asked.end
-        return Examination(self.problem)(self._solved(steps), is_free(self.asked.horizon), given)
+        return self.solver.examined(self._solved(), self.request)
 
-    def _solved(self, steps: Any) -> Solution:
-        solution = self._first(fractions_of(steps))
+    def _solved(self) -> Solution:
+        solution = self._first()
         if not solution.success:
             return solution
         if solution.singular is not None:
@@ -102,18 +95,18 @@ class Refinement:
                 break
         return self._recorded(best, why)
 
-    def _first(self, fractions: np.ndarray) -> Solution:
+    def _first(self) -> Solution:
         """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser
         one, or on a finer one."""
-        first = self._on(self.problem, self.method, fractions, self.asked)
-        if first.success or isinstance(self.asked.guess, Guess):  # which belongs to its mesh
+        first, fractions = self._counted(self.solver, self.request), self.solver.fractions
+        if first.success or isinstance(self.request.guess, Guess):  # which belongs to its mesh
             return first
-        meshes, coarse = [], fractions
+        meshes, coarse = list[np.ndarray](), fractions
         while len(coarse) >= 2 * FEWEST:
             coarse = np.add.reduceat(coarse, np.arange(0, len(coarse), 2))
             meshes.append(coarse)
         for mesh in [*meshes, *(np.repeat(fractions / parts, parts) for parts in (2, PARTS))]:
-            found = self._on(self.problem, self.method, mesh, self.asked)
+            found = self._on(self.problem, mesh, self.given, self.request.guess)
             if found.success and found.checks.strict_minimum:
                 return found
         return first
@@ -125,14 +118,18 @@ class Refinement:
         left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
-    def _on(self, problem: OptimalControlProblem, method: Method, steps: Any, asked: Asked) -> Solution:
+    def _on(self, problem: OptimalControlProblem, steps: Any, given: Given, guess: Any) -> Solution:
         """The solution on a mesh, by a solver that is traced once for each number of stages."""
-        key = id(problem), method
+        key = id(problem), self.method
         if key in self._solvers:
             solver = self._solvers[key].with_steps(steps)
         else:
-            solver = self._solvers[key] = Solver(problem, method, steps)
-        solution = solver.found(asked, self.options, *self.choice)
+            solver = self._solvers[key] = Solver(problem, self.method, steps)
+        return self._counted(solver, self.request.again(solver.reader, given, guess))
+
+    def _counted(self, solver: Solver, request: Request) -> Solution:
+        """The solution, with its effort added to that of all."""
+        solution = solver.found(request)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
@@ -165,7 +162,7 @@ class Refinement:
             return f"it would take more than {MOST_STEPS} steps"
         try:
             if found.structure is None or found.arcs is None:
-                finer = self._on(self.problem, self.method, lengths, self._near(solution))
+                finer = self._on(self.problem, lengths, self.given.near(solution), solution)
                 arcs, structure = None, None
             else:
                 structure, arcs = found.structure, np.repeat(found.arcs, parts)
@@ -191,13 +188,6 @@ class Refinement:
         if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
             return Gauss(method.stages + 1, method.retraction)
         return method
-
-    def _near(self, solution: Solution) -> Asked:
-        """What is asked for, guessed as it was found."""
-        parameters = jax.tree.map(near, self.asked.parameters, solution.parameters, is_leaf=is_free)
-        return self.asked._replace(
-            horizon=near(self.asked.horizon, solution.horizon), guess=solution, parameters=parameters
-        )
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
@@ -228,7 +218,7 @@ class Refinement:
         A free horizon that leaves its bounds is held at the one that it passed, and one that was held leaves a bound to
         which nothing pulls it.
         """
-        asked, horizon = self.asked.horizon, self._horizon(guess)
+        asked, horizon = self.given.horizon, self._horizon(guess)
         found = self._posed_in_arcs(guess, structure, lengths, arcs, horizon)
         if not (is_free(asked) and found[0].success):
             return found
@@ -253,12 +243,9 @@ class Refinement:
         stages = np.array(self.method.nodes) if isinstance(self.method, Gauss) else np.array([self.method.theta])
         mesh = Mesh(fractions, stages, guess.interpolant)  # pyright: ignore[reportArgumentType]
         nodes, at_stages = mesh.times(1.0)
-        given = posed.guess(guess, structure.times, nodes, at_stages)
-        own = self._near(guess).parameters
-        asked = Asked(
-            self.asked.start, self.asked.end, float(posed.count), given, posed.parameters(np.diff(structure.times), own)
-        )
-        found = self._on(posed.problem, self.method, fractions, asked)
+        parameters = posed.parameters(np.diff(structure.times), self.given.near(guess).parameters)
+        given = Given(self.given.start, self.given.end, float(posed.count), parameters)
+        found = self._on(posed.problem, fractions, given, posed.guess(guess, structure.times, nodes, at_stages))
         if not found.success:
             return found, structure
         solution = posed.solution(found)
@@ -271,7 +258,7 @@ class Refinement:
     def _horizon(self, solution: Solution) -> Any:
         """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from
         it."""
-        horizon = self.asked.horizon
+        horizon = self.given.horizon
         if is_free(horizon):
             step = (solution.times[1] - solution.times[0]) * solution.steps / len(solution.stage_times)
             for bound, name in ((horizon.lower, HORIZON_LOWER), (horizon.upper, HORIZON_UPPER)):
@@ -285,7 +272,7 @@ class Refinement:
         """Whether the cost falls beyond the bound that a horizon is held at: it changes by ``-H`` with the horizon."""
         if self.problem.time_dependent:
             return True
-        outward = 1.0 if bound == self.asked.horizon.upper else -1.0
+        outward = 1.0 if bound == self.given.horizon.upper else -1.0
         return bool(outward * solution.checks.hamiltonian >= -self.accuracy * _unit(solution))
 
     def _recorded(self, found: _Found, why: str) -> Solution:

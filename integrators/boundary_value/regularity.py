@@ -10,8 +10,8 @@ from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
 from ..inspection import Inspection, probes
 from ..singular import Classification, classify
-from .members import Members
 from .posed import Posing
+from .request import Request
 from .solution import Solution
 
 
@@ -30,12 +30,12 @@ class Regularity:
         other._classes = self._classes
         return other
 
-    def classification(self, members: Members, k: int = 0) -> Classification | None:
+    def classification(self, request: Request, k: int = 0) -> Classification | None:
         """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved
         with."""
-        key, values = self._key(members), members.rows[k].tobytes()
+        key, values = self._key(request), request.rows[k].tobytes()
         if key not in self._classes or self._classes[key][0] != values:
-            problem, (first, last), guess = members.problem_of(k), members.conditions_of(k), members.guess_of(k)
+            problem, (first, last), guess = request.problem_of(k), request.conditions_of(k), request.guess_of(k)
             known = first.point if guess is None else vec.taken(guess.states, 0)
             inspection = Inspection(problem, known, resting_control(problem.controls))
             inspection.require_sound()
@@ -48,57 +48,59 @@ class Regularity:
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 
-    def has_to_be_shown(self, members: Members) -> bool:
-        """Whether the problem was regular with other parameters before: then a solution can show that it is with
-        these."""
-        values, found = self._classes.get(self._key(members), (None, None))
-        return values is not None and found is None and values != members.rows[0].tobytes()
+    def has_to_be_shown(self, request: Request) -> bool:
+        """Whether the problem was regular with other parameters before, and nobody says what it is with these: then a
+        solution can show that it is regular again."""
+        if not (request.classification is None and request.integrator is None):
+            return False
+        values, found = self._classes.get(self._key(request), (None, None))
+        return values is not None and found is None and values != request.rows[0].tobytes()
 
-    def is_shown(self, members: Members, solution: Solution) -> bool:
+    def is_shown(self, request: Request, solution: Solution) -> bool:
         """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need
         not be."""
         if self._posing.problem.limits.along:
-            return self._shown(members)
+            return self._shown(request)
         if not (solution.success and solution.checks.strict_minimum):
             return False
         state, control = self._posing.state, self._posing.control
         layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
         states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
-        if not self._posing.of(members).diagnosis.is_curved((states, controls, costates), members.rows):
+        if not self._posing.of(request).diagnosis.is_curved((states, controls, costates), request.rows):
             return False
-        return self._shown(members)
+        return self._shown(request)
 
-    def _shown(self, members: Members) -> bool:
-        self._classes[self._key(members)] = members.rows[0].tobytes(), None
+    def _shown(self, request: Request) -> bool:
+        self._classes[self._key(request)] = request.rows[0].tobytes(), None
         return True
 
-    def require_regular(self, members: Members) -> None:
+    def require_regular(self, request: Request) -> None:
         """Raise if the problem is singular with the parameters of any member.
 
         ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is
         singular at all of them, the member is classified.
         """
-        if not self.has_to_be_shown(members):  # a look at the functions takes as long as a hundred solves
-            self._require_regular(members, 0)
-        if self._posing.problem.limits.along or not members.rows.size:
+        if not self.has_to_be_shown(request):  # a look at the functions takes as long as a hundred solves
+            self._require_regular(request, 0)
+        if self._posing.problem.limits.along or not request.rows.size:
             return
-        _, left = np.unique(members.rows, axis=0, return_index=True)
-        states = np.broadcast_to(members.ends.start, (len(members), self._posing.state.size))
+        _, left = np.unique(request.rows, axis=0, return_index=True)
+        states = np.broadcast_to(request.ends.start, (len(request), self._posing.state.size))
         for control, covector in zip(*self._probes, strict=True):
             at = (
                 states[left],
                 np.broadcast_to(control, (len(left), control.size)),
                 np.broadcast_to(covector, states[left].shape),
             )
-            curved = self._posing.of(members).diagnosis.curved(tuple(part[:, None] for part in at), members.rows[left])
+            curved = self._posing.of(request).diagnosis.curved(tuple(part[:, None] for part in at), request.rows[left])
             left = left[~curved[:, 0]]
         for k in left:
-            self._require_regular(members, int(k))
+            self._require_regular(request, int(k))
 
-    def _require_regular(self, members: Members, k: int) -> None:
-        found = self.classification(members, k)
+    def _require_regular(self, request: Request, k: int) -> None:
+        found = self.classification(request, k)
         if found is not None and not found.regular:
-            which = f" with the parameters of member {k}" if members.rows.size else ""
+            which = f" with the parameters of member {k}" if request.rows.size else ""
             raise InvalidInputError(
                 f"solve_many solves regular problems, and this one is singular{which}; call solve for each"
             )
@@ -111,5 +113,5 @@ class Regularity:
         controls = np.stack([self._posing.control.rows(problem.steer(rest, move), 0) for move in moves])
         return controls, self._posing.state.rows(covectors, 1)
 
-    def _key(self, members: Members) -> Any:
-        return members.structure, members.ends.prescribed[1].parts
+    def _key(self, request: Request) -> Any:
+        return request.structure, request.ends.prescribed[1].parts

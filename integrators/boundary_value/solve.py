@@ -8,11 +8,11 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Method
+from .arguments import Given, Method, Options, check_accuracy
 from .engine.newton import Iteration
 from .guess import Guess
-from .members import Asked
 from .refinement import Refinement
+from .request import Request
 from .solution import Solution
 from .solver import Solver
 
@@ -54,11 +54,10 @@ def solve(
     ``success``.
     """
     require_concrete("solve", start, end, horizon, problem, guess, parameters)
-    options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
     if accuracy is not None:
-        asked, choice = Asked(start, end, horizon, guess, parameters), (classification, integrator)
-        found = Refinement(problem, discretization, asked, accuracy, options, choice).solve(steps)
-        return found.require_success() if throw else found
-    solver = Solver(problem, discretization, steps)
-    choice = {"classification": classification, "integrator": integrator}
-    return solver.solve(start, end, horizon, guess, parameters, throw=throw, **options, **choice)
+        check_accuracy(accuracy)
+    solver, given = Solver(problem, discretization, steps), Given(start, end, horizon, parameters)
+    options = Options.of(tolerance, max_iterations, callback, verbose)
+    request = Request.of(solver.reader, given, guess, options, classification, integrator)
+    found = solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy).solve()
+    return found.require_success() if throw else found

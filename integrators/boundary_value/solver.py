@@ -3,53 +3,39 @@
 import time
 from collections.abc import Callable
 from copy import copy
-from dataclasses import replace
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, final
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
-from ...manifolds.numerics.precision import working_precision
-from ...manifolds.numerics.tolerances import SAME_TIME
-from ...reading import is_reading, one_reading
-from ...retractions import DiscretizationMap
+from ...reading import is_reading, one_reading, reads_once
 from ..evaluator import chosen
 from ..free import is_free
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import (
-    ALONG,
-    Method,
-    Options,
-    check_method,
-    check_problem,
-    checked_options,
-    copied,
-    fractions_of,
-    structure_of,
-)
-from .differentiable import Extremal, Given, extremal_of
+from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
+from .differentiable import Extremal, extremal_of
 from .engine.newton import Found, Iteration
 from .engine.sensitivity import Sensitivities
 from .engine.stopwatch import Stopwatch
 from .examination import Examination
 from .formulated import SINGULAR, Formulated
-from .formulation import Formulation, is_formulated
+from .formulation import Formulation
 from .guess import Guess
 from .interpolation import Interpolant
-from .members import Asked, MemberReader, Members
 from .outcome import explained
 from .posed import Posed, Posing
 from .recording import Recording
 from .regular_extremals import extremals
 from .regularity import Regularity
+from .request import Request, RequestReader
 from .resampling import Mesh
 from .sensitivity import Sensitivity, require_isolated
-from .shooting import EndConditions, Request, solve_on_final_manifold
+from .shooting import solve_on_final_manifold
 from .solution import Solution
 from .solutions import Solutions
 
@@ -87,9 +73,9 @@ class Solver:
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
         interpolant = Interpolant(method.retraction, problem.controls)
         mesh = Mesh(self.fractions, self._posing.stages, interpolant)
-        self._reader = MemberReader(problem, mesh, self._evaluator)
+        self.reader = RequestReader(problem, method, mesh, self._evaluator)
         self._recording = Recording(problem, self._posing.stages, interpolant)
-        self._formulated = Formulated(self._reader, method, self._inner)
+        self._formulated = Formulated(self.reader, self._inner)
         self._regularity, self._examination = Regularity(self._posing), Examination(problem)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
@@ -115,8 +101,8 @@ class Solver:
         other = copy(self)
         other.fractions = fractions_of(steps)
         other._posing = self._posing.on(other.fractions)
-        other._reader = self._reader.on(self._reader.mesh._replace(fractions=other.fractions))
-        other._formulated = self._formulated.on(other._reader, other._inner, steps)
+        other.reader = self.reader.on(self.reader.mesh._replace(fractions=other.fractions))
+        other._formulated = self._formulated.on(other.reader, other._inner, steps)
         other._regularity = self._regularity.on(other._posing)
         return other
 
@@ -147,6 +133,7 @@ class Solver:
         )
 
     @known_options
+    @reads_once
     def solve(
         self,
         start: Any,
@@ -170,42 +157,34 @@ class Solver:
         iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters)
-        options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-        asked, choice = Asked(start, end, horizon, guess, parameters), (classification, integrator)
-        solution = self.examined(self.found(asked, options, *choice), asked)
+        options = Options.of(tolerance, max_iterations, callback, verbose)
+        given = Given(start, end, horizon, parameters)
+        request = Request.of(self.reader, given, guess, options, classification, integrator)
+        solution = self.solved(request)
         return solution.require_success() if throw else solution
 
-    def found(
-        self,
-        asked: Asked,
-        options: dict[str, Any],
-        classification: Classification | None = None,
-        integrator: SingularIntegrator | None = None,
-    ) -> Solution:
-        """The extremal, of which the conditions alone are looked at."""
-        with one_reading():
-            if is_formulated(self.problem, asked.horizon, asked.parameters):
-                return self._formulated.solve(asked, options, classification, integrator)
-            checked = checked_options(**options)
-            began = time.perf_counter()
-            members = self._reader.one(asked)
-            to_show = classification is None and self._regularity.has_to_be_shown(members)
-            c = classification if to_show or classification is not None else self._regularity.classification(members)
-            if c is not None or integrator is not None:
-                check_method(members.problem_of(0), self.method, c, integrator)
-            solution = None
-            if c is None or c.regular:
-                solution = self._solved(members, checked, began)[0]
-                if to_show and not self._regularity.is_shown(members, solution):
-                    c = self._regularity.classification(members)
-            if c is not None and not c.regular:
-                solution = self._on_final_manifold(members, checked, (c, integrator))
-            solution = cast(Solution, solution)
-            return solution if solution.success else explained(members.problem_of(0), solution)
+    def solved(self, request: Request) -> Solution:
+        """The extremal, examined."""
+        return self.examined(self.found(request), request)
 
-    def examined(self, solution: Solution, asked: Asked) -> Solution:
+    def found(self, request: Request) -> Solution:
+        """The extremal, of which the conditions alone are looked at."""
+        if request.formulated:
+            return self._formulated.solve(request)
+        regularity = self._regularity
+        solution = self._solved(request)[0] if regularity.has_to_be_shown(request) else None
+        if solution is None or not regularity.is_shown(request, solution):
+            known = request.classification
+            request = request.classified(regularity.classification(request) if known is None else known)
+            if request.classification is not None:
+                solution = solve_on_final_manifold(request, request.classification)
+            elif solution is None:
+                solution = self._solved(request)[0]
+        return solution if solution.success else explained(request.problem, solution)
+
+    def examined(self, solution: Solution, request: Request) -> Solution:
         """The solution with what its conditions do not tell."""
-        examined = self._examination(solution, is_free(asked.horizon), (asked.start, asked.end))
+        examined = self._examination(solution, is_free(request.given.horizon), request.ends.prescribed)
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]
@@ -213,6 +192,7 @@ class Solver:
         return examined
 
     @known_options
+    @reads_once
     def solve_many(
         self,
         starts: Any,
@@ -233,26 +213,23 @@ class Solver:
         ``success``. Regular problems only.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters)
-        options = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
-        asked = Asked(starts, ends, horizons, guesses, parameters)
-        return self._all_examined(self.all_found(asked, options), asked)
+        options = Options.of(tolerance, max_iterations, callback, verbose)
+        given = Given(starts, ends, horizons, parameters)
+        request = Request.of_many(self.reader, given, guesses, options)
+        return self._all_examined(self.all_found(request), request)
 
-    def all_found(self, asked: Asked, options: dict[str, Any]) -> Solutions:
+    def all_found(self, request: Request) -> Solutions:
         """The extremals of a batch, of which the conditions alone are looked at."""
-        with one_reading():
-            if is_formulated(self.problem, asked.horizon, asked.parameters):
-                return self._formulated.solve_many(asked, options)
-            checked, began = checked_options(**options), time.perf_counter()
-            members = self._reader.many(asked)
-            self._regularity.require_regular(members)
-            return self._solved(members, checked, began)
+        if request.formulated:
+            return self._formulated.solve_many(request)
+        self._regularity.require_regular(request)
+        return self._solved(request)
 
-    def _all_examined(self, solutions: Solutions, asked: Asked) -> Solutions:
+    def _all_examined(self, solutions: Solutions, request: Request) -> Solutions:
         """The solutions of a batch with what their conditions do not tell."""
-        if not self._examination.needed(solutions[0].parameters, is_free(asked.horizon)):
+        if not self._examination.needed(solutions[0].parameters, is_free(request.given.horizon)):
             return solutions
-        with one_reading():
-            examined = [self.examined(solution, asked) for solution in solutions]
+        examined = [self.examined(solution, request) for solution in solutions]
         same = all(one is other for one, other in zip(examined, solutions, strict=True))
         return solutions if same else Solutions.of(examined)
 
@@ -311,41 +288,19 @@ class Solver:
 
         return extremal_of(self.problem.manifold, Given(start, end, horizon, parameters), solved, self.sensitivity)
 
-    def _solved(self, members: Members, options: Options, began: float) -> Solutions:
+    def _solved(self, request: Request) -> Solutions:
         """Solutions of regular problems."""
-        posed = self._posing.posed(members)
-        tracing = time.perf_counter() - began
+        posed = self._posing.posed(request)
+        tracing = time.perf_counter() - request.began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found = extremals(posed, options)
+            found = extremals(posed, request.options)
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            parameters = members.parameters()
-            fields, member = self._recording.of(posed, parameters, found, options, seconds)
+            fields, member = self._recording.of(posed, request.parameters(), found, request.options, seconds)
 
         def kept(k: int) -> Solution:
             solution = member(k)
             self._kept[solution] = _Kept(posed, found, k, solution.parameters)
             return solution
 
-        return Solutions(fields, kept, range(len(members)))
-
-    def _on_final_manifold(
-        self, members: Members, options: Options, method: tuple[Classification, SingularIntegrator | None]
-    ) -> Solution:
-        """The extremal of a singular problem."""
-        problem, guess = members.problem_of(0), members.guess_of(0)
-        problem.require_treated("solve of a singular problem", "control bounds", "constraints")
-        if not isinstance(self.method, DiscretizationMap):
-            raise InvalidInputError(
-                f"the problem is singular, and solve takes a discretization map for it, got {self.method!r}; try "
-                "Midpoint(default_retraction(manifold))"
-            )
-        if np.ptp(self.fractions) > SAME_TIME:
-            raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
-        h = np.asarray(members.horizons[0] / self.steps, working_precision())
-        limits = np.asarray(options.tolerance, working_precision()), options.max_iterations
-        conditions = EndConditions(problem, *members.conditions_of(0))
-        request = Request(problem, self.method, conditions, guess, h, self.steps, *limits)
-        own: Any = {"interpolant": self._recording.interpolant, "parameters": copied(members.parameters_of(0))}
-        own["quantities"] = problem.quantities
-        return replace(solve_on_final_manifold(request, *method), **own)
+        return Solutions(fields, kept, range(len(request)))

@@ -4,7 +4,7 @@ Numba optimises the code of a function, and again wherever it is called, with al
 are made of small functions the most time goes into code that never runs by itself.
 """
 
-from typing import Any, final
+from typing import Any, Literal, final
 
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
@@ -18,7 +18,7 @@ class _PlainLowering(NativeLowering):
 
     _name = "plain_lowering"
 
-    def run_pass(self, state: Any) -> bool:
+    def run_pass(self, state: Any) -> Literal[True]:
         state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
         state.library.enable_object_caching()
         state.library._optimize_final_module = lambda: None

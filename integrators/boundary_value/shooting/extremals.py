@@ -13,7 +13,6 @@ from jaxtyping import Array
 from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....retractions import DiscretizationMap
 from ...compilation import compiled
 from ...evaluator import Automatic
 from ...initial_value.passed_jumps import Energy, Segments
@@ -22,9 +21,11 @@ from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
 from ...stages import ControlStage
+from ..arguments import copied
 from ..checks import SingularChecks
 from ..engine.diagnosis import Diagnosis
-from ..guess import Guess, default_guess
+from ..guess import default_guess
+from ..request import Request
 from ..solution import SingularArc, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
 from .end_conditions import EndConditions, points_at_ends
@@ -36,45 +37,20 @@ from .segments import Iterate, Nodes, Pair, Shooting, StepwiseGauge
 MOST_SEGMENTS = 12
 
 
-class Request(NamedTuple):
-    """What is asked for, checked: ``N = steps`` steps of size ``h`` and the tolerance of the conditions."""
-
-    problem: OptimalControlProblem
-    discretization: DiscretizationMap
-    conditions: EndConditions
-    guess: Guess | None
-    h: np.ndarray
-    steps: int
-    tolerance: np.ndarray
-    max_iterations: int
-
-
-def solve_on_final_manifold(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
+def solve_on_final_manifold(request: Request, c: Classification) -> Solution:
     """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``, piece after
     piece.
 
-    Without an ``integrator`` the classification chooses one, and gauge controls are the unknowns of least norm,
-    constant on every step. Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the data
-    of one end contradict them, or for abnormal extremals, whose costates are known up to a factor only.
+    Without an integrator the classification chooses one, and gauge controls are the unknowns of least norm, constant on
+    every step. Raises ``InvalidInputError`` if the data of one end contradict the equations of ``P_f``.
     """
-    if c.empty:
-        raise InvalidInputError(
-            "the problem is singular, and no point of P_f, on which its interior singular extremals lie, was "
-            f"found\n{c}"
-        )
-    c.require_reliable()
-    if request.problem.abnormal:
-        raise InvalidInputError(
-            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start "
-            "(q0, p0)"
-        )
-    request = request._replace(conditions=request.conditions.in_units_of(c))
-    if integrator is not None or not c.stratified:
-        return _on_piece(request, c, integrator)
+    conditions = EndConditions(request.problem, *request.conditions_of(0)).in_units_of(c)
+    if request.integrator is not None or not c.stratified:
+        return _on_piece(request, conditions, c)
     failed, refused = list[Solution](), list[str]()
     for i in range(len(c.strata)):
         try:
-            solution = _on_piece(request, c.choose(i), None)
+            solution = _on_piece(request, conditions, c.choose(i))
         except InvalidInputError as error:
             refused.append(f"piece {i} of P_f: {error}")
             continue
@@ -86,31 +62,32 @@ def solve_on_final_manifold(request: Request, c: Classification, integrator: Sin
     raise InvalidInputError("\n".join(refused))
 
 
-def _on_piece(request: Request, c: Classification, integrator: SingularIntegrator | None) -> Solution:
+def _on_piece(request: Request, conditions: EndConditions, c: Classification) -> Solution:
     """An extremal on the first piece of ``P_f``."""
     began = time.perf_counter()
-    shooting, strategy = _shooting(request, c, integrator)
-    first, last = points_at_ends(c, request.conditions, request.discretization.retraction)
-    _require_choice(request, c)
-    guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, integrator))
+    shooting, strategy = _shooting(request, c)
+    first, last = points_at_ends(c, conditions, request.discretization.retraction)
+    _require_choice(conditions, c)
+    guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, request.integrator))
     prepared = time.perf_counter()
-    found = meet_conditions(shooting, request.conditions, guess, float(request.tolerance), request.max_iterations)
+    found = meet_conditions(shooting, conditions, guess, *request.options[:2])
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged
-        return _record(request, _arc(request, c, shooting, strategy, found, outcome), shooting, found, outcome, seconds)
+        arc = _arc(request, c, shooting, strategy, found, outcome)
+        return _record(request, conditions, arc, shooting, found, outcome, seconds)
 
 
-def _require_choice(request: Request, c: Classification) -> None:
+def _require_choice(conditions: EndConditions, c: Classification) -> None:
     """Raise where ends are prescribed, and every curve between them is an extremal.
 
     ``P_f`` on which all controls are free is left by no control. All curves from a point of it are extremals then, and
     the cost is stationary at each of those that end in one point: it is the same for all that can be deformed into each
     other.
     """
-    parts = *request.conditions.start.parts, *request.conditions.end.parts
+    parts = *conditions.start.parts, *conditions.end.parts
     which = "the control is" if c.gauge_controls == 1 else f"all {c.gauge_controls} controls are"
-    if c.gauge_controls == request.problem.controls.dimension and all(part.fixed for part in parts):
+    if c.gauge_controls == conditions.problem.controls.dimension and all(part.fixed for part in parts):
         raise InvalidInputError(
             f"{which} free on P_f, of dimension {c.dimension}: every curve from start to end is an extremal, all of "
             "them cost the same, as where the running cost is a total derivative along the dynamics, and none is the "
@@ -118,13 +95,14 @@ def _require_choice(request: Request, c: Classification) -> None:
         )
 
 
-def _shooting(request: Request, c: Classification, integrator: SingularIntegrator | None) -> tuple[Shooting, str]:
+def _shooting(request: Request, c: Classification) -> tuple[Shooting, str]:
     """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the
     time.
 
     With the choice of the integrator in words.
     """
     length, h = -(-request.steps // min(MOST_SEGMENTS, request.steps)), jnp.asarray(request.h)
+    integrator = request.integrator
     if integrator is None:
         still = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
         method, choice = singular_integrator(c, request.discretization, gauge=still if c.gauge_controls else None)
@@ -143,12 +121,13 @@ def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegra
 def _first_points(shooting: Shooting, c: Classification, request: Request, first: Pair, last: Pair) -> Pair:
     """Points of ``P_f`` near the guess, or near the curve of the retraction with costates between those at the ends."""
     at = shooting.length * np.arange(shooting.segments)
-    if request.guess is None:
+    known = request.guess_of(0)
+    if known is None:
         states = default_guess(request.problem, request.discretization, first[0], last[0], request.steps).states
         fractions = at / request.steps
         costates = jax.tree.map(lambda a, b: _blend(fractions, a, b), first[1], last[1])
     else:
-        states, costates = request.guess.states, vec.entries(request.guess.costates, at)
+        states, costates = known.states, vec.entries(known.costates, at)
     states = vec.entries(states, at)
     points = _near_final(request.problem.manifold, c.equations, states, costates)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
@@ -231,13 +210,15 @@ def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
     return vec.entries(found, 0)
 
 
-def _judged(request: Request, method: SingularIntegrator, found: Found, outcome: _Outcome) -> tuple[bool, str]:
+def _judged(
+    request: Request, conditions: EndConditions, method: SingularIntegrator, found: Found, outcome: _Outcome
+) -> tuple[bool, str]:
     """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
     if found.result != Result.successful:
         return False, Result[found.result]
     stage_times = float(request.h) * (np.arange(request.steps) + request.discretization.theta)
     broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
-    broken = broken or broken_end(request.conditions, found.ends, *outcome.nodes)
+    broken = broken or broken_end(conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, request.problem, method.retraction)
     jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
     if jumps:
@@ -247,6 +228,7 @@ def _judged(request: Request, method: SingularIntegrator, found: Found, outcome:
 
 def _record(
     request: Request,
+    conditions: EndConditions,
     arc: SingularArc,
     shooting: Shooting,
     found: Found,
@@ -255,7 +237,7 @@ def _record(
 ) -> Solution:
     (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
     times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
-    success, result = _judged(request, shooting.integrator, found, outcome)
+    success, result = _judged(request, conditions, shooting.integrator, found, outcome)
     return Solution(
         times=times,
         states=states,
@@ -278,6 +260,9 @@ def _record(
         ),
         statistics=Statistics(found.iterations, *seconds),
         singular=arc,
+        interpolant=request.reader.mesh.interpolant,
+        parameters=copied(request.known.parameters),
+        quantities=request.problem.quantities,
     )
 
 

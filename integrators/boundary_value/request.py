@@ -1,0 +1,335 @@
+"""What a solver is asked for: checked and completed once, in flat arrays, for all that computes with it."""
+
+import time
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Number
+from typing import Any, cast, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import InvalidInputError
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import is_finite_number
+from ...manifolds.numerics.precision import default_tolerance, working_precision
+from ...manifolds.numerics.tolerances import ROUNDING
+from ...retractions import DiscretizationMap
+from ..evaluator import Automatic, Evaluated, Evaluator
+from ..free import all_guessed, guessed, is_free
+from ..layout import Layout, parameter_layout
+from ..options import HORIZON
+from ..problem import OptimalControlProblem
+from ..singular import Classification, SingularIntegrator
+from .arguments import (
+    Given,
+    Method,
+    Options,
+    check_classification,
+    check_parameters,
+    check_regular,
+    check_singular,
+    copied,
+    structure_of,
+)
+from .end_points import EndPoints, EndReader, NodeCondition
+from .formulation import Kind, is_formulated
+from .given_guess import FlatGuess, GuessReader
+from .guess import Guess
+from .resampling import Mesh, resampled
+from .solution import Solution
+
+
+@final
+class RequestReader:
+    """What requests to a solver are read with: its problem and method, checked before, and its mesh."""
+
+    def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, evaluator: Evaluator) -> None:
+        self.problem, self.method, self.mesh, self.ends = problem, method, mesh, EndReader(problem.manifold)
+        self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
+        self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
+        self._parameters: dict[Any, Layout] = {}
+
+    @cached_property
+    def _restored(self) -> Evaluated:
+        """Points moved onto the manifold; seldom needed."""
+        layout = self.ends.layout
+        return Automatic().values(lambda q: (layout.flat(self.problem.manifold.restore(layout.point(q))),), layout.size)
+
+    def on(self, mesh: Mesh) -> "RequestReader":
+        """The same on another mesh."""
+        other = copy(self)
+        other.mesh, other.guesses = mesh, GuessReader(self.problem, len(mesh.fractions), len(mesh.stages))
+        return other
+
+    def flat_guess(self, guesses: Sequence[Any]) -> FlatGuess | None:
+        """The guesses, solutions among them resampled, with the multipliers of inequalities that the problem has."""
+        given = [
+            self.guesses.known(resampled(guess, self.mesh)) if isinstance(guess, Solution) else guess
+            for guess in guesses
+        ]
+        return self.guesses.flat(given) if any(guess is not None for guess in given) else None
+
+    def parameters(self, given: Any, axes: int, count: int) -> tuple[Any, np.ndarray]:
+        """The structure of the parameters of a member, and those of all in rows."""
+        structure = structure_of(given, axes)
+        if structure not in self._parameters:
+            self._parameters[structure] = parameter_layout(given, axes)
+        layout = self._parameters[structure]
+        return structure, np.broadcast_to(layout.rows(given, axes), (count, layout.size))
+
+    def violations(self, points: np.ndarray) -> np.ndarray:
+        """By how much each of some flat points violates the equations of the manifold."""
+        return np.max(self._violations.at(1, points)[0], axis=1)
+
+    def restored(self, points: np.ndarray) -> np.ndarray:
+        """Flat points on the manifold next to these; where it has none, these."""
+        moved = self._restored.at(1, points)[0]
+        return np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points)
+
+    def _violations_of(self, q: Array) -> tuple[Array]:
+        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Request:
+    """What ``solve`` or ``solve_many`` is asked for, checked and completed: B trajectories, of ``solve`` one.
+
+    ``given`` and ``guess`` are as they came, ``known`` has the guesses of the horizon and of parameters that are free.
+    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters
+    of one member, which are ``rows`` of shape (B, P). ``classification``: None where the problem is regular, or not
+    looked at.
+    """
+
+    reader: RequestReader
+    given: Given
+    known: Given
+    guess: Any
+    options: Options
+    integrator: SingularIntegrator | None
+    axes: int  # that what is asked for has for the members: none for a single one
+    began: float  # when it was asked for, on the clock of ``time.perf_counter``
+    ends: EndPoints
+    horizons: np.ndarray
+    guesses: FlatGuess | None
+    structure: Any
+    rows: np.ndarray
+    classification: Classification | None = None
+
+    @classmethod
+    def of(
+        cls,
+        reader: RequestReader,
+        given: Given,
+        guess: Any,
+        options: Options,
+        classification: Classification | None = None,
+        integrator: SingularIntegrator | None = None,
+    ) -> "Request":
+        """A single trajectory.
+
+        Raises ``InvalidInputError`` or ``NotOnManifoldError`` for a horizon, parameters, a guess, ends or a
+        classification that do not belong to the problem and the mesh. Whether the problem is regular is found out
+        afterwards, where nobody has said it: see ``classified``.
+        """
+        _require_horizon(given.horizon)
+        known = _known(reader.problem, given)
+        check_parameters(reader.problem, known.parameters)
+        request = cls._read(reader, given, known, guess, options, integrator)
+        if classification is None:
+            return request
+        check_classification(request.problem, classification)
+        return replace(request, classification=classification)
+
+    @classmethod
+    def of_many(cls, reader: RequestReader, given: Given, guesses: Any, options: Options) -> "Request":
+        """A batch: what is not for all has one more leading axis."""
+        known = _known(reader.problem, given)
+        count = _count(reader.ends, known, guesses)
+        for horizon in np.asarray(known.horizon).tolist() if np.ndim(known.horizon) else [known.horizon]:
+            _require_horizon(horizon)
+        check_parameters(reader.problem, known.parameters)
+        request = cls._read(reader, given, known, guesses, options, None, 1, count)
+        if request.formulated and len({Kind.of(own.horizon, own.parameters) for own in request.each}) > 1:
+            raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
+        return request
+
+    @classmethod
+    def _read(
+        cls,
+        reader: RequestReader,
+        given: Given,
+        known: Given,
+        guess: Any,
+        options: Options,
+        integrator: SingularIntegrator | None,
+        axes: int = 0,
+        count: int = 1,
+    ) -> "Request":
+        """What is asked for in flat arrays; raises where ends or guesses are no points of the manifold."""
+        began = time.perf_counter()
+        guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
+        ends = reader.ends.ends(given.start, given.end, bool(axes))
+        if np.any(ends.unknown):
+            at_rest = reader.ends.at_rest
+            ends = ends.completed(
+                *((at_rest, at_rest) if guesses is None else (guesses.states[:, 0], guesses.states[:, -1]))
+            )
+        asked = reader, given, known, guess, options, integrator, axes, began
+        parameters = reader.parameters(known.parameters, axes, count)
+        return cls(*asked, ends, np.full(count, known.horizon, float), guesses, *parameters)._on_manifold()
+
+    def _on_manifold(self) -> "Request":
+        """The request with ends that are on the manifold to rounding; raises where they, or a guess, are off it."""
+        reader, (start, end, *_) = self.reader, self.ends
+        states = [] if self.guesses is None else [self.guesses.states_to_check(reader.ends.layout.size)]
+        points = np.concatenate([start, end])
+        violations = reader.violations(np.concatenate([points, *states]))
+        beside, near = violations[: len(points)], violations[: len(points)] <= default_tolerance()
+        if self.guesses is not None:
+            reader.guesses.require_on_manifold(self.guesses, violations[len(points) :])
+        if not np.all(near):
+            for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
+                own = self.each[int(k)]
+                reader.ends.require_on_manifold(own.start, own.end)
+        off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
+        if not np.any(off):
+            return self
+        points[off] = reader.restored(points[off])  # no trajectory ends beside its manifold
+        return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
+
+    def again(self, reader: RequestReader, given: Given, guess: Any) -> "Request":
+        """What follows from this request for another problem, mesh or guess: nothing of the rest is checked again."""
+        known = _known(reader.problem, given)
+        return self._read(reader, given, known, guess, self.options, self.integrator, self.axes, len(self))
+
+    def classified(self, c: Classification | None) -> "Request":
+        """The request with the classification of its problem if that is singular, without if it is regular; raises
+        where it is not to be solved like this."""
+        if c is None or c.regular:
+            check_regular(self.integrator)
+            return self if self.classification is None else replace(self, classification=None)
+        check_singular(self.problem, self.reader.method, self.reader.mesh.fractions, c, self.integrator)
+        return replace(self, classification=c)
+
+    def __len__(self) -> int:
+        return len(self.horizons)
+
+    @property
+    def formulated(self) -> bool:
+        """Whether there is something that needs more states."""
+        return self.known is not self.given
+
+    @cached_property
+    def each(self) -> tuple[Given, ...]:
+        """What is given for each member."""
+        return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+
+    def member(self, k: int) -> "Request":
+        """What ``solve`` is asked for by a member, without its guess."""
+        known, rows = _known(self.reader.problem, self.each[k]), self.rows[k : k + 1]
+        ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
+        own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}
+        return replace(self, given=self.each[k], guess=None, guesses=None, axes=0, **own)
+
+    @cached_property
+    def problem(self) -> OptimalControlProblem:
+        """The problem with the parameters of the first member."""
+        return self.problem_of(0)
+
+    @property
+    def discretization(self) -> DiscretizationMap:
+        """The method of a singular problem."""
+        return cast(DiscretizationMap, self.reader.method)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps N."""
+        return len(self.reader.mesh.fractions)
+
+    @property
+    def h(self) -> np.ndarray:
+        """The size of equal steps of the first member."""
+        return np.asarray(self.horizons[0] / self.steps, working_precision())
+
+    def parameters_of(self, k: int) -> Any:
+        """The parameters of a member."""
+        given = self.known.parameters
+        return vec.taken(given, k) if self.axes else given
+
+    def parameters(self) -> Any:
+        """The parameters as arrays of their own, with the members along the leading axis."""
+        given = copied(self.known.parameters)
+        return given if self.axes else vec.taken(given, None)
+
+    def problem_of(self, k: int) -> OptimalControlProblem:
+        """The problem with the parameters of a member."""
+        return self.reader.problem.with_parameters(self.parameters_of(k))
+
+    def guess_of(self, k: int) -> Guess | None:
+        """The guess of a member."""
+        return None if self.guesses is None else self.reader.guesses.guess(self.guesses, k)
+
+    def conditions_of(self, k: int) -> tuple[NodeCondition, NodeCondition]:
+        """The boundary conditions of a member."""
+        ends, read = self.ends, self.reader.ends.condition
+        first, last = ends.prescribed
+        return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+
+
+def _known(problem: OptimalControlProblem, given: Given) -> Given:
+    """What is given with the guesses of what is free; the same one where nothing needs more states."""
+    if not is_formulated(problem, given.horizon, given.parameters):
+        return given
+    return given._replace(horizon=guessed(given.horizon), parameters=all_guessed(given.parameters))
+
+
+def _require_horizon(horizon: Any) -> None:
+    if is_free(horizon):
+        if np.ndim(horizon.guess) or not horizon.guess > 0:
+            raise InvalidInputError(
+                f"horizon must be free around a positive finite time, got {horizon!r}; try Free(10.0)"
+            )
+    elif not (is_finite_number(horizon) and horizon > 0):
+        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
+
+
+def _are_several(guesses: Any) -> bool:
+    return isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
+
+
+def _count(ends: EndReader, known: Given, guesses: Any) -> int:
+    """The number of members of a batch."""
+    lengths = [*ends.lengths(known.start), *ends.lengths(known.end)]
+    lengths += [np.shape(known.horizon)] if np.ndim(known.horizon) else []
+    lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)]
+    lengths += [(len(guesses),)] if _are_several(guesses) else []
+    if len(set(lengths)) != 1 or len(lengths[0]) != 1 or not lengths[0][0]:
+        raise InvalidInputError(
+            f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, "
+            "expected one length B, wherever there is such an axis; for a single trajectory call solve"
+        )
+    return lengths[0][0]
+
+
+def _member(ends: EndReader, given: Given, k: int) -> Given:
+    """What is given for member ``k`` of a batch."""
+
+    def one(leaf: Any) -> Any:
+        if is_free(leaf):
+            return leaf.member(k)
+        return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
+
+    start, end = ends.member(given.start, k), ends.member(given.end, k)
+    return Given(start, end, *jax.tree.map(one, (given.horizon, given.parameters), is_leaf=is_free))
+
+
+def _row(rows: np.ndarray, k: int) -> np.ndarray:
+    """Row ``k`` of rows of which there may be one for all."""
+    return rows[min(k, len(rows) - 1)]
