@@ -1,7 +1,8 @@
-"""Levenberg's method: the one loop of damped Gauss-Newton steps under ``jit``, with its rule of damping."""
+"""Levenberg's method: the loop of damped Gauss-Newton steps under ``jit``, and the rule of damping of all such
+loops."""
 
 from collections.abc import Callable
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -14,20 +15,38 @@ Equations = Callable[[Vector], Float[Array, " m"]]
 Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]
 
 
+STEPS = 60
+
+
 @final
 class Damping(NamedTuple):
-    """The first damping, the factor by which it falls after a step that is taken and grows after one that is not, and
-    the largest one, at which the method ends; ``solved``: the largest equation at which it ends."""
+    """How steps are damped: from ``first`` on it falls by a factor after a step that is taken, from ``least`` or below
+    to zero, and grows by a factor after one that is not, from zero to ``least``; beyond ``largest`` a method ends."""
 
-    first: float
-    factor: float
-    largest: float
-    solved: float
-    steps: int = 60
+    grows: float
+    falls: float
+    first: float = 0.0
+    least: float = 0.0
+    largest: float = float("inf")
+
+    def after(self, damping: Any, better: Any) -> Any:
+        """The damping after a step that was ``better``, and taken, or not: numbers, or arrays of NumPy or JAX."""
+        fallen = damping / self.falls * (damping > self.least)
+        grown = damping * self.grows + self.least * (damping == 0)
+        return better * fallen + (1 - better) * grown
 
 
-def levenberg(equations: Equations, start: Vector, step: Step, damping: Damping) -> tuple[Vector, Float[Array, " m"]]:
-    """Where the method ends, and the equations there; ``step``: what is added for a Jacobian, equations and a damping.
+APPROACH = Damping(grows=4.0, falls=4.0, first=0.1)  # of squares of singular values
+RELATIVE = Damping(grows=10.0, falls=10.0, least=1e-4, largest=1e2)  # in units of the largest singular value
+SHORTENING = Damping(grows=2.0, falls=float("inf"), least=2.0, largest=1e3)  # what a step is divided by, zero for one
+
+
+def levenberg(
+    equations: Equations, start: Vector, step: Step, damping: Damping, solved: float
+) -> tuple[Vector, Float[Array, " m"]]:
+    """Where the method ends, and the equations there, the largest of which is not above ``solved`` where it arrives.
+
+    ``step``: what is added for a Jacobian, equations and a damping.
 
     A step that does not make ``|equations|`` less is not taken [Nocedal, Wright 2006, 10.3].
     """
@@ -37,12 +56,11 @@ def levenberg(equations: Equations, start: Vector, step: Step, damping: Damping)
         tried = x + step(jax.jacfwd(equations)(x), r, shift)
         missed = equations(tried)
         better = missed @ missed < r @ r
-        shift = shift * jnp.where(better, 1 / damping.factor, damping.factor)
-        return jnp.where(better, tried, x), jnp.where(better, missed, r), shift, count + 1
+        return jnp.where(better, tried, x), jnp.where(better, missed, r), damping.after(shift, better), count + 1
 
     def going(state: tuple[Array, Array, Array, Array]) -> Array:
         _, r, shift, count = state
-        return (vec.largest(r) > damping.solved) & (shift < damping.largest) & (count < damping.steps)
+        return (vec.largest(r) > solved) & (shift <= damping.largest) & (count < STEPS)
 
     first = equations(start)
     if not first.size:

@@ -8,10 +8,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from .implicit import implicit_root
-from .levenberg import Damping, levenberg
+from .levenberg import APPROACH, levenberg
 from .newton import Vector
 
-APPROACH = Damping(first=0.1, factor=4.0, largest=float("inf"), solved=1e-3)  # where Newton's method takes over
+NEAR = 1e-3  # where Newton's method takes over
 
 
 def solve_small(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Float[Array, " m"]:
@@ -52,4 +52,4 @@ def approach_root(residual: Callable[[Vector], Float[Array, " m"]], start: Vecto
     def step(j: Float[Array, "m k"], r: Float[Array, " m"], damping: Array) -> Vector:
         return -jnp.linalg.solve(j.T @ j + damping * jnp.eye(start.size, dtype=start.dtype), j.T @ r)
 
-    return levenberg(residual, start, step, APPROACH)[0]
+    return levenberg(residual, start, step, APPROACH, NEAR)[0]

@@ -12,6 +12,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics import series
 from retrax.manifolds.numerics.compiler import known_options
 from retrax.manifolds.numerics.differences import central_difference, central_nodes, slope
+from retrax.manifolds.numerics.levenberg import APPROACH, RELATIVE, SHORTENING, levenberg
 from retrax.manifolds.numerics.rank import null_space, numerical_rank
 from retrax.manifolds.numerics.root import find_root
 
@@ -177,6 +178,36 @@ def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_othe
 )
 def test_find_root_says_where_it_found_none(residual):
     assert not find_root(residual, jnp.array([0.5]))[1]
+
+
+@pytest.mark.parametrize(
+    ("damping", "values"),
+    [
+        (APPROACH, [0.1, 0.4, 0.1, 0.025]),
+        (RELATIVE, [0.0, 1e-4, 0.0, 0.0]),
+        (SHORTENING, [0.0, 2.0, 0.0, 0.0]),
+    ],
+    ids=["approach", "relative", "shortening"],
+)
+def test_a_damping_grows_after_a_step_that_is_not_taken_and_falls_after_one_that_is(damping, values):
+    """Of numbers, and of arrays of NumPy and JAX alike."""
+    for kind in (float, np.array, jnp.array):
+        found = [kind(damping.first)]
+        for better in (False, True, True):
+            found.append(damping.after(found[-1], better))
+        np.testing.assert_allclose(found, values, rtol=1e-15)
+    assert damping.after(3 * damping.least + 1, False) == damping.grows * (3 * damping.least + 1)
+    assert damping.after(3 * damping.least + 1, True) == (3 * damping.least + 1) / damping.falls
+
+
+@pytest.mark.parametrize("damping", [APPROACH, RELATIVE], ids=["approach", "relative"])
+def test_damped_steps_arrive_from_where_those_of_gauss_and_newton_go_ever_further(damping):
+    def step(j, r, shift):
+        return -jnp.linalg.solve(j.T @ j + shift * jnp.eye(1), j.T @ r)
+
+    x, r = levenberg(jnp.arctan, jnp.array([3.0]), step, damping, 1e-3)
+    assert jnp.max(jnp.abs(r)) <= 1e-3
+    assert jnp.max(jnp.abs(x)) <= 1.001e-3
 
 
 @given(seed=SEEDS)

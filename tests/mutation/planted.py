@@ -202,8 +202,8 @@ PLANTED: dict[str, Planted] = {
     # Ranks.
     "a rank is measured by the largest singular value alone": Planted(
         "manifolds/numerics/rank.py",
-        "tolerance(values, RANK) * max(values[0], unit)",
-        "tolerance(values, RANK) * values[0]",
+        "relative * max(values[0], unit)",
+        "relative * values[0]",
         ("tests/manifolds/test_rank.py",),
     ),
     "ranks are decided by what counts alone": Planted(

@@ -11,6 +11,7 @@ import numpy as np
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Frame
+from ....manifolds.numerics.levenberg import RELATIVE
 from ...compilation import compiled
 from ...results import Result
 from .end_conditions import AtEnds, EndConditions
@@ -19,7 +20,6 @@ from .segments import Iterate, Linearised, Shooting
 
 MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary conditions
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
-FIRST_DAMPING, LARGEST_DAMPING, FACTOR = 1e-4, 1e2, 10.0
 STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
 DECREASE = 1e-6  # of the conditions: what a step takes away at least
 PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
@@ -75,7 +75,7 @@ def meet_conditions(
     still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
     weights = _weights(shooting, guess)
     state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
-    damping, rank, count, result, sizes = 0.0, 0, 0, Result.too_many_iterations, []
+    damping, rank, count, result, sizes = RELATIVE.first, 0, 0, Result.too_many_iterations, []
     for count in range(max_iterations + 1):
         if not np.isfinite(state.size):
             return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
@@ -83,17 +83,15 @@ def meet_conditions(
         d, rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
         slope = _slope(matrix, state.rows)
         sizes.append(state.size)
-        exhausted = damping > LARGEST_DAMPING or (
+        exhausted = damping > RELATIVE.largest or (
             count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE]
         )
         result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, exhausted)
         if result != Result.too_many_iterations or count == max_iterations:
             break
         tried = _evaluate(shooting, conditions, state.iterate, state.frames, weights * d.reshape(weights.shape))
-        if tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size:
-            state, damping = tried, damping / FACTOR if damping > FIRST_DAMPING else 0.0
-        else:
-            damping = max(FACTOR * damping, FIRST_DAMPING)
+        better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
+        state, damping = tried if better else state, RELATIVE.after(damping, better)
     return Found(state.iterate, state.at, state.ends, count, rank - state.at.gaps.size, result)
 
 

@@ -6,10 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ....manifolds.numerics.levenberg import Damping, levenberg
+from ....manifolds.numerics.levenberg import RELATIVE, levenberg
 
 CUTOFF = 1e-11  # singular values below this fraction of the largest are taken for zero
-DAMPING = Damping(first=1e-3, factor=10.0, largest=1e4, solved=1e-13)  # in units of the largest singular value
+SOLVED = 1e-13
 
 
 def least_squares(
@@ -27,7 +27,7 @@ def least_squares(
         scales = jnp.where(kept, s / jnp.where(kept, s * s + (damping * s[0]) ** 2, 1.0), 0.0)
         return -vt.T @ (scales * (u.T @ r))
 
-    return levenberg(residual, start, step, DAMPING)
+    return levenberg(residual, start, step, RELATIVE, SOLVED)
 
 
 def shortest_step(

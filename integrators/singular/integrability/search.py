@@ -6,11 +6,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from ....manifolds.numerics.levenberg import SHORTENING
 from .points import CONVERGED, Linearised, Points, in_units, moved, relative, tiny_steps
 from .units import Units, units_at
 
 ITERATIONS = 100
-SMALLEST_DAMPING = 1e-3
 FURTHER = 1e-3  # of what counts as converged: the search ends at as little
 ARMIJO = 1e-4  # of a step: what the equations shrink by at least, relative
 PSEUDO_INVERSE_CUTOFF = 1e-9
@@ -52,20 +52,23 @@ def _better(which: np.ndarray, again: Points, points: Points) -> Points:
 
 def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
     """Steps are taken if the equations shrink in the units of the point before."""
-    at, damping, slow = points.at, np.where(which, 1.0, 0.0), np.zeros(len(which), int)
+    at, going, slow = points.at, which, np.zeros(len(which), int)
+    damping = np.full(len(which), SHORTENING.first)
     residual = search.residual(at, at)
     for i in range(ITERATIONS):
-        active = (residual > FURTHER * CONVERGED) & (damping > SMALLEST_DAMPING)
+        active = going & (residual > FURTHER * CONVERGED) & (damping <= SHORTENING.largest)
         if not active.any():
             break
-        d = np.where(active, damping, 0.0)[:, None] * search.directions(at, i < descents)
+        length = 1 / np.maximum(damping, 1.0)
+        d = np.where(active, length, 0.0)[:, None] * search.directions(at, i < descents)
         tried = moved(points.array, at.z, points.centers, at.jet, d)
         now, own = search.residual(tried, at), search.residual(tried, tried)
-        better = active & (now < (1 - ARMIJO * damping) * residual)
+        better = active & (now < (1 - ARMIJO * length) * residual)
         at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
-        slow += better & (damping == 1) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
+        slow += better & (damping == 0) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, own, residual)
-        damping = np.where(better, 1.0, np.where(residual <= CONVERGED, 0.0, damping / 2))
+        going = going & (better | (residual > CONVERGED))
+        damping = SHORTENING.after(damping, better)
     return search.ended(at, slow >= SLOW_STEPS)
 
 

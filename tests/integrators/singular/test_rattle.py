@@ -131,7 +131,7 @@ def test_it_applies_where_second_derivatives_by_a_control_are_rounding():
             problem=problem, stratum=SimpleNamespace(states=states, count=1, u=jnp.array([-0.5]))
         )
         if share < 1:
-            assert RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None).singular == (0,)
+            assert RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None)[0].singular == (0,)
         else:
             with pytest.raises(NotApplicableError, match="H has a second derivative in every control"):
                 RattleIntegrator.suited(found, CUBIC_RATTLE.lift, None)
