@@ -132,7 +132,9 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
         for i in range(m):
             turn = 1.0 if pattern == 3 else (0.0, 1.0, -1.0)[pattern % 3] * (1.0 - 2.0 * (i % 2))
             for j in range(v.shape[1]):
-                v[places[C] + i, j] = (v[places[SCALED] + i, j] + turn * PROBE * EPS) * v[places[SIZES] + i, j]
+                unknown = v[places[SCALED] + i, j]
+                moved = turn * PROBE * EPS * max(abs(unknown), 1.0)
+                v[places[C] + i, j] = (unknown + moved) * v[places[SIZES] + i, j]
         machine(codes, operands, values, ranges, RESIDUAL, v, w)
         multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)

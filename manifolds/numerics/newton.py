@@ -83,7 +83,8 @@ def _chords(
     patterns = patterns.astype(state.c.dtype)
 
     def chord(s: _Iteration) -> _Iteration:
-        d = solve(residual(s.c + jnp.where(s.probed < 0, 0.0, patterns[jnp.maximum(s.probed, 0)])))
+        moved = patterns[jnp.maximum(s.probed, 0)] * jnp.maximum(jnp.abs(s.c), 1.0)
+        d = solve(residual(s.c + jnp.where(s.probed < 0, 0.0, moved)))
         step = vec.size(d)
         ratio = step / s.step
         # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is

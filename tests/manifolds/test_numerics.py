@@ -159,6 +159,19 @@ def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_un
     assert abs(c[0] - np.log(2)) < 2e-16 * max(1.0, size)
 
 
+@pytest.mark.parametrize("size", 10.0 ** np.arange(-40, 1, 8))
+@pytest.mark.parametrize("a", [0.3, 1.7, 5.539])
+def test_find_root_ends_at_a_root_whose_unknowns_are_far_larger_than_their_sizes(size, a):
+    """As those of a step from a point that is zero but for rounding: what moves them is the rounding of the root."""
+
+    def residual(c):
+        return jnp.stack([c[0] - a * c[1] / 3, c[1] + jnp.sin(c[0]) / 10 - a, jnp.sum(c)])
+
+    c, converged = find_root(residual, jnp.zeros(3), jnp.array([size, 1.0, size]))
+    assert converged
+    assert vec.size(residual(c)) < 1e-14
+
+
 @pytest.mark.parametrize("scale", 10.0 ** np.arange(-40, 1, 10))
 @pytest.mark.parametrize("start", [0.0, 1.05, 3.0])
 def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others(scale, start):
