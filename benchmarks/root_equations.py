@@ -305,12 +305,15 @@ def propagation():
     count, n = len(given.steps), len(given.scales)
 
     def end(c, x, begin, step, base, offset):
-        slopes = []
-        for i, place in enumerate(places):
-            stage = c + step * sum((table[i, j] * slopes[j] for j in range(i)), jnp.zeros(n))
+        def slope(slopes, at):
+            row, place, i = at
             time = jnp.reshape(begin + step * place, 1)
-            slopes.append(propagator._rate_of(x, stage, base, offset, time, jnp.zeros(0))[0])
-        c = c + step * sum(w * s for w, s in zip(weights, slopes, strict=True))
+            found = propagator._rate_of(x, c + step * row @ slopes, base, offset, time, jnp.zeros(0))[0]
+            return slopes.at[i].set(found), None
+
+        stages = jnp.asarray(table), jnp.asarray(places), jnp.arange(len(places))
+        slopes, _ = jax.lax.scan(slope, jnp.zeros((len(places), n)), stages)
+        c = c + step * weights @ slopes
         return propagator._chart_of(x, c)[0]
 
     def pose(data, mark):
