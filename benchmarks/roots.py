@@ -28,7 +28,7 @@ import numpy as np
 import optimistix
 from retrax.integrators import Flow, compilation, evaluator
 from retrax.integrators.initial_value.inverse_kernels import invert
-from retrax.manifolds.numerics.newton import row_sizes
+from retrax.manifolds.numerics.chord_newton import row_sizes
 from root_equations import CASES, COUNT, SYSTEMS, pose_step, states
 
 jax.config.update("jax_enable_x64", True)

@@ -15,7 +15,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.compiler import Option, known_options
 from ..reading import one_reading, traced
 from .functions import is_transformed
-from .programs import PLAIN, content_key, program_key
+from .program_keys import PLAIN, content_key, program_key
 
 P = ParamSpec("P")
 R = TypeVar("R")

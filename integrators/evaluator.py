@@ -16,7 +16,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from ..reading import traced
 from .compilation import compiler_options
-from .programs import content_key
+from .program_keys import content_key
 
 if TYPE_CHECKING:
     from ..tape import Tape

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .programs import CALLS, outputs_of, value_of
+from .program_keys import CALLS, outputs_of, value_of
 
 WHOLE = "a whole number"
 STEPS = {

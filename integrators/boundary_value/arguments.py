@@ -17,7 +17,7 @@ from ..problem import OptimalControlProblem
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
 from .engine.newton import Iteration
-from .progress import printed
+from .iteration_table import printed
 
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends

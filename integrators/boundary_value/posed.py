@@ -19,8 +19,8 @@ from .engine.conditions import Conditions
 from .engine.coupling import Coupling
 from .engine.diagnosis import Diagnosis
 from .engine.inequalities import Slacks
+from .engine.kkt_system import Ends, Iterate
 from .engine.start import Start
-from .engine.system import Ends, Iterate
 from .engine.transcription import Data, Known, Nodes, OneStage
 from .given_guess import FlatGuess
 from .request import Request

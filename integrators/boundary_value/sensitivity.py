@@ -10,7 +10,7 @@ from ...manifolds import ConvergenceError
 from ...manifolds.numerics.tolerances import EPS, REGULAR
 from ..layout import Layout
 from ..records import shapes
-from .engine.sensitivity import Derivatives
+from .engine.derivatives import Derivatives
 from .solution import Solution
 
 

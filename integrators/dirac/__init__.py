@@ -1,6 +1,6 @@
 """Dirac systems: Hamilton's equations with nonholonomic constraints."""
 
-from .integrator import DiracIntegrator
-from .system import DiracSystem
+from .dirac_integrator import DiracIntegrator
+from .dirac_system import DiracSystem
 
 __all__ = ["DiracIntegrator", "DiracSystem"]

@@ -16,7 +16,7 @@ from ..compilation import call_compiled
 from .integrator import Integrator
 from .loop import Nodes
 from .pieces import Steps
-from .programs import packed, rows, step_programs, unpacked
+from .step_programs import packed, rows, step_programs, unpacked
 
 FEW = 6  # trajectories that are faster one after the other than on lanes side by side
 
@@ -29,9 +29,9 @@ class TracedSteps:
     """
 
     def __init__(self, system: Any, integrator: Integrator) -> None:
-        from . import kernels
+        from . import step_kernels
 
-        self.kernels, self.system, (self.single, self.parts) = kernels, system, integrator.substeps()
+        self.kernels, self.system, (self.single, self.parts) = step_kernels, system, integrator.substeps()
         ambient = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), integrator.manifold.ambient)
         begun = flat(self._begun, (ambient, ambient))
         try:

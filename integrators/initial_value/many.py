@@ -14,8 +14,8 @@ from ...manifolds.numerics.precision import default_tolerance
 from ...reading import reads_once
 from ..compilation import call_compiled
 from ..functions import require_concrete
-from .choice import tape_steps
 from .integrator import Integrator
+from .step_evaluator import tape_steps
 from .trajectory import Trajectory, check_call, require_finite_step, run_on_tape, scanned, without_jumps
 
 

@@ -17,11 +17,11 @@ from ..compilation import compiled
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
-from .choice import tape_steps
 from .integrator import Integrator
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
 from .passed_jumps import Energy, Passed, Segments
 from .pieces import run
+from .step_evaluator import tape_steps
 
 if TYPE_CHECKING:
     from .lanes import TapeSteps

@@ -17,7 +17,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 from jaxtyping import Array, Bool
 
-from .newton import Vector, newton, row_sizes
+from .chord_newton import Vector, newton, row_sizes
 
 Axes = tuple[tuple[int | None, ...], ...]  # for each level of vmap, innermost first, the mapped axis of every operand
 

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from . import ambient as vec
-from .newton import Vector
+from .chord_newton import Vector
 
 Equations = Callable[[Vector], Float[Array, " m"]]
 Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]

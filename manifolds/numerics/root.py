@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from .chord_newton import Vector
 from .implicit import implicit_root
 from .levenberg import APPROACH, levenberg
-from .newton import Vector
 
 NEAR = 1e-3  # where Newton's method takes over
 

@@ -88,7 +88,7 @@ PLANTED: dict[str, Planted] = {
         (f"{PARTS}::test_a_step_ends_on_the_manifold_from_beside_it",),
     ),
     "Dirac multipliers lack the impulse at the end": Planted(
-        "integrators/dirac/integrator.py",
+        "integrators/dirac/dirac_integrator.py",
         "_Memory(last, (root[:m] + last) / h)",
         "_Memory(last, 2 * root[:m] / h)",
         (f"{DIRAC}::test_multipliers_are_of_order_two_at_their_times",),
@@ -164,13 +164,13 @@ PLANTED: dict[str, Planted] = {
         (f"{TESTS}/test_trajectory.py", f"{STEPS}::test_both_fail_at_the_same_step_or_both_succeed"),
     ),
     "lanes go on after a step that failed": Planted(
-        "integrators/initial_value/kernels.py",
+        "integrators/initial_value/step_kernels.py",
         "v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)",
         "v[places[GOOD], j] * (v[places[FINITE], j] != 0)",
         (f"{STEPS}::test_a_step_fails_exactly_where_its_equations_have_no_solution",),
     ),
     "the first ratio of steps is that of all unknowns": Planted(
-        "integrators/initial_value/kernels.py",
+        "integrators/initial_value/step_kernels.py",
         "else np.sqrt(ratio) if n == 1 else ratio",
         "else ratio",
         (f"{STEPS}::test_a_system_moves_the_same_beside_another_one_whose_steps_are_found_at_once",),
@@ -182,7 +182,7 @@ PLANTED: dict[str, Planted] = {
         (f"{STEPS}", f"{TESTS}/test_gauss.py::test_a_trajectory_has_a_control_for_each_point_at_its_time"),
     ),
     "the record of lanes has the state before the step": Planted(
-        "integrators/initial_value/kernels.py",
+        "integrators/initial_value/step_kernels.py",
         "record[(phase + index) // every, i, first + j]",
         "record[(phase + index) // (every + 1), i, first + j]",
         (f"{STEPS}",),
@@ -207,7 +207,7 @@ PLANTED: dict[str, Planted] = {
         ("tests/manifolds/test_rank.py",),
     ),
     "ranks are decided by what counts alone": Planted(
-        "integrators/singular/integrability/elimination.py",
+        "integrators/singular/integrability/echelon.py",
         "(self.smallest >= CERTAIN) & (self.largest <= ZERO)",
         "self.smallest >= CERTAIN",
         (f"{TESTS}/singular/test_ranks.py",),
@@ -359,7 +359,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/condensing.py", "gap[:, :-1] += self.before", "gap[:, :-1] += 0 * self.before", (CONDENSING,)
     ),
     "the weights of elimination stay in the multipliers": Planted(
-        f"{ENGINE}/kernels.py", "x[j, p + a] - weight * moved", "x[j, p + a]", (ELIMINATION,)
+        f"{ENGINE}/elimination_kernels.py", "x[j, p + a] - weight * moved", "x[j, p + a]", (ELIMINATION,)
     ),
     "a small pivot is a clear one": Planted(
         "manifolds/numerics/tolerances.py",
@@ -368,7 +368,10 @@ PLANTED: dict[str, Planted] = {
         (ELIMINATION, f"{SECOND}::test_half_a_turn_is_one_of_many_and_no_strict_minimum"),
     ),
     "a shift raises the Hessian without its scales": Planted(
-        f"{ENGINE}/kernels.py", "v[i, i] += raised[0][0] * raised[1][i]", "v[i, i] += raised[0][0]", (ELIMINATION,)
+        f"{ENGINE}/elimination_kernels.py",
+        "v[i, i] += raised[0][0] * raised[1][i]",
+        "v[i, i] += raised[0][0]",
+        (ELIMINATION,),
     ),
     "velocities of collocation are not weighted by the step": Planted(
         f"{ENGINE}/collocation.py",
@@ -389,13 +392,13 @@ PLANTED: dict[str, Planted] = {
         (f"{TESTS}/test_between_nodes.py", f"{PARTS}::test_points_are_guessed_between_the_costates_of_the_nodes"),
     ),
     "the covector of the last node lacks the cost": Planted(
-        f"{ENGINE}/system.py",
+        f"{ENGINE}/kkt_system.py",
         "turned[:, -1] += sign * terminal.derivative",
         "turned[:, -1] += 0 * terminal.derivative",
         (f"{OPTIMA}::test_at_a_free_end_the_costate_is_minus_the_derivative_of_the_terminal_cost",),
     ),
     "the Hessian of the last step lacks that of the terminal cost": Planted(
-        f"{ENGINE}/system.py",
+        f"{ENGINE}/kkt_system.py",
         "blocks.hessian[:, place] += end.mT @ paid.curvature @ end",
         "blocks.hessian[:, place] += 0 * end.mT @ paid.curvature @ end",
         (f"{PARTS}::test_the_curvature_of_a_terminal_cost_counts",),
@@ -477,7 +480,7 @@ PLANTED: dict[str, Planted] = {
         (f"{TESTS}/test_parts_of_a_batch.py::test_limited_slews_are_the_same_in_parts",),
     ),
     "the rounding of one unknown ends the search for others": Planted(
-        "manifolds/numerics/newton.py",
+        "manifolds/numerics/chord_newton.py",
         "jnp.abs(missed) <= PROBE * jnp.maximum(changed, smallest)",
         "jnp.abs(missed) <= PROBE * jnp.max(changed)",
         (f"{NUMERICS}::test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others",),

@@ -6,7 +6,7 @@ from typing import NamedTuple, Self, final
 import numpy as np
 
 from .conditions import Conditions
-from .system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
 SWITCH, NARROWER = 1e-3, 1e-2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .factors import compiled, inner
+from .factorisation import compiled, inner
 
 
 @inner

@@ -11,8 +11,8 @@ import numpy as np
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
+from .kkt_system import Assembled, Iterate, Step
 from .scaling import SHARE, Units
-from .system import Assembled, Iterate, Step
 
 FAR = 30.0  # times its spread: a trajectory is not asked to move by more
 MOVED = 0.5  # of its spread: what it is moved aside by

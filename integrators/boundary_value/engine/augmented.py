@@ -17,8 +17,8 @@ import numpy as np
 from ....manifolds.numerics.ambient import taken
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, Slacks, stiffness
+from .kkt_system import Assembled, Iterate
 from .scaling import Units
-from .system import Assembled, Iterate
 from .transcription import Blocks
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from .augmented import augmented, of_lagrangian
 from .conditions import Conditions
 from .coupling import Coupled
 from .elimination import WEIGHT, BlockSystem, eliminate
-from .system import Assembled, Iterate
+from .kkt_system import Assembled, Iterate
 from .transcription import Blocks
 
 ROUNDS = 3  # of scaling rows and columns to one size

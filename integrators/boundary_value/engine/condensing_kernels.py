@@ -7,7 +7,7 @@ array.
 import numpy as np
 
 from .arrays import LANES
-from .factors import add_vector, compiled, inner
+from .factorisation import add_vector, compiled, inner
 from .lu import back_substitute, decompose, product, solve_transposed
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

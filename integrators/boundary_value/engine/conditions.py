@@ -13,12 +13,12 @@ from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
+from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
 from .meeting import meeting
 from .residuals import Measures, measures, shortfall_of
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
-from .system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
 from .transcription import Blocks, Data, Moves, Nodes, Paid
 
 FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding

@@ -74,7 +74,7 @@ def eliminate(
     equations of the nodes these cancel one another, the solution and the inertia stay, but each of those free ends is
     held by the weight.
     """
-    from . import kernels
+    from . import elimination_kernels
 
     batch, count, n, z = system.left.shape
     columns = system.slope.shape[3]
@@ -92,7 +92,7 @@ def eliminate(
 
     def run(part: range) -> None:
         places = _places(count, n, z, columns)
-        kernels.solve(part.start, part.stop, *given, WEIGHT * count, *places, out, told)
+        elimination_kernels.solve(part.start, part.stop, *given, WEIGHT * count, *places, out, told)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
     return BlockSolution(steps, multipliers, finite, negative, smallest, curvature, size, largest)

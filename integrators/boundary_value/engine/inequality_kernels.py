@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from .extent_kernels import larger
-from .factors import compiled, inner
+from .factorisation import compiled, inner
 
 Five = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

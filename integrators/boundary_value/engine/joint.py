@@ -14,7 +14,7 @@ from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
 from .elimination import MANY
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
-from .system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Assembled, Iterate, Residuals, Step
 
 
 @final

@@ -6,7 +6,7 @@ import numpy as np
 
 from .coupling import Coupled
 from .inequalities import Slacks
-from .system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Iterate, Step
 
 
 class JointIterate(NamedTuple):

@@ -23,8 +23,8 @@ from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
 from .inequalities import Slacks
+from .kkt_system import Assembled, Iterate, Residuals, Step
 from .own_units import judged_loosely
-from .system import Assembled, Iterate, Residuals, Step
 from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain
 from .inequalities import VALUE
+from .kkt_system import Assembled
 from .scaling import SHARE, Units
-from .system import Assembled
 
 
 class Measures(NamedTuple):

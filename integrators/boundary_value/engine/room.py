@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .inequalities import Slacks
-from .system import Assembled, Iterate
+from .kkt_system import Assembled, Iterate
 
 if TYPE_CHECKING:
     from .conditions import Conditions

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .arrays import LANES
-from .factors import add_vector, compiled, inner
+from .factorisation import add_vector, compiled, inner
 from .lu import back_substitute, decompose, product
 
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]

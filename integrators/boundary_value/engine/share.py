@@ -10,7 +10,7 @@ import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from ...layout import Layout
-from .system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Iterate, Step
 from .transcription import Data, Moves, Nodes
 
 DIAMETER = 2.0  # times the size of a point, which is the radius of the sphere that it stays on

@@ -11,8 +11,8 @@ import numpy as np
 from .acceptance import Merit, State
 from .batches import merged, put
 from .conditions import Conditions
+from .kkt_system import Assembled
 from .scaling import Units
-from .system import Assembled
 
 WIDER = 10.0  # times its unit: by less a unit is not mistaken
 

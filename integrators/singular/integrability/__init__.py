@@ -4,7 +4,7 @@ from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
 from .classify import classify
 from .final import FinalEquations
-from .lagrangian import L_H, S_H, critical_set
+from .lagrangian_submanifolds import L_H, S_H, critical_set
 from .levels import Level
 
 __all__ = [

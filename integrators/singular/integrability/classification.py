@@ -20,7 +20,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem, is_same_problem
 from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
-from .lagrangian import immersed_dynamics
+from .lagrangian_submanifolds import immersed_dynamics
 from .levels import Level
 from .points import APPROACHED
 

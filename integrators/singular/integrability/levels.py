@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..integrability_result import Signature
-from .elimination import CERTAIN, COUNTED, ZERO, eliminate, significance
+from .echelon import CERTAIN, COUNTED, ZERO, eliminate, significance
 from .points import RESOLUTION, Points
 
 

@@ -16,7 +16,7 @@ from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.symplectic import form_matrix
 from ....retractions import BundleRetraction, default_retraction
 from ...compilation import compiled
-from .elimination import COUNTED, JITTER, ZERO, significance, without_small
+from .echelon import COUNTED, JITTER, ZERO, significance, without_small
 from .jets import DerivativeArray, Pair, hamiltonian_field
 from .underflow import underflows
 from .units import LEAST, Sizes, Units, own_sizes, sizes_at_starts, units_at

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ...programs import CALLS, outputs_of, value_of
+from ...program_keys import CALLS, outputs_of, value_of
 
 
 def _vanishes(out: Array, *_: Array) -> Array:

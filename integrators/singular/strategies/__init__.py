@@ -2,7 +2,6 @@
 
 from .affine import ControlAffineSplitting
 from .chain import ReductionChain, reduce_until_regular
-from .choice import STRATEGIES, Choice, singular_integrator
 from .direct import DirectIntegrator
 from .dynamics import FinalDynamics
 from .leaves import leaf_flow
@@ -12,6 +11,7 @@ from .reduced import ReducedIntegrator
 from .reduction import GohReduction
 from .stage_integrator import StageIntegrator
 from .strategy import NotApplicableError, SingularIntegrator
+from .strategy_choice import STRATEGIES, Choice, singular_integrator
 
 __all__ = [
     "STRATEGIES",

@@ -29,7 +29,7 @@ from .affine import (
     regular_places,
     relative_curvature,
 )
-from .factors import EuclideanPart
+from .leaf_factors import EuclideanPart
 from .leaves import Point
 
 Near = tuple[Any, Any]  # a point of Q and a control

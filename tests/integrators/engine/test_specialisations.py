@@ -5,16 +5,16 @@ import numpy as np
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.engine import (
     acceptance_kernels,
+    elimination_kernels,
     extent_kernels,
     inequality_kernels,
-    kernels,
     scaling_kernels,
 )
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint
 
 KERNELS = (
-    kernels.solve,
+    elimination_kernels.solve,
     acceptance_kernels.judge,
     extent_kernels.meet,
     extent_kernels.survey,

@@ -8,7 +8,7 @@ import pytest
 import sympy
 from retrax.integrators import OptimalControlProblem, SymbolicClassification, classify
 from retrax.integrators.singular.symbolic.field import normal_form
-from retrax.integrators.singular.symbolic.trace import fraction
+from retrax.integrators.singular.symbolic.symbolic_trace import fraction
 from retrax.manifolds import Euclidean, InvalidInputError
 
 from tests.integrators.singular.test_symbolic import signatures

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.integrators.singular.integrability.elimination import CERTAIN, COUNTED, ZERO, Echelon, eliminate
+from retrax.integrators.singular.integrability.echelon import CERTAIN, COUNTED, ZERO, Echelon, eliminate
 
 CHANGE = 1e-8  # of what remains of the last entry, beside which the rounding of the others is small
 

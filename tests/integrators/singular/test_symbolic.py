@@ -9,7 +9,7 @@ import sympy
 from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.integrators import OptimalControlProblem, SymbolicClassification, classify
-from retrax.integrators.singular.symbolic.trace import fraction, trace
+from retrax.integrators.singular.symbolic.symbolic_trace import fraction, trace
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 

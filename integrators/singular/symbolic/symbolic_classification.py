@@ -13,7 +13,7 @@ from .. import words
 from ..integrability_result import IntegrabilityResult
 from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, strata
 from .field import normal_form
-from .trace import trace
+from .symbolic_trace import trace
 
 LONGEST = 300  # characters of an expression that is printed
 

@@ -21,7 +21,7 @@ from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense
 from .conditions import Conditions
-from .system import Assembled, Iterate
+from .kkt_system import Assembled, Iterate
 from .transcription import Data, Nodes, OneStage
 
 CHANGED = 1e-9  # relative: more than rounding

@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numba import types
 
-from ...manifolds.numerics.newton import (
+from ...manifolds.numerics.chord_newton import (
     CURVED,
     MAX_CHORDS,
     MAX_JACOBIANS,
@@ -26,7 +26,7 @@ from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
 from .machine_kernels import EVALUATE, MATRIX, PROGRAMS, array
-from .programs import PLACES
+from .step_programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
@@ -80,8 +80,8 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
             continue
         step = v[places[LENGTH], j]
         ratio = step / (np.inf if n == 0 else v[places[STEP], j])
-        # The rule of manifolds.numerics.newton, but that near rounding, where steps shrink as they like, another one
-        # is cheaper than a Jacobian.
+        # The rule of numerics.chord_newton, but that near rounding, where steps shrink as they like, another one is
+        # cheaper than a Jacobian.
         shrinks = (CURVED * step if exact else 1.0) if n == 0 else np.sqrt(ratio) if n == 1 else ratio
         done = step * min(shrinks, 1.0) <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0)
         going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)
@@ -246,7 +246,7 @@ def _solve_step(
 ) -> None:
     """Solve the equations of a step in all good lanes: with Jacobians of a step before, that of small steps, new ones.
 
-    The first are tried only for speed; the others, in this order, are the iteration of ``manifolds.numerics.newton``.
+    The first are tried only for speed; the others, in this order, are the iteration of ``numerics.chord_newton``.
     """
     inverses, spent, differences, small, _, _ = known
     inverse, fresh, renewed, no = inverses[block, k], True, 0, False

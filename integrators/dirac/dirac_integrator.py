@@ -22,7 +22,7 @@ from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations, StepResult
 from ..initial_value.true_hamiltonian import require_true_hamiltonian
 from ..stages import HamiltonianStage
-from .system import DiracSystem, Multipliers
+from .dirac_system import DiracSystem, Multipliers
 
 
 class _Memory(NamedTuple):

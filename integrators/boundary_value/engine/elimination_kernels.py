@@ -7,7 +7,7 @@ Schur complement: those of the next step. At the last step all are eliminated.
 import numpy as np
 
 from .arrays import LANES
-from .factors import compiled, copy_vector, dot, factorise, inner, scale, substitute, subtract_two
+from .factorisation import compiled, copy_vector, dot, factorise, inner, scale, substitute, subtract_two
 
 System = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Units = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -13,7 +13,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
 from ...tape.program import CODES, Program, assembled
 from ...tape.trace import flat
-from ..programs import content_key
+from ..program_keys import content_key
 from ..stages import Stage
 from .integrator import Integrator
 from .step import StepEquations, restored

@@ -14,7 +14,7 @@ import sympy
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
 from ....reading import traced
-from ...programs import CALLS
+from ...program_keys import CALLS
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
