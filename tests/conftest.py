@@ -73,8 +73,9 @@ def pytest_collection_finish():
     gc.set_threshold(20_000, 20, 50)
 
 
-# Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting.
-FIRST = {"test_docs.py", "test_threads.py", "testing"}
+# Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting. And
+# the file that compiles the kernel of initial-value problems, for which others would wait.
+FIRST = {"test_changed_functions.py", "test_docs.py", "test_threads.py", "testing"}
 
 
 @pytest.hookimpl(trylast=True)
