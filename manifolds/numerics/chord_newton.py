@@ -54,10 +54,9 @@ def newton(
     def outer(pair: tuple[_Iteration, Array]) -> tuple[_Iteration, Array]:
         jacobian = jax.jacfwd(residual)(pair[0].c)
         rows = row_sizes(jacobian)
-        factor = jax.scipy.linalg.lu_factor(jacobian / rows[:, None])
-        return _chords(residual, lambda r: jax.scipy.linalg.lu_solve(factor, r / rows), pair[0], exact=True), pair[
-            1
-        ] + 1
+        # A product for each chord instead of two triangular solutions, which LAPACK is called for one after the other.
+        inverse = jnp.linalg.inv(jacobian / rows[:, None]) / rows
+        return _chords(residual, lambda r: inverse @ r, pair[0], exact=True), pair[1] + 1
 
     def unfinished(pair: tuple[_Iteration, Array]) -> Array:
         state, jacobians = pair
