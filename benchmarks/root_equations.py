@@ -6,16 +6,13 @@
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
-from unittest.mock import patch
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from retrax.integrators import Result, SymplecticIntegrator, classify, solve
+from retrax.integrators import SymplecticIntegrator, classify, solve
 from retrax.integrators.boundary_value.engine.chart import Chart
 from retrax.integrators.boundary_value.propagation import Propagator, _AtOnce, _tableau
-from retrax.integrators.boundary_value.shooting import extremals
-from retrax.integrators.boundary_value.shooting.gauss_newton import MATCHING, meet_conditions
 from retrax.integrators.boundary_value.shooting.least_squares import least_squares
 from retrax.integrators.evaluator import Automatic
 from retrax.integrators.initial_value.step import StepEquations
@@ -31,7 +28,6 @@ from retrax.manifolds.numerics.root import approach_root, find_root
 from retrax.problems import SINGULAR, get
 from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoint, Projection, Restored
 from retrax.retractions.retraction import miss
-from scipy.spatial.transform import Rotation
 
 COUNT = 100  # starts of each kind
 SQUARE = "Newton", "Chord", "Dogleg", "LevenbergMarquardt", "BestSoFar"
@@ -341,38 +337,6 @@ def propagation():
     return Case("_AtOnce", pose, {"easy": jnp.zeros((1, count, n))}, host=host)
 
 
-def shooting():
-    """An extremal of a rigid body with a torque without cost, by multiple shooting on ``P_f`` in 8 segments."""
-    problem, target = SINGULAR["free actuator"]().problem, Rotation.from_rotvec([0.4, -0.3, 0.5]).as_matrix()
-    seen = []
-    with patch.object(extremals, "meet_conditions", lambda *given: seen.append(given) or meet_conditions(*given)):
-        solve(problem, Midpoint(Cayley(problem.manifold)), (np.eye(3), None), (target, None), 1.0, 8)
-    ((shoot, conditions, guess, *limits),) = seen
-    firsts = shoot.length * jnp.arange(shoot.segments)
-
-    def pose(iterate, mark):
-        frames = jax.vmap(shoot.final.basis)(iterate.points)
-
-        def residual(c):
-            moved, there = shoot.place(iterate, frames, mark(c).reshape(shoot.segments, -1))
-            ends, _ = jax.vmap(shoot.segment)(*moved, firsts)
-            ahead = jax.tree.map(lambda leaf: leaf[1:], (there, moved.points))
-            reached = jax.tree.map(lambda leaf: leaf[:-1], ends)
-            gaps = jax.vmap(lambda frame, z, w: vec.components(frame, vec.subtract(w, z)))(*ahead, reached)
-            begin, end = (jax.tree.map(lambda leaf, i=i: leaf[i], z) for i, z in ((0, moved.points), (-1, ends)))
-            return jnp.concatenate([MATCHING * gaps.ravel(), conditions.at_start(begin), conditions.at_end(end)])
-
-        return Posed(residual, jnp.zeros(shoot.segments * shoot.final.dimension))
-
-    def host(data):
-        found = meet_conditions(shoot, conditions, guess, *limits)
-        claimed = np.array([bool(found.result == Result.successful)])
-        return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], found.iterate), claimed
-
-    starts = {"easy": jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], guess)}
-    return Case("meet_conditions", pose, starts, LEAST, host=lambda: host)
-
-
 CASES: dict[str, Callable[[], Case]] = {
     "inverse, sphere": lambda: inverse_retraction(Exponential(Sphere(2)), (0.1, 1.5), (1.5, 3.1)),
     "inverse, ellipsoid": lambda: inverse_retraction(Restored(Ellipsoid((3,))), (0.05, 0.3), (0.3, 1.5)),
@@ -387,5 +351,4 @@ CASES: dict[str, Callable[[], Case]] = {
     "consistent points": consistent_points,
     "centres of steps": centres,
     "states of controls": propagation,
-    "singular shooting": shooting,
 }
