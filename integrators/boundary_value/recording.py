@@ -94,13 +94,13 @@ class Recording:
 
 def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
     """What the iteration knows of the checks of each member."""
-    residuals, limits = found.residuals, found.residuals.limits
+    residuals = found.residuals
     values = {
         "gap": residuals.gap,
         "stationarity": residuals.stationarity,
         "strict_minimum": found.strict_minimum & success,
-        "violation": np.maximum(limits.violation, limits.excess),
-        "complementarity": limits.complementarity,
+        "violation": np.maximum(residuals.violation, residuals.excess),
+        "complementarity": residuals.complementarity,
     }
     return {name: array.tolist() for name, array in values.items()}
 

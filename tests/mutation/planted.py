@@ -76,9 +76,9 @@ PLANTED: dict[str, Planted] = {
         (f"{TESTS}/singular/test_rattle.py::test_steps_keep_both_constraints_with_the_mean_control_of_the_arc",),
     ),
     "gap and stationarity are exchanged": Planted(
-        f"{ENGINE}/conditions.py",
-        "gap, stationarity = found.gap, found.stationarity",
-        "gap, stationarity = found.stationarity, found.gap",
+        f"{ENGINE}/residuals.py",
+        "Residuals(*numbers[:9])",
+        "Residuals(*numbers[1::-1], *numbers[2:9])",
         (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
     ),
     "a step is not restored to the manifold": Planted(
@@ -486,9 +486,9 @@ PLANTED: dict[str, Planted] = {
         (f"{NUMERICS}::test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others",),
     ),
     "gaps are not asked of the nodes": Planted(
-        f"{ENGINE}/residuals.py",
-        "np.maximum(found.gap, missed.max(axis=1))",
-        "found.gap",
+        f"{ENGINE}/extent_kernels.py",
+        "found[0, m] = larger(found[0, m], points[m, 0, a] / (along[m, a] if along[m, a] > 0 else 1.0))",
+        "found[0, m] = larger(found[0, m], 0.0)",
         (f"{PARTS}::test_the_gap_has_the_defects_of_the_points",),
     ),
     "fixed coordinates of the ends are free": Planted(
@@ -530,8 +530,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "equations between ends count for no gap": Planted(
         f"{ENGINE}/joint.py",
-        "gap = np.max([self._gap(iterate, assembled), *(own.gap for own in each)], axis=0)",
-        "gap = np.max([*(own.gap for own in each)], axis=0)",
+        "np.maximum(self._gap(iterate, assembled), largest.gap)",
+        "largest.gap",
         (f"{ENDS}",),
     ),
     "the cost of phases is that of the first": Planted(
@@ -555,8 +555,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "nothing is impossible": Planted(
         f"{ENGINE}/barrier.py",
-        "return small & (error <= tolerance) & (left > np.sqrt(tolerance))",
-        "return small & (error <= tolerance) & (left > 1 / tolerance)",
+        "return small & (error <= tolerance) & (found.left > np.sqrt(tolerance))",
+        "return small & (error <= tolerance) & (found.left > 1 / tolerance)",
         (UNREACHED,),
     ),
     "steps go to the boundary": Planted(f"{ENGINE}/inequalities.py", "BOUNDARY = 0.99 ", "BOUNDARY = 1.0 ", (LIMITS,)),

@@ -23,22 +23,6 @@ NEAR = 0.5  # of its price, a multiplier says that it is too low
 
 
 @final
-class Missed(NamedTuple):
-    """Largest residuals, shape (B,), relative: of ``g + s = t``, of ``t = 0``, of ``nu s = 0``, and of ``nu s =
-    mu``."""
-
-    violation: np.ndarray
-    excess: np.ndarray
-    complementarity: np.ndarray
-    centring: np.ndarray
-
-    @classmethod
-    def none(cls, count: int) -> "Missed":
-        """Of no inequalities."""
-        return cls(*np.zeros((4, count)))
-
-
-@final
 class Barrier(NamedTuple):
     """Units of the cost per time, shape (B,), and of the inequalities, (B, c)."""
 
@@ -89,13 +73,9 @@ class Barrier(NamedTuple):
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
         )
 
-    def missed(self, found: Surveyed, slacks: Slacks) -> Missed:
-        """How far the inequalities and their multipliers are from what is asked of them."""
-        return Missed(found.violation, found.excess, found.product / self.rate, found.off(slacks.barrier) / self.rate)
-
     def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
         """What the inequalities and their multipliers lack, and what they cost."""
-        return surveyed(held, slacks, self.limits)
+        return surveyed(held, slacks, self.limits, self.rate, (PRICE, NEAR, DEAREST))
 
     def lowered(
         self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float, dear: np.ndarray
@@ -104,7 +84,7 @@ class Barrier(NamedTuple):
 
         ``error``: the largest residual but for that of ``nu s = mu``; ``dear``: what all multipliers have grown by.
         """
-        cheap, rate = self._is_cheap(slacks), self.rate * dear
+        cheap, rate = found.cheap > 0, self.rate * dear
         last = LAST * tolerance * self.rate / rate
         solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
         while True:
@@ -118,19 +98,13 @@ class Barrier(NamedTuple):
             slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
             solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
 
-    def is_infeasible(self, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
+    def is_infeasible(self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
 
         ``error``: the largest residual but for those of the multipliers.
         """
-        elastic = slacks.elastic
-        if not elastic.any():
-            return np.zeros(len(error), bool)
-        dear = elastic & (slacks.multipliers > NEAR * np.where(elastic, slacks.price, np.inf))
-        dear &= np.where(elastic, slacks.price, 0.0) >= DEAREST * self.price
-        left = np.where(dear, slacks.excess / self.unit, 0.0).max(axis=(1, 2, 3), initial=0.0)
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
-        return small & (error <= tolerance) & (left > np.sqrt(tolerance))
+        return small & (error <= tolerance) & (found.left > np.sqrt(tolerance))
 
     def _is_solved(
         self, found: Surveyed, barrier: np.ndarray, rate: np.ndarray, error: np.ndarray, tolerance: float
@@ -139,13 +113,7 @@ class Barrier(NamedTuple):
         few = SOLVED * barrier
         return (error <= np.maximum(few / rate, tolerance)) & (found.off(barrier) <= few)
 
-    def dear(self, slacks: Slacks) -> np.ndarray:
+    @staticmethod
+    def dear(found: Surveyed) -> np.ndarray:
         """What all multipliers, and the unit of the barrier, have grown by with the price of excesses, shape (B,)."""
-        prices = np.where(slacks.elastic, slacks.price, 0.0) / (PRICE * self.price)
-        return np.maximum(prices.max(axis=(1, 2, 3), initial=0.0), 1.0)
-
-    def _is_cheap(self, slacks: Slacks) -> np.ndarray:
-        """Whether multipliers come near to the price of an excess."""
-        price = np.where(slacks.elastic, slacks.price, 1.0)
-        low = slacks.elastic & (slacks.multipliers > NEAR * price) & (price < DEAREST * self.price)
-        return np.any(low, axis=(1, 2, 3))
+        return np.maximum(found.dear, 1.0)

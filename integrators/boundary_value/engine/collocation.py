@@ -13,6 +13,7 @@ from ....retractions import Gauss, default_retraction
 from ...evaluator import Arrays, Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
+from .arrays import plain
 from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
 from .inequalities import Held, Slacks, raised
@@ -38,6 +39,7 @@ class Inner(NamedTuple):
     defect: np.ndarray  # (B, N, s, n), times h b_i
     multipliers: np.ndarray  # (B, N, s, n)
     slope: np.ndarray  # (B, N, s, n): of the Lagrangian by the velocities
+    extent: np.ndarray  # (B, 6, n): the survey of the points
     gradient: np.ndarray  # (B, N, s, n): of the cost
     frames: np.ndarray  # (B, N, s, n, E), at the points
     points: Points
@@ -126,13 +128,26 @@ class Collocation:
         none = ends._replace(slope=np.zeros_like(pull)[..., None])
         paid = full_slope(points._replace(slope=gradient.mT), none, steps, self.tableau)[..., 0]
         by_all, inner = self._condensed(paid, maps)
-        shares = parts.before[..., 0], parts.after[..., 0], missed, multipliers, self._condensed(whole, maps)[1]
-        inner = Inner(*shares, inner, frames, condensed.points, condensed.ends, (factors, swaps, maps))
+        slopes, pulled = self._condensed(whole, maps)
+        lacking = missed, multipliers, pulled, self._surveyed(missed, multipliers, pulled, steps)
+        kept = condensed.points, condensed.ends, (factors, swaps, maps)
+        inner = Inner(parts.before[..., 0], parts.after[..., 0], *lacking, inner, frames, *kept)
         costs = np.sum(cost[..., 0], axis=2)
         blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], by_all, costs, inner)
         if held is None:
             return blocks
-        return blocks._replace(slope=self._condensed(whole, maps)[0], held=held, pushed=parts.slope)
+        return blocks._replace(slope=slopes, held=held, pushed=parts.slope)
+
+    def _surveyed(
+        self, defect: np.ndarray, multipliers: np.ndarray, slope: np.ndarray, steps: np.ndarray
+    ) -> np.ndarray:
+        """What is largest in what the points lack, coordinate by coordinate, shape (B, 6, n)."""
+        from . import extent_kernels
+
+        found, weights = np.zeros((len(steps), 6, defect.shape[3])), steps[:, :, None] * self.tableau.weights
+        given = tuple(map(plain, (defect, multipliers, slope, weights)))
+        extent_kernels.survey_points(0, len(steps), *given, found)
+        return found
 
     def _at_points(self, unknowns: GaussUnknowns, data: Data, slacks: Slacks | None) -> Arrays:
         """The functions of the points with their derivatives."""

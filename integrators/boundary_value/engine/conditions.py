@@ -8,14 +8,14 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import joined
 from .augmented import is_isolated_minimum
-from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier, Missed
+from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
 from .meeting import meeting
-from .residuals import Measures, measures, shortfall_of
+from .residuals import Appraisal, appraisal
 from .room import room
 from .scaling import SHARE, Units, natural_units
 from .share import followed
@@ -49,6 +49,7 @@ class Conditions:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
         self.units, self.barrier, self.wider = units, barrier, wider
         self._survey: tuple[Held, Slacks, Surveyed] | None = None  # the last one, and of what
+        self._appraisal: tuple[tuple, Appraisal] | None = None
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
@@ -146,7 +147,7 @@ class Conditions:
         """The first iterate with the slacks of its inequalities, and its system."""
         if first.slacks is None:
             return first, assembled
-        held, rate = assembled.blocks.inequalities, self.measured.cost / np.mean(self.data.steps, axis=1)
+        held, rate = assembled.blocks.inequalities, self.measured.cost / self._mean_step
         self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
         slacks = self.barrier.first(held)
         if np.any(first.slacks.multipliers):
@@ -178,13 +179,21 @@ class Conditions:
         system = self.system(iterate, assembled)
         return natural_units(system, blocks.gradient, moved, controls, fallback, curved, free)
 
+    def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:
+        """How far iterates are from satisfying the conditions, and what they are compared by; asked for several times
+        in turn."""
+        key = assembled, iterate.slacks, self.units, self.wider, self.barrier
+        if self._appraisal is None or any(a is not b for a, b in zip(self._appraisal[0], key, strict=True)):
+            limits = None
+            if self.barrier is not None and iterate.slacks is not None:
+                limits = self._surveyed(iterate, assembled), iterate.slacks.barrier, self.barrier.rate
+            units = self.judging, self.measured
+            self._appraisal = key, appraisal(assembled, units, self._mean_step, limits)
+        return self._appraisal[1]
+
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
-        found = self.measures(assembled)
-        gap, stationarity = found.gap, found.stationarity
-        if self.barrier is None or iterate.slacks is None:
-            return Residuals(gap, stationarity, Missed.none(len(gap)))
-        return Residuals(gap, stationarity, self.barrier.missed(self._surveyed(iterate, assembled), iterate.slacks))
+        return self.appraised(iterate, assembled).residuals
 
     def lowered(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
@@ -194,14 +203,18 @@ class Conditions:
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
-        iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance, self.dear(iterate))
+        if self.barrier is None or iterate.slacks is None:
+            none = np.zeros(len(residuals.gap), bool)
+            return iterate, none, none
+        dear = self.dear(iterate, assembled)
+        iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance, dear)
         return (self.dearer(iterate, cheap) if np.any(cheap) else iterate), changed, cheap
 
-    def dear(self, iterate: Iterate) -> np.ndarray:
+    def dear(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """What all multipliers have grown by with the price of excesses, shape (B,)."""
         if self.barrier is None or iterate.slacks is None:
             return np.ones(len(self.data.steps))
-        return self.barrier.dear(iterate.slacks)
+        return self.barrier.dear(self._surveyed(iterate, assembled))
 
     def less(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float, dear: np.ndarray
@@ -227,11 +240,14 @@ class Conditions:
             return iterate
         return iterate._replace(slacks=self.barrier.softened(assembled.blocks.inequalities, iterate.slacks, where))
 
-    def is_infeasible(self, iterate: Iterate, residuals: Residuals, tolerance: float) -> np.ndarray:
+    def is_infeasible(
+        self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
+    ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends: where what they lack is least and is not zero."""
         if self.barrier is None or iterate.slacks is None:
             return np.zeros(len(residuals.gap), bool)
-        return self.barrier.is_infeasible(iterate.slacks, residuals.steady, tolerance)
+        found = self._surveyed(iterate, assembled)
+        return self.barrier.is_infeasible(found, iterate.slacks, residuals.steady, tolerance)
 
     def _surveyed(self, iterate: Iterate, assembled: Assembled) -> Surveyed:
         """The survey of the inequalities of an iterate; it is asked for several times in turn."""
@@ -257,32 +273,27 @@ class Conditions:
         """Whether a member has inequalities that are not elastic."""
         if iterate.slacks is None:
             return np.zeros(len(assembled.gap), bool)
-        return np.any(assembled.blocks.inequalities.asked & ~iterate.slacks.elastic, axis=(1, 2, 3))
+        return self._surveyed(iterate, assembled).hard > 0
 
     def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """Sum of what all nodes, points and inequalities lack."""
-        blocks, missing = assembled.blocks, (assembled.extent.missing / self.measured.nodes).sum(axis=1)
-        if blocks.inner is not None:
-            missing = missing + (np.abs(blocks.inner.defect) / self.measured.nodes[:, None, None]).sum(axis=(1, 2, 3))
-        if self.barrier is not None and iterate.slacks is not None:
-            lacking = self._surveyed(iterate, assembled).missing
-            missing = missing + lacking / np.mean(self.data.steps, axis=1)
-        return missing
+        return self.appraised(iterate, assembled).infeasibility
 
-    def shortfall(self, assembled: Assembled, judging: bool = False) -> np.ndarray:
+    def is_met(self, iterate: Iterate, assembled: Assembled, tolerance: float) -> np.ndarray:
+        """Whether nothing is lacking at a node, and at a point no more than the root of the tolerance, in units of
+        success, shape (B,)."""
+        found = self.appraised(iterate, assembled)
+        # The points of a step may lack what its nodes do not: from there Newton's method moves.
+        return (found.lacking <= tolerance) & (found.shortfall <= np.sqrt(tolerance))
+
+    def shortfall(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
-        return shortfall_of(assembled, self.judging if judging else self.measured)
+        return self.appraised(iterate, assembled).alone
 
     def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
         """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
-        blocks, held = assembled.blocks, np.array(assembled.extent.held)
-        cost = np.array(assembled.cost)
-        if blocks.inner is not None:
-            held += (blocks.inner.multipliers * blocks.inner.defect).sum(axis=(1, 2, 3))
-        if self.barrier is not None and iterate.slacks is not None:
-            found = self._surveyed(iterate, assembled)
-            cost, held = cost + found.potential, held + found.held
-        return cost / self.measured.cost, held / self.measured.cost
+        found = self.appraised(iterate, assembled)
+        return found.cost, found.held
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
@@ -391,9 +402,9 @@ class Conditions:
             gap[:, 1:] -= blocks.inner.after
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
-    def measures(self, assembled: Assembled) -> Measures:
-        """What gaps are measured by, and how large they and the slopes of the Lagrangian are so."""
-        return measures(assembled, self.judging, self.data.steps, self.transcription)
+    @cached_property
+    def _mean_step(self) -> np.ndarray:
+        return np.mean(self.data.steps, axis=1)
 
     def _controls(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""

@@ -19,6 +19,7 @@ class Extent(NamedTuple):
     highest: Float[np.ndarray, "B E"]  # of the entries of the nodes
     lowest: Float[np.ndarray, "B E"]  # of these with the other sign
     support: Float[np.ndarray, "B n E"]  # of the entries of the frames
+    sizes: Float[np.ndarray, "B n"]  # of the values of the entries, in the coordinates of the nodes
     missing: Float[np.ndarray, "B n"]  # the sum of what the nodes lack
     lacking: Float[np.ndarray, "B n"]  # the largest of that
     held: Float[np.ndarray, " B"]  # the sum of the multipliers on it
@@ -66,10 +67,9 @@ def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: 
     batch, count, n, z = blocks.left.shape
     e = nodes.shape[2]
     highest, lowest = np.full((2, batch, e), -np.inf)
+    support, sizes, held = np.zeros((batch, n, e)), np.zeros((batch, n)), np.zeros(batch)
     missing, lacking = np.zeros((2, batch, n))
-    parts, slope, curvature = np.zeros((3, batch, z))
-    support, held = np.zeros((batch, n, e)), np.zeros(batch)
-    found = Extent(highest, lowest, support, missing, lacking, held, parts, slope, curvature)
+    found = Extent(highest, lowest, support, sizes, missing, lacking, held, *np.zeros((3, batch, z)))
     trajectory = tuple(map(plain, (nodes, frames, coordinates, gap)))
     arrays = tuple(map(plain, (blocks.hessian, blocks.left, blocks.right, blocks.slope, blocks.gradient)))
 

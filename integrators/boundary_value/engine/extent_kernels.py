@@ -73,7 +73,7 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
     sums.
     """
     (nodes, frames, coordinates, gap), (hessian, left, right, slope, gradient) = trajectory, blocks
-    highest, lowest, support, missing, lacking, held, parts, slopes, curvature, sums = out
+    highest, lowest, support, sizes, missing, lacking, held, parts, slopes, curvature, sums = out
     (_, count, n, size), z = frames.shape, slope.shape[2]
     for m in range(first, last):
         for k in range(count):
@@ -99,46 +99,147 @@ def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) 
                 parts[m, i] = larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
                 slopes[m, i] = larger(slopes[m, i], abs(slope[m, k, i]))
                 curvature[m, i] = larger(curvature[m, i], abs(hessian[m, k, i, i]))
+        for a in range(n):
+            for e in range(size):
+                value = support[m, a, e] * larger(highest[m, e], lowest[m, e])
+                sizes[m, a] = larger(sizes[m, a], value)
 
 
 @compiled
-def measure(extent: tuple, distance: np.ndarray, units: tuple, shares: tuple[float, float, float], out: tuple) -> None:
+def survey_points(
+    first: int,
+    last: int,
+    defect: np.ndarray,
+    multipliers: np.ndarray,
+    slope: np.ndarray,
+    weights: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Survey what the points of the steps of the members ``first`` to ``last`` lack, coordinate by coordinate.
+
+    ``out``, shape ``(B, 6, n)``, comes as zeros: the largest sum of the points of a step, the sum of all, the largest
+    of one; the largest multiplier; the largest slope of the Lagrangian over the weight of the point; the sum of the
+    multipliers on what is lacking.
+    """
+    _, count, stages, n = defect.shape
+    for m in range(first, last):
+        for a in range(n):
+            for k in range(count):
+                total = 0.0
+                for i in range(stages):
+                    missed = abs(defect[m, k, i, a])
+                    total += missed
+                    out[m, 2, a] = larger(out[m, 2, a], missed)
+                    out[m, 3, a] = larger(out[m, 3, a], abs(multipliers[m, k, i, a]))
+                    out[m, 4, a] = larger(out[m, 4, a], abs(slope[m, k, i, a]) / weights[m, k, i])
+                    out[m, 5, a] += multipliers[m, k, i, a] * defect[m, k, i, a]
+                out[m, 0, a] = larger(out[m, 0, a], total)
+                out[m, 1, a] += total
+
+
+@inner
+def _measures(extent: tuple, units: tuple, shares: tuple, m: int, along: np.ndarray, entries: np.ndarray) -> None:
+    """What gaps are measured by, in the coordinates and entry by entry."""
+    (highest, lowest, support), (value, share, rounding), (n, size) = extent[:3], shares, extent[2].shape[1:]
+    for a in range(n):
+        along[m, a] = 0.0
+        for e in range(size):
+            along[m, a] = larger(along[m, a], support[m, a, e])
+    for e in range(size):
+        values, is_moved = larger(highest[m, e], lowest[m, e]), False
+        for a in range(n):
+            is_moved |= support[m, a, e] > rounding * along[m, a]
+        if not is_moved:  # the manifold's equations say what it is, and hold to a share of one
+            values = larger(values, 1.0)
+        entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
+    for a in range(n):
+        along[m, a] = share * units[0][m, a]
+        for e in range(size):
+            along[m, a] = larger(along[m, a], support[m, a, e] * entries[m, e])
+    for e in range(size):
+        for a in range(n):
+            entries[m, e] = larger(entries[m, e], support[m, a, e] * along[m, a])
+
+
+@inner
+def _stationarity(parts: np.ndarray, slope: np.ndarray, curvature: np.ndarray, d: np.ndarray, units: tuple) -> tuple:
+    """The derivative of the Lagrangian relative to the parts that cancel in it, and the scale of these.
+
+    ``units``: what sets the scale where all parts vanish, zero where the curvature does, and the share of the scale
+    that a part is at least measured by.
+    """
+    (least, share), found = units, 0.0
+    scale = least
+    for i in range(d.size):
+        scale = larger(scale, d[i] * parts[i])
+        if least == 0:
+            scale = larger(scale, d[i] * d[i] * curvature[i])
+    for i in range(d.size):
+        size = larger(d[i] * parts[i], share * scale)
+        found = larger(found, slope[i] * d[i] / (size if size > 0 else 1.0))
+    return found, scale
+
+
+@inner
+def _in_all(of: tuple, points: np.ndarray, judging: np.ndarray, measured: np.ndarray, m: int, out: np.ndarray) -> None:
+    """The sum of what is lacking, of the multipliers on it, and the most that a node, or a node or a point, lacks."""
+    missing, lacking, held = of
+    out[11, m] = held[m]
+    for a in range(judging.size):
+        most = larger(lacking[m, a], points[m, 2, a])
+        out[9, m] += (missing[m, a] + points[m, 1, a]) / measured[a]
+        out[11, m] += points[m, 5, a]
+        out[12, m] = larger(out[12, m], lacking[m, a] / judging[a])
+        out[13, m] = larger(out[13, m], most / judging[a])
+        out[14, m] = larger(out[14, m], most / measured[a])
+
+
+@compiled
+def measure(
+    extent: tuple,
+    points: np.ndarray,
+    trajectory: tuple,
+    units: tuple,
+    limits: tuple,
+    shares: tuple[float, float, float],
+    out: tuple,
+) -> None:
     """How far trajectories are from their conditions, relative to what these are made of.
 
-    ``extent``: highest, lowest, support, parts, slope, curvature; ``units``: of the nodes and of the unknowns, and what
-    sets the scale of the slopes where their parts vanish, zero where the curvature does; ``shares``: of a value, of a
-    unit, and of the largest entry of a frame vector, up to which others are rounding; ``out``: sizes by which gaps are
-    measured along the coordinates and entry by entry, the gap, the stationarity, and that scale.
+    ``extent``: highest, lowest, support, missing, lacking, held, parts, slope, curvature; ``points``: their survey, if
+    there are any that were condensed, else zeros; ``trajectory``: largest distances between ends, the mean step, the
+    cost; ``units``: of nodes and unknowns that success is judged by; what sets the scale of the slopes where their
+    parts vanish, zero where the curvature does; of nodes and of the cost that steps are measured by; ``limits``: the
+    survey of the inequalities, their barrier, and its unit; ``shares``: of a value, of a unit, and of the largest entry
+    of a frame vector, up to which others are rounding.
+
+    ``out``: sizes by which gaps are measured along the coordinates and entry by entry, and numbers of shape ``(15, B)``
+    that come as zeros: the fields of ``Residuals``; the sum of what is lacking; the cost with its barrier, and the
+    multipliers on what is lacking, in the unit of the cost; the most that a node lacks in a coordinate, and a node or a
+    point, in units of success; and this in units of steps.
     """
-    (highest, lowest, support, parts, slope, curvature), (nodes, unknowns, least) = extent, units
-    (along, entries, gap, stationarity, scale), (batch, n, size), (value, share, rounding) = out, support.shape, shares
-    for m in range(batch):
-        for a in range(n):
-            along[m, a] = 0.0
-            for e in range(size):
-                along[m, a] = larger(along[m, a], support[m, a, e])
-        for e in range(size):
-            values, is_moved = larger(highest[m, e], lowest[m, e]), False
-            for a in range(n):
-                is_moved |= support[m, a, e] > rounding * along[m, a]
-            if not is_moved:  # the manifold's equations say what it is, and hold to a share of one
-                values = larger(values, 1.0)
-            entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
-        for a in range(n):
-            along[m, a] = share * nodes[m, a]
-            for e in range(size):
-                along[m, a] = larger(along[m, a], support[m, a, e] * entries[m, e])
-        gap[m], stationarity[m], scale[m] = 0.0, 0.0, least[m]
-        for e in range(size):
-            for a in range(n):
-                entries[m, e] = larger(entries[m, e], support[m, a, e] * along[m, a])
-            gap[m] = larger(gap[m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))
-        for i in range(unknowns.shape[1]):
-            d = unknowns[m, i]
-            scale[m] = larger(scale[m], d * parts[m, i])
-            if least[m] == 0:
-                scale[m] = larger(scale[m], d * d * curvature[m, i])
-        for i in range(unknowns.shape[1]):
-            d = unknowns[m, i]
-            size_of_parts = larger(d * parts[m, i], share * scale[m])
-            stationarity[m] = larger(stationarity[m], slope[m, i] * d / (size_of_parts if size_of_parts > 0 else 1.0))
+    (highest, lowest, support, missing, lacking, held, parts, slope, curvature), (distance, mean, cost) = (
+        extent,
+        trajectory,
+    )
+    (nodes, unknowns, least, wide, unit), (surveyed, barrier, rate), (along, entries, found) = units, limits, out
+    share = shares[1]
+    for m in range(nodes.shape[0]):
+        _measures((highest, lowest, support), (nodes,), shares, m, along, entries)
+        found[1, m], scale = _stationarity(parts[m], slope[m], curvature[m], unknowns[m], (least[m], share))
+        for e in range(entries.shape[1]):
+            found[0, m] = larger(found[0, m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))
+        for a in range(nodes.shape[1]):
+            found[0, m] = larger(found[0, m], points[m, 0, a] / (along[m, a] if along[m, a] > 0 else 1.0))
+            size = larger(nodes[m, a] * points[m, 3, a], share * scale)
+            found[1, m] = larger(found[1, m], nodes[m, a] * points[m, 4, a] / (size if size > 0 else 1.0))
+        found[2, m], found[3, m], found[4, m] = surveyed[0][m], surveyed[1][m], surveyed[2][m] / rate[m]
+        off = larger(surveyed[2][m] - barrier[m], barrier[m] - surveyed[3][m])
+        found[5, m] = larger(0.0, off) / rate[m]
+        found[6, m] = larger(larger(found[0, m], found[1, m]), found[2, m])
+        found[7, m] = larger(found[6, m], larger(found[3, m], found[4, m]))
+        found[8, m] = larger(found[6, m], found[5, m])
+        _in_all((missing, lacking, held), points, nodes[m], wide[m], m, found)
+        found[9, m] += surveyed[4][m] / mean[m]
+        found[10, m] = (cost[m] + surveyed[5][m]) / unit[m]
+        found[11, m] = (found[11, m] + surveyed[6][m]) / unit[m]

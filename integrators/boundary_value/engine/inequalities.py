@@ -102,6 +102,15 @@ class Surveyed(NamedTuple):
     missing: np.ndarray  # the weighted sum of |g + s - t|, in units
     potential: np.ndarray
     held: np.ndarray  # the weighted sum of nu (g + s - t)
+    dear: np.ndarray  # the highest price, relative to the first one; zero where nothing is elastic
+    cheap: np.ndarray  # 1 where a multiplier comes near to its price, and that may still rise
+    hard: np.ndarray  # 1 where an inequality is not elastic
+    left: np.ndarray  # the largest excess whose multiplier comes near to the highest price, in units
+
+    @classmethod
+    def none(cls, count: int) -> "Surveyed":
+        """Of no inequalities."""
+        return cls(*np.zeros((len(cls._fields), count)))
 
     def off(self, barrier: np.ndarray) -> np.ndarray:
         """The largest difference of these products from a barrier."""
@@ -177,19 +186,25 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
     return Slacks(*out, slacks.price, slacks.barrier)
 
 
-def surveyed(held: Held, slacks: Slacks, limits: np.ndarray) -> Surveyed:
-    """What is largest in the inequalities and their slacks, and their sums; ``limits``: units, shape (B, c)."""
+def surveyed(
+    held: Held, slacks: Slacks, limits: np.ndarray, rate: np.ndarray, prices: tuple[float, float, float]
+) -> Surveyed:
+    """What is largest in the inequalities and their slacks, and their sums.
+
+    ``limits``: units of the inequalities, shape (B, c), ``rate``: of the cost rate, (B,); ``prices``: the first one,
+    the share of its price that a multiplier comes near to it with, and the highest one.
+    """
     from . import inequality_kernels
 
-    found, room = np.zeros((len(limits), len(Surveyed._fields))), np.empty(limits.shape[1])
+    found, units = np.zeros((len(Surveyed._fields), len(limits))), (plain(limits), plain(rate))
     given = _points(held), _points(slacks)
 
     def run(part: range) -> None:
-        units = plain(limits), np.empty_like(room)
-        inequality_kernels.survey(part.start, part.stop, *given, units, VALUE, found)
+        room = np.empty(limits.shape[1])
+        inequality_kernels.survey(part.start, part.stop, *given, (*units, room), VALUE, prices, found)
 
     in_threads(run, len(limits), 8 * held.values[0].size)
-    return Surveyed(*found.T)
+    return Surveyed(*found)
 
 
 def _three(like: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -25,16 +25,33 @@ def _aside(nu: float, rho: float) -> float:
     return 1 / nu - 1 / (rho - nu) if nu > 0 else 0.0
 
 
+@inner
+def _dearest(price: float, nu: float, excess: float, unit: float, prices: tuple, out: np.ndarray, m: int) -> None:
+    """What the price of an elastic inequality says, ``unit``: that of the price times its own; see ``survey``."""
+    first, near, most = prices
+    out[7, m] = larger(out[7, m], price / (first * unit))
+    if nu > near * price:
+        if price < most * unit:
+            out[8, m] = 1.0
+        else:
+            out[10, m] = larger(out[10, m], excess)
+
+
 @compiled
-def survey(first: int, last: int, held: tuple, slacks: Five, units: tuple, share: float, out: np.ndarray) -> None:
+def survey(
+    first: int, last: int, held: tuple, slacks: Five, units: tuple, share: float, prices: tuple, out: np.ndarray
+) -> None:
     """Survey the members ``first`` to ``last``.
 
-    ``units``: of the inequalities, and room for what they are measured by; ``share``: of the largest value, which
-    measures them where it is more. ``out``, shape ``(B, 7)``, comes as zeros: the largest violation and excess; the
-    largest of ``nu s`` and ``zeta t``, and the least; ``sum w |g + s - t|``, in units; ``sum w (rho t - mu (log s + log
-    t))``; ``sum w nu (g + s - t)``.
+    ``units``: of the inequalities and of the cost rate, and room for what inequalities are measured by; ``share``: of
+    the largest value, which measures them where it is more; ``prices``: the first one, what share of its price a
+    multiplier comes near to it with, and the highest one, both relative to their units. ``out``, shape ``(11, B)``,
+    comes as zeros: the largest violation and excess; the largest of ``nu s`` and ``zeta t``, and the least; ``sum w
+    |g + s - t|``, in units; ``sum w (rho t - mu (log s + log t))``; ``sum w nu (g + s - t)``; the highest price,
+    relative to the first one; 1 where a multiplier comes near to a price below the highest; 1 where an inequality is
+    hard; the largest excess whose multiplier comes near to the highest price.
     """
-    (values, _, weights), (s, nu, t, rho, mu), (limits, room) = held, slacks, units
+    (values, _, weights), (s, nu, t, rho, mu), (limits, rate, room) = held, slacks, units
     _, steps, stages, size = values.shape
     for m in range(first, last):
         for i in range(size):
@@ -51,18 +68,22 @@ def survey(first: int, last: int, held: tuple, slacks: Five, units: tuple, share
                     if not w > 0:
                         continue
                     missing = values[m, n, j, i] + s[m, n, j, i] - t[m, n, j, i]
-                    out[m, 0] = larger(out[m, 0], abs(missing) / room[i])
-                    out[m, 1] = larger(out[m, 1], t[m, n, j, i] / room[i])
+                    out[0, m] = larger(out[0, m], abs(missing) / room[i])
+                    out[1, m] = larger(out[1, m], t[m, n, j, i] / room[i])
                     product, cost = s[m, n, j, i] * nu[m, n, j, i], -mu[m] * math.log(s[m, n, j, i] / limits[m, i])
-                    out[m, 2], least = larger(out[m, 2], product), -larger(-least, -product)
+                    out[2, m], least = larger(out[2, m], product), -larger(-least, -product)
                     if soft:
                         product = t[m, n, j, i] * (rho[m, n, j, i] - nu[m, n, j, i])
-                        out[m, 2], least = larger(out[m, 2], product), -larger(-least, -product)
+                        out[2, m], least = larger(out[2, m], product), -larger(-least, -product)
                         cost += rho[m, n, j, i] * t[m, n, j, i] - mu[m] * math.log(t[m, n, j, i] / limits[m, i])
-                    out[m, 4] += w * abs(missing) / limits[m, i]
-                    out[m, 5] += w * cost
-                    out[m, 6] += w * nu[m, n, j, i] * missing
-        out[m, 3] = least
+                        excess, unit = t[m, n, j, i] / limits[m, i], rate[m] / limits[m, i]
+                        _dearest(rho[m, n, j, i], nu[m, n, j, i], excess, unit, prices, out, m)
+                    else:
+                        out[9, m] = 1.0
+                    out[4, m] += w * abs(missing) / limits[m, i]
+                    out[5, m] += w * cost
+                    out[6, m] += w * nu[m, n, j, i] * missing
+        out[3, m] = least
 
 
 @compiled

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import joined
 from ....manifolds.numerics.tolerances import EPS, REGULAR
-from .barrier import DEARER, Missed
+from .barrier import DEARER
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
@@ -28,6 +28,8 @@ class JointConditions:
 
     def of(self, members: np.ndarray) -> "JointConditions":
         """The conditions of some members."""
+        if self.units is not None and len(members) == len(self.units.cost):
+            return self
         units = None if self.units is None else JointUnits(*(leaf[members] for leaf in self.units))
         return JointConditions(tuple(phase.of(members) for phase in self.phases), self.coupling, units)
 
@@ -129,14 +131,13 @@ class JointConditions:
     def residuals(self, iterate: JointIterate, assembled: JointAssembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
         each = [phase.residuals(part, system) for phase, part, system in self._each(iterate, assembled)]
-        limits = Missed(*(np.max(values, axis=0) for values in zip(*(own.limits for own in each), strict=True)))
-        gap = np.max([self._gap(iterate, assembled), *(own.gap for own in each)], axis=0)
-        return Residuals(gap, np.max([own.stationarity for own in each], axis=0), limits)
+        largest = Residuals(*(np.max(values, axis=0) for values in zip(*each, strict=True)))
+        return Residuals.of(np.maximum(self._gap(iterate, assembled), largest.gap), *largest[1:6])
 
     def _gap(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """By how much the equations between the ends are missed, relative to what the trajectories change them by."""
         coupled, count, begin = assembled.coupled, self.coupling.count, 0
-        sizes = [phase.measures(system) for phase, _, system in self._each(iterate, assembled)]
+        sizes = [phase.appraised(part, system) for phase, part, system in self._each(iterate, assembled)]
         along = np.concatenate([size.along for size in sizes for _ in range(2)], axis=1)
         unit = np.sum(np.abs(coupled.jacobian[:, :count]) * along[:, None], axis=2)
         missed = [np.abs(coupled.values[:, :count]) / np.where(unit > 0, unit, 1.0)]
@@ -152,7 +153,7 @@ class JointConditions:
         """The iterate with lower barriers where their problem is solved; where that is; and where excesses are too
         cheap."""
         # The price of one phase has raised the multipliers of all.
-        dear = np.max([phase.dear(part) for phase, part in zip(self.phases, iterate.parts, strict=True)], axis=0)
+        dear = np.max([phase.dear(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
         each = [
             phase.less(part, system, residuals, tolerance, dear)
             for phase, part, system in self._each(iterate, assembled)
@@ -170,10 +171,12 @@ class JointConditions:
             parts=tuple(phase.softened(part, system, where) for phase, part, system in self._each(iterate, assembled))
         )
 
-    def is_infeasible(self, iterate: JointIterate, residuals: Residuals, tolerance: float) -> np.ndarray:
+    def is_infeasible(
+        self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
+    ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
-        pairs = zip(self.phases, iterate.parts, strict=True)
-        return np.any([phase.is_infeasible(part, residuals, tolerance) for phase, part in pairs], axis=0)
+        each = self._each(iterate, assembled)
+        return np.any([phase.is_infeasible(*own, residuals, tolerance) for phase, *own in each], axis=0)
 
     def barriers(self, iterate: JointIterate) -> np.ndarray:
         """The largest barriers relative to the units of the cost rates."""
@@ -190,10 +193,20 @@ class JointConditions:
         )
         return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
 
-    def shortfall(self, assembled: JointAssembled, judging: bool = False) -> np.ndarray:
+    def is_met(self, iterate: JointIterate, assembled: JointAssembled, tolerance: float) -> np.ndarray:
+        """Whether nothing is lacking at a node or between the ends, and at a point no more than the root of the
+        tolerance."""
+        each = [phase.is_met(part, system, tolerance) for phase, part, system in self._each(iterate, assembled)]
+        return np.all(each, axis=0) & (self._apart(assembled) <= tolerance)
+
+    def shortfall(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """The most that a node, a point or an equation between the ends lacks, in its unit, shape (B,)."""
-        most = [phase.shortfall(part, judging) for phase, part in zip(self.phases, assembled.parts, strict=True)]
-        return np.max([*most, np.max(np.abs(assembled.coupled.values) / self._rows, axis=1, initial=0.0)], axis=0)
+        each = [phase.shortfall(part, system) for phase, part, system in self._each(iterate, assembled)]
+        return np.max([*each, self._apart(assembled)], axis=0)
+
+    def _apart(self, assembled: JointAssembled) -> np.ndarray:
+        """The most that an equation between the ends lacks, in its unit, shape (B,)."""
+        return np.max(np.abs(assembled.coupled.values) / self._rows, axis=1, initial=0.0)
 
     @property
     def _rows(self) -> np.ndarray:

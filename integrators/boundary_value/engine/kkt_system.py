@@ -1,10 +1,9 @@
 """The KKT system of a batch of trajectories at an iterate, and a step of Newton's method on it."""
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from .barrier import Missed
 from .extent import Extent
 from .inequalities import Slacks, Turn
 from .transcription import Blocks, Paid, Terminal
@@ -76,27 +75,29 @@ class Step(NamedTuple):
 
 
 class Residuals(NamedTuple):
-    """Largest distance between ends that should meet and derivative of the Lagrangian, relative to what they are made
-    of."""
+    """How far an iterate is from what is asked of it, relative to what that is made of, shape (B,).
+
+    Largest distance between ends that should meet; largest derivative of the Lagrangian; of the inequalities largest
+    residuals of ``g + s = t``, of ``t = 0``, of ``nu s = 0``, and of ``nu s = mu``; and the largest of some of these.
+    """
 
     gap: np.ndarray
     stationarity: np.ndarray
-    limits: Missed  # of the inequalities
+    violation: np.ndarray
+    excess: np.ndarray
+    complementarity: np.ndarray
+    centring: np.ndarray
+    steady: np.ndarray  # but for those that the barrier moves
+    final: np.ndarray  # of the problem itself
+    largest: np.ndarray  # of the problem with its barrier
 
-    @property
-    def final(self) -> np.ndarray:
-        """The largest residual of the problem itself."""
-        return np.maximum(self.steady, np.maximum(self.limits.excess, self.limits.complementarity))
-
-    @property
-    def largest(self) -> np.ndarray:
-        """The largest residual of the problem with its barrier."""
-        return np.maximum(self.steady, self.limits.centring)
-
-    @property
-    def steady(self) -> np.ndarray:
-        """The largest residual but for those that the barrier moves."""
-        return np.maximum(np.maximum(self.gap, self.stationarity), self.limits.violation)
+    @classmethod
+    def of(cls, gap: np.ndarray, stationarity: np.ndarray, *limits: np.ndarray) -> Self:
+        """With the largest of them; ``limits``: those of the inequalities."""
+        violation, excess, complementarity, centring = limits
+        steady = np.maximum(np.maximum(gap, stationarity), violation)
+        final = np.maximum(steady, np.maximum(excess, complementarity))
+        return cls(gap, stationarity, *limits, steady, final, np.maximum(steady, centring))
 
 
 class Ends(NamedTuple):

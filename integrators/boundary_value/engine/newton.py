@@ -225,7 +225,9 @@ class _Search:
         step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
         # No shift shortens what the constraints ask for: there the same step is cut further.
         vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
-        vain &= (before.fraction / 2 < SHORTEST) & (conditions.length(step) > SHORTER * conditions.length(state.step))
+        vain &= before.fraction / 2 < SHORTEST
+        if vain.any():
+            vain &= conditions.length(step) > SHORTER * conditions.length(state.step)
         if vain.any():
             least = conditions.least_step(state.iterate, state.assembled)
             vain &= conditions.length(least) > SHORTER * conditions.length(state.step)
@@ -242,9 +244,13 @@ class _Search:
 
         What was reached counts no more there.
         """
+        if state.iterate.slacks is None:
+            return state, np.zeros(len(state.shift), bool)
         iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
         stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= JAMMED) | ~state.step.finite
-        stuck &= conditions.is_hard(iterate, state.assembled) & (state.residuals.largest > np.sqrt(self.tolerance))
+        stuck &= state.residuals.largest > np.sqrt(self.tolerance)
+        if stuck.any():
+            stuck &= conditions.is_hard(iterate, state.assembled)
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
             first, assembled = taken(self.first, state.member)
@@ -273,7 +279,7 @@ class _Search:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed
         again."""
         merit = Merit.of(conditions, trial, assembled)
-        reached_now = found.largest, conditions.shortfall(assembled), assembled.cost
+        reached_now = found.largest, conditions.shortfall(trial, assembled), assembled.cost
         found_now = judged(state, merit, reached_now, self.trials == 1 and trial.slacks is None, self.tolerance)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
         iterate, kept, reached, merit = merged(found_now.good, new, old)
@@ -331,7 +337,10 @@ class _Search:
 
     def hopeless(self, state: State) -> np.ndarray:
         """Whether no step is left, be it from the guess once more with elastic inequalities."""
-        return ~_solvable(state) & ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
+        stuck = ~_solvable(state)
+        if stuck.any():
+            stuck &= ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
+        return stuck
 
     def elsewhere(self, state: State) -> np.ndarray:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not
@@ -339,16 +348,16 @@ class _Search:
 
         Near the end the normal part of what is missing is the square of its size: from there it moves.
         """
-        conditions = self.conditions.of(state.member)
-        missing = state.assembled.extent.lacking / conditions.judging.nodes
-        met = (missing <= self.tolerance).all(axis=1) & (state.residuals.stationarity <= self.tolerance)
-        # The points of a step may lack what its nodes do not: from there Newton's method moves.
-        met &= conditions.shortfall(state.assembled, judging=True) <= np.sqrt(self.tolerance)
-        return met & (state.residuals.gap > np.sqrt(self.tolerance))
+        conditions, residuals = self.conditions.of(state.member), state.residuals
+        stays = (residuals.stationarity <= self.tolerance) & (residuals.gap > np.sqrt(self.tolerance))
+        if stays.any():
+            stays &= conditions.is_met(state.iterate, state.assembled, self.tolerance)
+        return stays
 
     def contradictory(self, state: State) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
-        return self.conditions.of(state.member).is_infeasible(state.iterate, state.residuals, self.tolerance)
+        conditions = self.conditions.of(state.member)
+        return conditions.is_infeasible(state.iterate, state.assembled, state.residuals, self.tolerance)
 
     def report(self, state: State, accepted: np.ndarray) -> None:
         """Show the state to the callback; where that returns something true, stop."""
@@ -356,7 +365,7 @@ class _Search:
             return
         residuals, length = state.residuals, state.fraction * state.step.reach
         barrier = self.conditions.of(state.member).barriers(state.iterate)
-        violation = np.maximum(residuals.limits.violation, residuals.limits.excess)
+        violation = np.maximum(residuals.violation, residuals.excess)
         seen = residuals.gap, residuals.stationarity, state.shift, length, accepted, violation, barrier
         self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 

@@ -1,19 +1,22 @@
 """How far an iterate is from satisfying its conditions, relative to what these are made of."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain
-from .inequalities import VALUE
-from .kkt_system import Assembled
+from .inequalities import VALUE, Surveyed
+from .kkt_system import Assembled, Residuals
 from .scaling import SHARE, Units
 
+SHARES = VALUE, SHARE, EPS**HALF
+NUMBERS = 15  # for each member
 
-class Measures(NamedTuple):
-    """What gaps are measured by, and the largest of what is left in each trajectory.
+
+class Appraisal(NamedTuple):
+    """What gaps are measured by, how far the conditions are from being met, and what trials are compared by.
 
     An entry of a gap is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of
     its unit, or, where the manifold's equations hold it, of one; the derivative of the Lagrangian by the parts that
@@ -23,41 +26,42 @@ class Measures(NamedTuple):
 
     along: Float[np.ndarray, "B n"]  # in the coordinates of the nodes
     entries: Float[np.ndarray, "B E"]
-    gap: Float[np.ndarray, " B"]  # between ends that should meet, entry by entry of the ambient space
-    stationarity: Float[np.ndarray, " B"]
-    scale: Float[np.ndarray, " B"]  # of the parts of the derivative
+    residuals: Residuals
+    infeasibility: Float[np.ndarray, " B"]  # the sum of what all nodes, points and inequalities lack, in units of steps
+    cost: Float[np.ndarray, " B"]  # with its barrier, in its unit
+    held: Float[np.ndarray, " B"]  # the multipliers on what is lacking, in the unit of the cost
+    lacking: Float[np.ndarray, " B"]  # the most that a node lacks in a coordinate, in units of success
+    shortfall: Float[np.ndarray, " B"]  # that a node or a point lacks
+    alone: Float[np.ndarray, " B"]  # the same in units of steps
 
 
-def shortfall_of(assembled: Assembled, units: Units) -> np.ndarray:
-    """The most that a node or a point of a step lacks in a coordinate, in its unit, whatever the trajectory is like."""
-    inner, most = assembled.blocks.inner, (assembled.extent.lacking / units.nodes).max(axis=1, initial=0.0)
-    if inner is None:
-        return most
-    return np.maximum(most, (np.abs(inner.defect) / units.nodes[:, None, None]).max(axis=(1, 2, 3), initial=0.0))
+def appraisal(
+    assembled: Assembled,
+    units: tuple[Units, Units],
+    mean: np.ndarray,
+    limits: tuple[Surveyed, np.ndarray, np.ndarray] | None,
+) -> Appraisal:
+    """The appraisal of iterates.
 
-
-def measures(assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any) -> Measures:
-    """How far iterates are from meeting at their nodes and points, and from stationarity."""
+    ``units``: those that success is judged by, and those of steps; ``mean``: the mean steps; ``limits``: the survey of
+    the inequalities, their barrier and its unit, if there are any.
+    """
     from . import extent_kernels
 
-    extent, (batch, size), n = assembled.extent, assembled.distance.shape, assembled.gap.shape[2]
-    found = Measures(np.empty((batch, n)), np.empty((batch, size)), *np.empty((3, batch)))
+    extent, inner, (batch, n) = assembled.extent, assembled.blocks.inner, assembled.extent.missing.shape
+    (judging, measured), numbers = units, np.zeros((NUMBERS, batch))
+    along, entries = np.empty((batch, n)), np.empty(extent.highest.shape)
+    points = np.zeros((batch, 6, n)) if inner is None else inner.extent
     # With a barrier the curvature of the Hessian has no bound.
-    least = np.zeros(batch) if assembled.blocks.held is None else units.cost
-    sizes = extent.highest, extent.lowest, extent.support, extent.parts, extent.slope, extent.curvature
-    of = plain(units.nodes), units.unknowns, least
-    extent_kernels.measure(sizes, assembled.distance, of, (VALUE, SHARE, EPS**HALF), found)
-    return found if assembled.blocks.inner is None else _with_points(found, assembled, units, steps, transcription)
-
-
-def _with_points(
-    found: Measures, assembled: Assembled, units: Units, steps: np.ndarray, transcription: Any
-) -> Measures:
-    """The measures with what the points of the steps lack, which was condensed."""
-    inner, d = assembled.blocks.inner, units.nodes
-    missed = np.abs(inner.defect).sum(axis=2).max(axis=1) / np.where(found.along > 0, found.along, 1.0)
-    weights = steps[:, :, None, None] * transcription.tableau.weights[:, None]
-    scale = np.maximum(d * np.abs(inner.multipliers).max(axis=(1, 2)), SHARE * found.scale[:, None])
-    slopes = d * (np.abs(inner.slope) / weights).max(axis=(1, 2)) / np.where(scale > 0, scale, 1.0)
-    gap, stationarity = np.maximum(found.gap, missed.max(axis=1)), np.maximum(found.stationarity, slopes.max(axis=1))
-    return found._replace(gap=gap, stationarity=stationarity)
+    least = np.zeros(batch) if limits is None else judging.cost
+    surveyed, barrier, rate = (Surveyed.none(batch), np.zeros(batch), np.ones(batch)) if limits is None else limits
+    extent_kernels.measure(
+        (*extent[:3], *extent[4:]),
+        points,
+        (assembled.distance, mean, assembled.cost),
+        (plain(judging.nodes), judging.unknowns, least, plain(measured.nodes), measured.cost),
+        (tuple(surveyed), barrier, rate),
+        SHARES,
+        (along, entries, numbers),
+    )
+    return Appraisal(along, entries, Residuals(*numbers[:9]), *numbers[9:])

@@ -38,7 +38,7 @@ def followed(
         moves = step.unknowns[..., n:].reshape(*unknowns.controls.shape[:3], -1)
         parts.append((nodes.control, unknowns.controls, support, moves))
     # Where no coordinate moves by its share of a diameter, nothing else is to be found out.
-    elif np.all(step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.along(extent.values)):
+    elif np.all(step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.sizes):
         return np.ones(len(along))
     same = [_steady(*part[:2]) for part in parts]
     farthest = _turns(parts, same)

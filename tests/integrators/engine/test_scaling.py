@@ -52,7 +52,7 @@ def test_what_a_coordinate_moves_does_not_know_of_other_members():
     support = np.array([[[1.0, 0, 0], [0, 1, 0]], [[0.8, 0.1, 0.6], [0.1, 0.9, 0.4]]])
     highest, lowest = np.array([[1e-12, 0, 1], [0.5, 0.6, 0.7]]), np.array([[0, 0, -1.0], [0.1, 0.1, 0.1]])
     none, one = np.zeros((2, 2)), np.zeros(2)
-    both = Extent(highest, lowest, support, none, none, one, none, none, none)
+    both = Extent(highest, lowest, support, none, none, none, one, none, none, none)
     for m in range(2):
         alone = Extent(*(a[m : m + 1] for a in both))
         for together, own in zip(both.moved(layout), alone.moved(layout), strict=True):
@@ -65,7 +65,7 @@ def test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not
     support = np.array([[[0.8, 0.1, 0.6], [0.1, 0.9, 0.4]]])
     highest, spread = np.array([[0.2, 1.0, 0.7]]), share * EPS**HALF * np.array([[0.0, 1.0, 0.5]])
     none, one = np.zeros((1, 2)), np.zeros(1)
-    found = Extent(size * highest, size * (spread - highest), support, none, none, one, none, none, none)
+    found = Extent(size * highest, size * (spread - highest), support, none, none, none, one, none, none, none)
     moved, sizes = found.moved(Layout.of(Sphere(2)))
     # The first coordinate moves by three tenths of the spread, beside 0.8 of the column.
     expected = np.array([[0.3, 0.9]]) * share * EPS**HALF * size
