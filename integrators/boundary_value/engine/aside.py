@@ -93,11 +93,9 @@ def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarr
     Pieces are the arrays, but for the entries that a coordinate of their own moves: they may have other units.
     """
     extent, n = assembled.extent, assembled.gap.shape[2]
-    along = step.largest[:, :n]
-    moved = (along[:, :, None] * extent.support).max(axis=1)
-    single, entries = alone(extent.support.max(axis=0)), np.arange(extent.support.shape[2])
-    arrays = (entries[place] for place in conditions.at_nodes.layout.places)
-    pieces = [piece for own in arrays for piece in (own[~single[own]], *own[single[own], None]) if piece.size]
-    spread = np.array([extent.spreads[:, piece].max(axis=1) for piece in pieces])
-    far = np.array([moved[:, piece].max(axis=1) for piece in pieces])
+    moved = (step.largest[:, :n, None] * extent.support).max(axis=1)
+    single = alone(extent.support.max(axis=0))
+    pieces = np.concatenate([conditions.at_nodes.layout.in_arrays * ~single, np.eye(single.size)[single]])
+    pieces = pieces[pieces.any(axis=1)][:, None]
+    spread, far = (pieces * extent.spreads).max(axis=2), (pieces * moved).max(axis=2)
     return np.where(spread > 0, far / np.where(spread > 0, spread, 1.0), np.inf)
