@@ -15,7 +15,7 @@ from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from .arrays import plain
 from .chart import Chart
-from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope
+from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
 from .transcription import AtStages, Blocks, Data, Known, Moves
@@ -123,20 +123,15 @@ class Collocation:
         points, ends = Points(hessian, constraints, columns, defect), Ends(curvature, left, right, pulls)
         parts, condensed = condense(points, ends, steps, self.tableau)
         factors, swaps, maps = (a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
-        alone = ends._replace(slope=pull[..., None])
-        whole = full_slope(points._replace(slope=slope[..., None]), alone, steps, self.tableau)[..., 0]
-        none = ends._replace(slope=np.zeros_like(pull)[..., None])
-        paid = full_slope(points._replace(slope=gradient.mT), none, steps, self.tableau)[..., 0]
-        by_all, inner = self._condensed(paid, maps)
-        slopes, pulled = self._condensed(whole, maps)
+        (whole, paid), (pulled, inner) = slopes((slope, gradient[..., 0, :]), pull, condensed)
         lacking = missed, multipliers, pulled, self._surveyed(missed, multipliers, pulled, steps)
         kept = condensed.points, condensed.ends, (factors, swaps, maps)
         inner = Inner(parts.before[..., 0], parts.after[..., 0], *lacking, inner, frames, *kept)
         costs = np.sum(cost[..., 0], axis=2)
-        blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], by_all, costs, inner)
+        blocks = Blocks(parts.hessian, parts.left, parts.right, parts.slope[..., 0], paid, costs, inner)
         if held is None:
             return blocks
-        return blocks._replace(slope=slopes, held=held, pushed=parts.slope)
+        return blocks._replace(slope=whole, held=held, pushed=parts.slope)
 
     def _surveyed(
         self, defect: np.ndarray, multipliers: np.ndarray, slope: np.ndarray, steps: np.ndarray
@@ -156,15 +151,6 @@ class Collocation:
         at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
         pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
         return self._point.at(3, *at, data.parameters[:, None, None], pull)
-
-    def _condensed(self, full: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A slope by all unknowns of the steps as one by those that are left, and its part by the velocities."""
-        n, s = self.manifold.dimension, self.stages
-        inner = full[..., n : n + s * n]
-        direct = np.concatenate([full[..., :n], full[..., n + s * n :]], axis=2)
-        return direct + np.einsum("bkiz,bki->bkz", maps[..., : self.dimension], inner), inner.reshape(
-            *full.shape[:2], s, n
-        )
 
     def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
         """The unknowns moved by fractions of the steps of the condensed system."""

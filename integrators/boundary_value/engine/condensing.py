@@ -145,6 +145,28 @@ def expand(
     return Expanded(steps[:, :, :n], velocities, steps[:, :, n:].reshape(batch, count, s, q - 3 * n, columns), lambdas)
 
 
+def slopes(
+    points: tuple[np.ndarray, np.ndarray], pull: np.ndarray, condensed: Condensed
+) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Slopes of the Lagrangian and of the cost alone by what is left of the unknowns of the steps, shape (B, N, z), and
+    by the velocities, (B, N, s, n).
+
+    ``points``: both by the unknowns of the points, shape (B, N, s, q); ``pull``: the first one's by those of the ends.
+    """
+    from . import condensing_kernels
+
+    batch, count, s, q = points[0].shape
+    n = pull.shape[2] // 2
+    z, steps = n + s * (q - 3 * n), batch * count
+    out, inside = np.empty((2, batch, count, z)), np.empty((2, batch, count, s, n))
+    given = tuple(_steps(map(plain, points))), plain(pull).reshape(steps, -1), condensed.kept[2], condensed.table
+    flat = tuple(inside.reshape(2, steps, s * n)), tuple(out.reshape(2, steps, z))
+    in_threads(
+        lambda part: condensing_kernels.slopes(part.start, part.stop, *given, *flat), steps, 2 * s * n * (z + s + 2)
+    )
+    return tuple(out), tuple(inside)
+
+
 def full_slope(
     points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: Tableau
 ) -> Float[np.ndarray, "B N D k"]:

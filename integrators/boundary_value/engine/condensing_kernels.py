@@ -198,3 +198,35 @@ def expand(
         solve_transposed(kept[0][t], kept[1][t], x)
         for i in range(s * n):
             out[1][t, i] = -x[i]
+
+
+@compiled
+def slopes(
+    first: int, last: int, own: tuple, pull: np.ndarray, maps: np.ndarray, table: Table, inside: tuple, out: tuple
+) -> None:
+    """The slopes of the steps ``first`` to ``last`` by the velocities, and by what is left of their unknowns.
+
+    ``own``: slopes by the unknowns of the points, of the Lagrangian and of the cost alone; ``pull``: the first one's by
+    ``(dx, deta)`` of the ends; ``maps``: the velocities as functions of what is left; ``inside``, ``out``: of both.
+    """
+    (h, matrix, weights), (_, s, q), n = table, own[0].shape, pull.shape[1] // 2
+    m, z = q - 3 * n, n + s * (q - 3 * n)
+    for t in range(2):
+        slope, inner_slope, outer = own[t], inside[t], out[t]
+        for k in range(first, last):
+            for a in range(n):
+                outer[k, a] = pull[k, a] if t == 0 else 0.0
+                for i in range(s):
+                    outer[k, a] += slope[k, i, a]
+            for i in range(s):
+                for b in range(m):
+                    outer[k, n + i * m + b] = slope[k, i, 3 * n + b]
+            for i in range(s):
+                for a in range(n):
+                    total = h[k] * weights[i] * pull[k, n + a] if t == 0 else 0.0
+                    for j in range(s):
+                        total += h[k] * matrix[j, i] * slope[k, j, n + a]
+                    total += slope[k, i, 2 * n + a]
+                    inner_slope[k, i * n + a] = total
+                    for b in range(z):
+                        outer[k, b] += maps[k, i * n + a, b] * total

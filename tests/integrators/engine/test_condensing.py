@@ -4,7 +4,15 @@ import os
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.condensing import Ends, Points, Tableau, condense, expand, full_slope
+from retrax.integrators.boundary_value.engine.condensing import (
+    Ends,
+    Points,
+    Tableau,
+    condense,
+    expand,
+    full_slope,
+    slopes,
+)
 from retrax.integrators.boundary_value.engine.elimination import eliminate, is_strict_minimum
 
 BATCH, COUNT, NODE, CONTROLS, COLUMNS = 3, 7, 3, 2, 2
@@ -113,6 +121,25 @@ def test_the_condensed_system_has_the_step_the_multipliers_and_the_inertia_of_th
         assert np.max(np.abs(found - expected)) < rounding
         np.testing.assert_allclose(slopes[b], slope, rtol=1e-12, atol=1e-12)
         assert solution.negative[b] + s * NODE * COUNT == np.sum(np.linalg.eigvalsh(matrix) < 0)
+
+
+@pytest.mark.parametrize("s", [1, 2, 4])
+def test_slopes_by_what_is_left_have_those_by_the_velocities_through_their_map(s):
+    (points, ends, h), tableau = random_steps(s, s), gauss(s)
+    _, condensed = condense(points, ends, h, tableau)
+    cost = np.random.default_rng(3).standard_normal(points.slope.shape[:4])
+    lagrangian, pull = points.slope[..., 0], ends.slope[..., 0]
+    (whole, paid), inside = slopes((lagrangian, cost), pull, condensed)
+    maps = condensed.kept[2].reshape(BATCH, COUNT, *condensed.kept[2].shape[1:])[..., : whole.shape[2]]
+    for found, velocities, own, of_ends in ((whole, inside[0], lagrangian, pull), (paid, inside[1], cost, 0 * pull)):
+        full = full_slope(points._replace(slope=own[..., None]), ends._replace(slope=of_ends[..., None]), h, tableau)[
+            ..., 0
+        ]
+        middle = full[..., NODE : NODE + s * NODE]
+        left = np.concatenate([full[..., :NODE], full[..., NODE + s * NODE :]], axis=2)
+        np.testing.assert_allclose(velocities.reshape(middle.shape), middle, rtol=1e-13, atol=1e-13)
+        expected = left + np.einsum("bkiz,bki->bkz", maps, middle)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12 * np.abs(maps).max())
 
 
 def test_the_condensed_inertia_follows_the_whole_through_zero():
