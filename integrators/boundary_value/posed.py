@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ...collection import put_off
 from ...retractions import Gauss, Midpoint
 from ..controls import resting_control
 from ..evaluator import Evaluator
@@ -75,22 +76,27 @@ class Posing:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
         if key not in self._found:
-            example = self.problem.with_parameters(parameters)
-            example.require_values()
-            given = self.problem, parameters, self.evaluator
-            if isinstance(self.method, Gauss) and self.method.stages > 1:
-                steps: Any = Collocation(self.problem, self.method, *given[1:])
-            else:
-                method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
-                steps = OneStage(self.problem, method, *given[1:])
-            sizes, limits = example.inequality_sizes, example.limits
-            mask = partial(limits.mask, sizes) if limits.any else None
-            named, flat = partial(limits.by_name, sizes=sizes), partial(limits.flat, sizes=sizes)
-            own = Own(self.problem, parameters)
-            coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
-            functions = steps, Nodes(*given), Diagnosis(*given)
-            self._found[key] = Traced(*functions, mask, named, flat, own, coupling, self.evaluator)
+            with put_off():
+                self._found[key] = self._traced(parameters)
         return self._found[key]
+
+    def _traced(self, parameters: Any) -> Traced:
+        """The same, traced anew."""
+        example = self.problem.with_parameters(parameters)
+        example.require_values()
+        given = self.problem, parameters, self.evaluator
+        if isinstance(self.method, Gauss) and self.method.stages > 1:
+            steps: Any = Collocation(self.problem, self.method, *given[1:])
+        else:
+            method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
+            steps = OneStage(self.problem, method, *given[1:])
+        sizes, limits = example.inequality_sizes, example.limits
+        mask = partial(limits.mask, sizes) if limits.any else None
+        named, flat = partial(limits.by_name, sizes=sizes), partial(limits.flat, sizes=sizes)
+        own = Own(self.problem, parameters)
+        coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
+        functions = steps, Nodes(*given), Diagnosis(*given)
+        return Traced(*functions, mask, named, flat, own, coupling, self.evaluator)
 
     def of(self, request: Request) -> Traced:
         """The functions with the parameters of a request."""

@@ -42,8 +42,8 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     reason = _obstacle(system, integrator)
     if reason:
         return reason
+    from ...collection import put_off
     from ...tape import NotTraceableError
-    from ...tape.collection import put_off
     from ...tape.program import UnknownInstructionError
 
     try:

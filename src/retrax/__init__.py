@@ -9,8 +9,11 @@ from .threads import ask_for_threads
 
 ask_for_threads()  # before anything below makes JAX compute
 
-from . import integrators, manifolds, retractions
 from ._version import __version__
+from .collection import put_off
+
+with put_off():
+    from . import integrators, manifolds, retractions
 from .integrators import Free
 
 if TYPE_CHECKING:
