@@ -43,14 +43,13 @@ class Recording:
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         success, results = outcomes(found, options.tolerance, options.max_iterations)
+        numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
             **self._trajectories(nodes, costates, stages, data.steps),
             "hamiltonians": diagnostics.hamiltonians,
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
             "spatial_costates": diagnostics.spatial,
-            "cost": found.assembled.cost,
-            "success": success,
             "multipliers": {**_multipliers(traced, found), **(found.boundary or {})},
         }
         notes = found.notes or [""] * len(results)
@@ -61,18 +60,19 @@ class Recording:
         known = {**_known(found, success), "active": _active(posed, found)}
 
         def member(k: int) -> Solution:
-            own: Any = vec.taken(diagnostics, k)
+            own, arrays = vec.taken((diagnostics, fields), k)
             return Solution(
-                **jax.tree.map(lambda leaf: leaf if leaf.ndim else leaf.item(), vec.taken(fields, k)),
+                **arrays,
+                **{name: values[k].item() for name, values in numbers.items()},
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 quantities=self.problem.quantities,
                 interpolant=self.interpolant,
-                parameters=jax.tree.map(np.array, vec.taken(parameters, k)),
+                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return {**fields, "parameters": parameters, "result": results}, member
+        return {**fields, **numbers, "parameters": parameters, "result": results}, member
 
     def _trajectories(
         self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
