@@ -43,17 +43,23 @@ class Examination:
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
-        with one_reading(), np.errstate(all="ignore"):
-            wrong = self._wrong(solution, free_horizon, ends)
-            if wrong:
-                how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
-                return _failed(solution, f"The conditions {how} {wrong}.")
-            outside = self._outside(solution, ends)
-            if outside and solution.success:
-                return _failed(solution, outside)
-            notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
-            said = " ".join(filter(None, notes))
-            return replace(solution, result=f"{solution.result} {said}") if said else solution
+        with one_reading():
+            if not (self.problem.limits.functions or self.needed(solution.parameters, free_horizon)):
+                return solution
+            with np.errstate(all="ignore"):
+                return self._examined(solution, free_horizon, ends)
+
+    def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
+        wrong = self._wrong(solution, free_horizon, ends)
+        if wrong:
+            how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
+            return _failed(solution, f"The conditions {how} {wrong}.")
+        outside = self._outside(solution, ends)
+        if outside and solution.success:
+            return _failed(solution, outside)
+        notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+        said = " ".join(filter(None, notes))
+        return replace(solution, result=f"{solution.result} {said}") if said else solution
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
