@@ -65,7 +65,9 @@ class Layout:
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
-        arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(points)]
+        return self._rows([np.asarray(leaf) for leaf in jax.tree.leaves(points)], axes)
+
+    def _rows(self, arrays: list[np.ndarray], axes: int) -> np.ndarray:
         leading = arrays[0].shape[:axes] if arrays else ()
         rows = np.empty((*leading, self.size))
         count = max(math.prod(leading), 1)
@@ -74,21 +76,22 @@ class Layout:
             rows[..., place] = np.concatenate([np.real(part), np.imag(part)], axis=-1) if is_complex else part
         return rows
 
-    def holds(self, points: Any, axes: int) -> bool:
-        """Whether these are NumPy's arrays of finite real numbers for each of a point's, with some leading axes in
-        common.
+    def held(self, points: Any, axes: int) -> np.ndarray | None:
+        """The rows of NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common;
+        None if these are something else.
 
-        What is none of it may still be points: this sees most that are at once.
+        That may still be points: this sees most that are at once.
         """
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:
-            return False
+            return None
         for leaf, shape in zip(leaves, self.shapes, strict=True):
             if type(leaf) is not np.ndarray or leaf.dtype.kind != "f" or leaf.shape[axes:] != shape:
-                return False
-            if leaf.shape[:axes] != leaves[0].shape[:axes] or not np.isfinite(leaf).all():
-                return False
-        return True
+                return None
+            if leaf.shape[:axes] != leaves[0].shape[:axes]:
+                return None
+        rows = self._rows(leaves, axes)
+        return rows if np.isfinite(rows).all() else None
 
     def points(self, rows: np.ndarray) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""

@@ -195,10 +195,11 @@ class EndReader:
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
         """What is prescribed of an end, and its flat points, with zeros where nothing is known."""
-        if not batched and self.layout.holds(given, 0):
+        whole = None if batched else self.layout.held(given, 0)
+        if whole is not None:
             if name not in self._of_points:
                 self._of_points[name] = self._prescribed_by(list(self._parts(given, name)))
-            return self._of_points[name], self.layout.rows(given, 0)[None]
+            return self._of_points[name], whole[None]
         found = list(self._parts(given, name))
         rows = [reader._rows(guessed(point), title, batched) for title, reader, point in found]
         count = max(map(len, rows))
@@ -219,13 +220,14 @@ class EndReader:
         if given is None:
             return np.zeros((1, self.layout.size))
         axes = int(batched and self._is_batch(given))
-        if not self.layout.holds(given, axes):
+        rows = self.layout.held(given, axes)
+        if rows is None:
             hint = "; give one entry for each factor, None where it is free" if self.factors else ""
             for k in range(len(jax.tree.leaves(given)[0]) if axes else 1):
                 wrong = self.manifold.describe_mismatch(self.member(given, k) if axes else given, "a point")
                 if wrong:
                     raise NotOnManifoldError(f"{name}: {wrong}{hint}")
-        rows = self.layout.rows(given, axes)
+            rows = self.layout.rows(given, axes)
         return rows if axes else rows[None]
 
 
