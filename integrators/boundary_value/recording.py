@@ -27,6 +27,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
+        self.quantities, self._constrained = problem.quantities, bool(problem.limits.functions)
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(
@@ -54,7 +55,7 @@ class Recording:
         }
         notes = found.notes or [""] * len(results)
         results = [words + _excesses(traced, found, k) + notes[k] for k, words in enumerate(results)]
-        if self.problem.limits.functions:  # they may break the symmetries
+        if self._constrained:  # constraints may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
         known = {**_known(found, success), "active": _active(posed, found)}
@@ -67,7 +68,7 @@ class Recording:
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
-                quantities=self.problem.quantities,
+                quantities=self.quantities,
                 interpolant=self.interpolant,
                 parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
