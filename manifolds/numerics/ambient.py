@@ -43,7 +43,7 @@ def is_finite_number(x: object) -> bool:
     """Whether ``x`` is one finite real number; True and False are none."""
     if isinstance(x, bool) or not isinstance(x, NUMBERS):
         return False
-    if np.ndim(x) or not np.isrealobj(x):
+    if not isinstance(x, (int, float)) and (np.ndim(x) or not np.isrealobj(x)):
         return False
     try:
         return math.isfinite(x)
