@@ -1,7 +1,7 @@
 """Points as flat vectors of real numbers, the form in which the engine holds them."""
 
 import math
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from typing import Any, final
 
 import jax
@@ -21,13 +21,12 @@ class Layout:
     def __init__(self, ambient: Any) -> None:
         self._kinds, self._structure = jax.tree.flatten(ambient)
         self._complex = [np.issubdtype(kind.dtype, np.complexfloating) for kind in self._kinds]
-        self._ends = np.cumsum(
-            [0, *(math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True))]
-        )
-        self.size: int = int(self._ends[-1])
+        sizes = [math.prod(k.shape) * (1 + c) for k, c in zip(self._kinds, self._complex, strict=True)]
+        ends = list(accumulate(sizes, initial=0))
+        self.size: int = ends[-1]
         self.shapes: list[tuple[int, ...]] = [tuple(kind.shape) for kind in self._kinds]
         # Of each array.
-        self.places: list[slice[int, int, None]] = [slice(*ends) for ends in pairwise(self._ends.tolist())]
+        self.places: list[slice[int, int, None]] = [slice(*pair) for pair in pairwise(ends)]
         own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
         counts = [1 + np.max(column, initial=-1) for column in own]
         self.array_of_columns: np.ndarray = np.repeat(np.arange(len(own)), counts)
@@ -66,33 +65,33 @@ class Layout:
 
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
-        arrays = [np.asarray(leaf) for leaf in jax.tree.leaves(points)]
+        return self._rows([np.asarray(leaf) for leaf in jax.tree.leaves(points)], axes)
+
+    def _rows(self, arrays: list[np.ndarray], axes: int) -> np.ndarray:
         leading = arrays[0].shape[:axes] if arrays else ()
         rows = np.empty((*leading, self.size))
-        for array, is_complex, begin, end in zip(arrays, self._complex, self._ends, self._ends[1:], strict=False):
-            part = array.reshape(*leading, array.size // max(math.prod(leading), 1))
-            if is_complex:
-                half = (begin + end) // 2
-                rows[..., begin:half], rows[..., half:end] = np.real(part), np.imag(part)
-            else:
-                rows[..., begin:end] = part
+        count = max(math.prod(leading), 1)
+        for array, is_complex, place in zip(arrays, self._complex, self.places, strict=True):
+            part = array.reshape(*leading, array.size // count)
+            rows[..., place] = np.concatenate([np.real(part), np.imag(part)], axis=-1) if is_complex else part
         return rows
 
-    def holds(self, points: Any, axes: int) -> bool:
-        """Whether these are NumPy's arrays of finite real numbers for each of a point's, with some leading axes in
-        common.
+    def held(self, points: Any, axes: int) -> np.ndarray | None:
+        """The rows of NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common;
+        None if these are something else.
 
-        What is none of it may still be points: this sees most that are at once.
+        That may still be points: this sees most that are at once.
         """
         leaves, structure = jax.tree.flatten(points)
-        return structure == self._structure and all(
-            type(leaf) is np.ndarray
-            and leaf.dtype.kind == "f"
-            and leaf.shape[axes:] == shape
-            and leaf.shape[:axes] == leaves[0].shape[:axes]
-            and bool(np.isfinite(leaf).all())
-            for leaf, shape in zip(leaves, self.shapes, strict=True)
-        )
+        if structure != self._structure:
+            return None
+        for leaf, shape in zip(leaves, self.shapes, strict=True):
+            if type(leaf) is not np.ndarray or leaf.dtype.kind != "f" or leaf.shape[axes:] != shape:
+                return None
+            if leaf.shape[:axes] != leaves[0].shape[:axes]:
+                return None
+        rows = self._rows(leaves, axes)
+        return rows if np.isfinite(rows).all() else None
 
     def points(self, rows: np.ndarray) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""
@@ -100,14 +99,13 @@ class Layout:
 
     def _tree(self, flat: Any, leading: tuple[int, ...], join: Any) -> Ambient:
         leaves = []
-        for kind, is_complex, begin, end in zip(self._kinds, self._complex, self._ends, self._ends[1:], strict=False):
-            part, shape = flat[..., begin:end], (*leading, *kind.shape)
-            half = (end - begin) // 2
-            leaves.append(
-                join(part[..., :half].reshape(shape), part[..., half:].reshape(shape))
-                if is_complex
-                else part.reshape(shape)
-            )
+        for own, is_complex, place in zip(self.shapes, self._complex, self.places, strict=True):
+            part, shape = flat[..., place], (*leading, *own)
+            if is_complex:
+                half = part.shape[-1] // 2
+                leaves.append(join(part[..., :half].reshape(shape), part[..., half:].reshape(shape)))
+            else:
+                leaves.append(part.reshape(shape))
         return jax.tree.unflatten(self._structure, leaves)
 
 

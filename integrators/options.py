@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 from difflib import get_close_matches
-from functools import wraps
+from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
 from ..manifolds import InvalidInputError
@@ -63,11 +63,15 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
     signature, what = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
     names = [name for name in signature.parameters if name != "self"]
 
+    @cache  # a call is complete by the number of its arguments and the names of its options
+    def require_all(count: int, given: tuple[str, ...]) -> None:
+        _require_all(signature, what, count, given)
+
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
         unknown = next((name for name in options if name not in names), None)
         if unknown is None:
-            _require_all(signature, what, arguments, options)
+            require_all(len(arguments), tuple(options))
             return function(*arguments, **options)
         near = get_close_matches(unknown, names, 1, CLOSE)
         hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
@@ -78,10 +82,10 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def _require_all(signature: inspect.Signature, what: str, arguments: tuple, options: dict[str, Any]) -> None:
+def _require_all(signature: inspect.Signature, what: str, count: int, given: tuple[str, ...]) -> None:
     """Raise where an argument is missing, given twice or too many."""
     try:
-        signature.bind(*arguments, **options)
+        signature.bind(*range(count), **dict.fromkeys(given))
     except TypeError as error:
         required = [name for name, p in signature.parameters.items() if p.default is p.empty and name != "self"]
         hint = f"; {HORIZON}" if "'horizon'" in str(error) else ""

@@ -5,6 +5,7 @@ import warnings
 from functools import cache
 
 import equinox as eqx
+import numpy as np
 
 from ..manifolds.numerics.precision import working_precision
 
@@ -80,9 +81,8 @@ def _callers() -> int:
 
 
 @cache
-def warn_if_single_precision(dtype: str) -> None:
-    """Warn once if JAX computes in single precision."""
-    if dtype == "float32":
+def _warn_if_single(precision: np.dtype) -> None:
+    if precision == np.float32:
         warnings.warn(
             "JAX is in single precision, so about six digits can be expected; for double precision run "
             'jax.config.update("jax_enable_x64", True) before the first array is made',
@@ -102,4 +102,4 @@ def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
 
 def warn_about_precision() -> None:
     """Warn once if JAX computes in single precision."""
-    warn_if_single_precision(str(working_precision()))
+    _warn_if_single(working_precision())

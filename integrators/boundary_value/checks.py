@@ -37,7 +37,7 @@ class Checks(ABC):
     @classmethod
     def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, **more: Any) -> Self:
         """The checks from the diagnostics of a trajectory, in NumPy arrays, and what its solver knows."""
-        hamiltonians: Any = diagnostics.hamiltonians
+        hamiltonians, tolerance = diagnostics.hamiltonians, default_tolerance()
         return cls(
             gap=gap,
             stationarity=stationarity,
@@ -45,8 +45,8 @@ class Checks(ABC):
             hamiltonian=float(hamiltonians[0]),
             hamiltonian_spread=float(np.ptp(hamiltonians)),
             hamiltonian_size=float(diagnostics.hamiltonian_size),
-            momentum_spreads={name: float(np.max(np.ptp(j, axis=0))) for name, j in diagnostics.momenta.items()},
-            conserved={name: int(np.sum(rates <= default_tolerance())) for name, rates in diagnostics.brackets.items()},
+            momentum_spreads={name: float(np.ptp(j, axis=0).max()) for name, j in diagnostics.momenta.items()},
+            conserved={name: int((rates <= tolerance).sum()) for name, rates in diagnostics.brackets.items()},
             **more,
         )
 

@@ -66,20 +66,22 @@ class Prescribed(NamedTuple):
     """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else
     0.
 
-    ``known``: which entries are prescribed, or free and guessed.
+    ``known``: which entries are prescribed, or free and guessed. ``whole``: whether all are prescribed.
     """
 
     parts: tuple[Part, ...]
     entries: np.ndarray
     coordinates: np.ndarray
     known: np.ndarray
+    whole: bool
 
     @classmethod
     def of(cls, parts: tuple[Part, ...], known: Sequence[bool]) -> "Prescribed":
         """What these parts prescribe, of which some are known."""
         fixed = [part.fixed for part in parts]
         coordinates = _of_parts(fixed, parts, "dimension").astype(float)
-        return cls(parts, _of_parts(fixed, parts, "entries"), coordinates, _of_parts(known, parts, "entries"))
+        entries, guessed_too = (_of_parts(marks, parts, "entries") for marks in (fixed, known))
+        return cls(parts, entries, coordinates, guessed_too, all(fixed))
 
 
 def _of_parts(marks: Sequence[bool], parts: tuple[Part, ...], what: str) -> np.ndarray:
@@ -108,7 +110,7 @@ class EndPoints(NamedTuple):
     def require_known(self, start: Any) -> None:
         """Raise if a factor is free at both ends, so that there is nothing to guess it from; ``start`` is as it was
         given."""
-        if np.any(self.unknown):
+        if self.unknown.any():
             raise InvalidInputError(
                 f"start = {start!r} leaves a factor free that is free at the other end too; pass a guess"
             )
@@ -122,6 +124,7 @@ class EndReader:
         self.manifold, self.layout, self.dimension = manifold, Layout.of(manifold), manifold.dimension
         self.factors = tuple(map(EndReader, manifold.factors)) if isinstance(manifold, Product) else ()
         self._prescribed: dict[Any, Prescribed] = {}
+        self._of_points: dict[str, Prescribed] = {}  # by whole points, at the end of this name
 
     @cached_property
     def at_rest(self) -> np.ndarray:
@@ -131,7 +134,10 @@ class EndReader:
     def ends(self, start: Any, end: Any, batched: bool) -> EndPoints:
         """Both ends. Raises ``NotOnManifoldError`` for a part of another structure than a point, with entries not
         finite."""
-        (first, start_rows), (last, end_rows) = (self._read(*at, batched) for at in ((start, "start"), (end, "end")))
+        first, start_rows = self._read(start, "start", batched)
+        last, end_rows = self._read(end, "end", batched)
+        if first.whole and last.whole and len(start_rows) == len(end_rows):
+            return EndPoints(start_rows, end_rows, (first, last), np.zeros(self.layout.size, bool))
         own = first.entries | (first.known & ~last.entries), last.entries | (last.known & ~first.entries)
         rows = np.where(own[0], start_rows, end_rows), np.where(own[1], end_rows, start_rows)
         return EndPoints(*rows, (first, last), ~(first.known | last.known))
@@ -189,29 +195,39 @@ class EndReader:
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
         """What is prescribed of an end, and its flat points, with zeros where nothing is known."""
+        whole = None if batched else self.layout.held(given, 0)
+        if whole is not None:
+            if name not in self._of_points:
+                self._of_points[name] = self._prescribed_by(list(self._parts(given, name)))
+            return self._of_points[name], whole[None]
         found = list(self._parts(given, name))
         rows = [reader._rows(guessed(point), title, batched) for title, reader, point in found]
+        count = max(map(len, rows))
+        rows = rows if count == 1 else [np.broadcast_to(part, (count, part.shape[1])) for part in rows]
+        return self._prescribed_by(found), np.concatenate(rows, axis=1)
+
+    def _prescribed_by(self, found: Sequence[tuple[str, "EndReader", Any]]) -> Prescribed:
+        """What parts of an end prescribe of it."""
         key = tuple((title, _is_prescribed(point), point is not None) for title, _, point in found)
         if key not in self._prescribed:
             own = ((len(reader.layout.shapes), reader.layout.size, reader.dimension) for _, reader, _ in found)
             parts = tuple(Part(*of[:2], *counts) for of, counts in zip(key, own, strict=True))
             self._prescribed[key] = Prescribed.of(parts, [known for _, _, known in key])
-        count = max(map(len, rows))
-        rows = rows if count == 1 else [np.broadcast_to(part, (count, part.shape[1])) for part in rows]
-        return self._prescribed[key], np.concatenate(rows, axis=1)
+        return self._prescribed[key]
 
     def _rows(self, given: Any, name: str, batched: bool) -> np.ndarray:
         """Flat points of what is given for a part, after a check of its structure; zeros for None."""
         if given is None:
             return np.zeros((1, self.layout.size))
         axes = int(batched and self._is_batch(given))
-        if not self.layout.holds(given, axes):
+        rows = self.layout.held(given, axes)
+        if rows is None:
             hint = "; give one entry for each factor, None where it is free" if self.factors else ""
             for k in range(len(jax.tree.leaves(given)[0]) if axes else 1):
                 wrong = self.manifold.describe_mismatch(self.member(given, k) if axes else given, "a point")
                 if wrong:
                     raise NotOnManifoldError(f"{name}: {wrong}{hint}")
-        rows = self.layout.rows(given, axes)
+            rows = self.layout.rows(given, axes)
         return rows if axes else rows[None]
 
 

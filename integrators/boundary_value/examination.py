@@ -34,6 +34,7 @@ class Examination:
     def __init__(self, problem: OptimalControlProblem) -> None:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
+        self._limited, self._named = problem.limits.along, bool(problem.limits.functions)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
@@ -43,17 +44,23 @@ class Examination:
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
-        with one_reading(), np.errstate(all="ignore"):
-            wrong = self._wrong(solution, free_horizon, ends)
-            if wrong:
-                how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
-                return _failed(solution, f"The conditions {how} {wrong}.")
-            outside = self._outside(solution, ends)
-            if outside and solution.success:
-                return _failed(solution, outside)
-            notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
-            said = " ".join(filter(None, notes))
-            return replace(solution, result=f"{solution.result} {said}") if said else solution
+        with one_reading():
+            if not (self._named or self.needed(solution.parameters, free_horizon)):
+                return solution
+            with np.errstate(all="ignore"):
+                return self._examined(solution, free_horizon, ends)
+
+    def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
+        wrong = self._wrong(solution, free_horizon, ends)
+        if wrong:
+            how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
+            return _failed(solution, f"The conditions {how} {wrong}.")
+        outside = self._outside(solution, ends)
+        if outside and solution.success:
+            return _failed(solution, outside)
+        notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+        said = " ".join(filter(None, notes))
+        return replace(solution, result=f"{solution.result} {said}") if said else solution
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
@@ -71,11 +78,11 @@ class Examination:
 
     def _unqualified(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return self._once(Qualification, solution.parameters)(solution) if self.problem.limits.functions else ""
+        return self._once(Qualification, solution.parameters)(solution) if self._named else ""
 
     def _outside(self, solution: Solution, ends: tuple[Prescribed, Prescribed]) -> str:
         """A sentence on a constraint of the states that an end violates."""
-        fixed = _fixed(ends) if self.problem.limits.functions else np.zeros(0)
+        fixed = _fixed(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
         names, excess = self._once(Qualification, solution.parameters).at_ends(solution, fixed)
@@ -91,7 +98,7 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self.problem.limits.along or any(self._examiners(free_horizon, parameters))
+        return self._limited or any(self._examiners(free_horizon, parameters))
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
         """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be

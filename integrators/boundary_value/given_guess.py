@@ -143,9 +143,11 @@ def _rows(given: Any, part: _Part) -> np.ndarray | None:
         return np.zeros((part.length, part.layout.size))
     if given is None and part.name in ("nodes", "stage_costates"):
         return None
-    if not (part.layout.holds(given, 1) and len(jax.tree.leaves(given)[0]) == part.length):
+    rows = part.layout.held(given, 1)
+    if rows is None or len(rows) != part.length:
         check_arrays(part.name, given, part.manifold, part.length)
-    return part.layout.rows(given, 1)
+        rows = part.layout.rows(given, 1)
+    return rows
 
 
 def _points(rows: np.ndarray | None, k: int, part: _Part) -> Any:

@@ -24,7 +24,7 @@ from .engine.kkt_system import Ends, Iterate
 from .engine.start import Start
 from .engine.transcription import Data, Known, Nodes, OneStage
 from .given_guess import FlatGuess
-from .request import Request
+from .request import Request, for_all
 
 
 class Traced(NamedTuple):
@@ -109,10 +109,9 @@ class Posing:
     def posed(self, request: Request) -> Posed:
         """The conditions and guesses of a request."""
         traced, ends = self.of(request), request.ends
-        shape = len(request), self.state.size
-        rows = np.broadcast_to(ends.start, shape), np.broadcast_to(ends.end, shape)
+        rows = for_all(ends.start, len(request)), for_all(ends.end, len(request))
         asked = None if traced.mask is None else traced.mask(len(self.fractions), len(self.stages)).astype(float)
-        asked = None if asked is None else np.broadcast_to(asked, (len(request), *asked.shape))
+        asked = None if asked is None else for_all(asked[None], len(request))
         data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         first, last = ends.prescribed
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)

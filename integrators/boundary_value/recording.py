@@ -27,6 +27,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
+        self.quantities, self._constrained = problem.quantities, bool(problem.limits.functions)
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(
@@ -43,36 +44,36 @@ class Recording:
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         success, results = outcomes(found, options.tolerance, options.max_iterations)
+        numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
             **self._trajectories(nodes, costates, stages, data.steps),
             "hamiltonians": diagnostics.hamiltonians,
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
             "spatial_costates": diagnostics.spatial,
-            "cost": found.assembled.cost,
-            "success": success,
             "multipliers": {**_multipliers(traced, found), **(found.boundary or {})},
         }
         notes = found.notes or [""] * len(results)
         results = [words + _excesses(traced, found, k) + notes[k] for k, words in enumerate(results)]
-        if self.problem.limits.functions:  # they may break the symmetries
+        if self._constrained:  # constraints may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
         known = {**_known(found, success), "active": _active(posed, found)}
 
         def member(k: int) -> Solution:
-            own: Any = vec.taken(diagnostics, k)
+            own, arrays = vec.taken((diagnostics, fields), k)
             return Solution(
-                **jax.tree.map(lambda leaf: leaf if leaf.ndim else leaf.item(), vec.taken(fields, k)),
+                **arrays,
+                **{name: values[k].item() for name, values in numbers.items()},
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=Statistics(int(found.iterations[k]), *seconds),
-                quantities=self.problem.quantities,
+                quantities=self.quantities,
                 interpolant=self.interpolant,
-                parameters=jax.tree.map(np.array, vec.taken(parameters, k)),
+                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return {**fields, "parameters": parameters, "result": results}, member
+        return {**fields, **numbers, "parameters": parameters, "result": results}, member
 
     def _trajectories(
         self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray

@@ -80,11 +80,12 @@ class RequestReader:
         if structure not in self._parameters:
             self._parameters[structure] = parameter_layout(given, axes)
         layout = self._parameters[structure]
-        return structure, np.broadcast_to(layout.rows(given, axes), (count, layout.size))
+        rows = layout.rows(given, axes)
+        return structure, for_all(rows if rows.ndim > 1 else rows[None], count)
 
     def violations(self, points: np.ndarray) -> np.ndarray:
         """By how much each of some flat points violates the equations of the manifold."""
-        return np.max(self._violations.at(1, points)[0], axis=1)
+        return self._violations.at(1, points)[0].max(axis=1)
 
     def restored(self, points: np.ndarray) -> np.ndarray:
         """Flat points on the manifold next to these; where it has none, these."""
@@ -175,7 +176,7 @@ class Request:
         began = time.perf_counter()
         guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
         ends = reader.ends.ends(given.start, given.end, bool(axes))
-        if np.any(ends.unknown):
+        if ends.unknown.any():
             at_rest = reader.ends.at_rest
             ends = ends.completed(
                 *((at_rest, at_rest) if guesses is None else (guesses.states[:, 0], guesses.states[:, -1]))
@@ -187,18 +188,21 @@ class Request:
     def _on_manifold(self) -> "Request":
         """The request with ends that are on the manifold to rounding; raises where they, or a guess, are off it."""
         reader, (start, end, *_) = self.reader, self.ends
-        states = [] if self.guesses is None else [self.guesses.states_to_check(reader.ends.layout.size)]
         points = np.concatenate([start, end])
-        violations = reader.violations(np.concatenate([points, *states]))
-        beside, near = violations[: len(points)], violations[: len(points)] <= default_tolerance()
-        if self.guesses is not None:
+        if self.guesses is None:
+            beside = reader.violations(points)
+        else:
+            states = self.guesses.states_to_check(reader.ends.layout.size)
+            violations = reader.violations(np.concatenate([points, states]))
             reader.guesses.require_on_manifold(self.guesses, violations[len(points) :])
-        if not np.all(near):
+            beside = violations[: len(points)]
+        near = beside <= default_tolerance()
+        if not near.all():
             for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
                 own = self.each[int(k)]
                 reader.ends.require_on_manifold(own.start, own.end)
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
-        if not np.any(off):
+        if not off.any():
             return self
         points[off] = reader.restored(points[off])  # no trajectory ends beside its manifold
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
@@ -264,8 +268,8 @@ class Request:
 
     def parameters(self) -> Any:
         """The parameters as arrays of their own, with the members along the leading axis."""
-        given = copied(self.known.parameters)
-        return given if self.axes else vec.taken(given, None)
+        given = self.known.parameters
+        return copied(given) if self.axes else jax.tree.map(lambda leaf: np.array(leaf)[None], given)
 
     def problem_of(self, k: int) -> OptimalControlProblem:
         """The problem with the parameters of a member."""
@@ -328,6 +332,11 @@ def _member(ends: EndReader, given: Given, k: int) -> Given:
 
     start, end = ends.member(given.start, k), ends.member(given.end, k)
     return Given(start, end, *jax.tree.map(one, (given.horizon, given.parameters), is_leaf=is_free))
+
+
+def for_all(rows: np.ndarray, count: int) -> np.ndarray:
+    """Rows for so many members, of which there may be one for all."""
+    return rows if len(rows) == count else np.broadcast_to(rows, (count, *rows.shape[1:]))
 
 
 def _row(rows: np.ndarray, k: int) -> np.ndarray:

@@ -1,6 +1,5 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -89,8 +88,7 @@ class Solution:
     quantities: Quantities | None = None
 
     def __post_init__(self) -> None:
-        for array in _arrays(vars(self)):
-            array.setflags(write=False)
+        _write_protect(vars(self))
 
     @property
     def horizon(self) -> float:
@@ -212,13 +210,16 @@ def _in_tuples(value: Any) -> Any:
     return tuple(map(_in_tuples, value)) if isinstance(value, tuple | list) else value
 
 
-def _arrays(value: Any) -> Iterator[np.ndarray]:
-    """The arrays in nested tuples and dictionaries."""
+def _write_protect(value: Any) -> None:
+    """Make the arrays in nested tuples, lists and dictionaries read-only."""
     if isinstance(value, np.ndarray):
-        yield value
-    elif isinstance(value, tuple | list | dict):
-        for part in value.values() if isinstance(value, dict) else value:
-            yield from _arrays(part)
+        value.setflags(write=False)
+    elif isinstance(value, dict):
+        for part in value.values():
+            _write_protect(part)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            _write_protect(part)
 
 
 _SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name not in IN_TEXT}

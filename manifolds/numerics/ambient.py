@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 else:
     Ambient = Frame = PyTree[Array]
 Coordinates = Float[Array, " k"]
+NUMBERS = int, float, np.number, np.ndarray, jax.Array
 
 
 def is_traced(*trees: object) -> bool:
@@ -35,14 +36,14 @@ def is_jitting() -> bool:
 
 def is_count(x: object) -> bool:
     """Whether ``x`` is a whole number of at least 1."""
-    return isinstance(x, int | np.integer) and not isinstance(x, bool) and bool(x >= 1)
+    return isinstance(x, (int, np.integer)) and not isinstance(x, bool) and bool(x >= 1)
 
 
 def is_finite_number(x: object) -> bool:
     """Whether ``x`` is one finite real number; True and False are none."""
-    if isinstance(x, bool) or not isinstance(x, int | float | np.number | np.ndarray | jax.Array):
+    if isinstance(x, bool) or not isinstance(x, NUMBERS):
         return False
-    if np.ndim(x) or not np.isrealobj(x):
+    if not isinstance(x, (int, float)) and (np.ndim(x) or not np.isrealobj(x)):
         return False
     try:
         return math.isfinite(x)

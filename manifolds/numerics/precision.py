@@ -1,5 +1,7 @@
 """The precision that JAX is set to: its dtypes, and how near numbers in it have to be to count as equal."""
 
+from functools import cache
+
 import jax
 import numpy as np
 from jaxtyping import Array, Bool
@@ -16,7 +18,12 @@ def working_precision() -> np.dtype:
 
 def default_tolerance() -> float:
     """Square root of the machine epsilon of the precision in use."""
-    return float(np.finfo(working_precision()).eps ** HALF)
+    return _root_of_epsilon(working_precision())
+
+
+@cache
+def _root_of_epsilon(precision: np.dtype) -> float:
+    return float(np.finfo(precision).eps ** HALF)
 
 
 def real(shape: tuple[int, ...]) -> jax.ShapeDtypeStruct:

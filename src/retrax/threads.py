@@ -51,8 +51,11 @@ def parts_of(count: int, fewest: int, most: int) -> list[range]:
 
     There is a single one where parts would have less than ``fewest``, or other processors are busy.
     """
-    parts = 1 if _alone.get() else max(min(os.cpu_count() or 1, count // fewest), -(-count // most), 1)
-    return _ranges(count, parts)
+    if _alone.get():
+        return _ranges(count, 1)
+    large = max(1, count // fewest)
+    parts = large if large == 1 else min(os.cpu_count() or 1, large)  # the system is asked only where it matters
+    return _ranges(count, max(parts, -(-count // most)))
 
 
 def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:

@@ -179,6 +179,11 @@ def test_parts_are_all_items_in_their_order(count, monkeypatch):
             assert parts_of(count, 4, 100) == [range(count)]
 
 
+def test_the_system_is_not_asked_for_processors_where_there_is_one_part(monkeypatch):
+    monkeypatch.setattr("os.cpu_count", None)
+    assert parts_of(7, 4, 100) == [range(7)]
+
+
 IN_A_FORK = """
 import os
 import warnings

@@ -76,7 +76,7 @@ class Diagnosis:
             dict(zip(self._groups, rest[::2], strict=True)),
             dict(zip(self._groups, rest[1::2], strict=True)),
         )
-        worst = dict(zip(self._equations, np.max(violations, axis=1).T[1:], strict=True))
+        worst = dict(zip(self._equations, violations.max(axis=1).T[1:], strict=True))
         return AtNodes(projected, momenta, body, spatial, worst)
 
     def __call__(
@@ -86,16 +86,14 @@ class Diagnosis:
         given = parameters[:, None]
         hamiltonians, sizes, normal = self._stage.at(2, *stages, given)
         rounding, brackets = self._at_samples(stages, given)
-        size = np.maximum(np.max(sizes, axis=1), rounding)
+        size = np.maximum(sizes.max(axis=1), rounding)
         own = nodes.momenta, nodes.body, nodes.spatial, nodes.violations
-        return Diagnostics(hamiltonians, size, *own, brackets, np.max(normal, axis=1))
+        return Diagnostics(hamiltonians, size, *own, brackets, normal.max(axis=1))
 
     def is_curved(self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> bool:
         """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular
         problem."""
-        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
-        states, controls, costates = (part[:, sample] for part in stages)
-        return bool(np.all(self.curved((states, controls, costates), parameters)))
+        return bool(np.all(self.curved(_samples(stages), parameters)))
 
     def curved(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
@@ -127,13 +125,11 @@ class Diagnosis:
         The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger:
         where ``F = (q + u)^2 / 2`` is zero, the second ones are not.
         """
-        sample = np.linspace(0, stages[0].shape[1] - 1, SAMPLES).astype(int)
-        found = self._terms.at(2, *(part[:, sample] for part in stages), given)
-        curvature, slope, _, _, power, rate, sizes, *brackets = found
-        parts = np.abs(rate) + np.sum(np.abs(slope) * sizes, axis=2)
-        parts += np.einsum("bsij,bsi,bsj->bs", np.abs(curvature), sizes, sizes)
-        rounding = ROUNDING * EPS * np.max(power + parts, axis=1)
-        return rounding, {name: np.max(value, axis=1) for name, value in zip(self._names, brackets, strict=True)}
+        curvature, slope, _, _, power, rate, sizes, *brackets = self._terms.at(2, *_samples(stages), given)
+        slopes = np.abs(slope) + (np.abs(curvature) @ sizes[..., None])[..., 0]
+        parts = power + np.abs(rate) + (slopes * sizes).sum(axis=2)
+        rounding = ROUNDING * EPS * parts.max(axis=1)
+        return rounding, {name: value.max(axis=1) for name, value in zip(self._names, brackets, strict=True)}
 
     def _bound(
         self, q: Array, u: Array, p: Array, parameters: Array
@@ -193,3 +189,10 @@ class Diagnosis:
             size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
             out.append(jnp.abs(turned - moved) / positive(jnp.max(size)))
         return tuple(out)
+
+
+def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """What arrays of the stages, (B, S, ...), have at the first, the last and those between that are looked at."""
+    last = stages[0].shape[1] - 1
+    places = np.array([k * last // (SAMPLES - 1) for k in range(SAMPLES)])
+    return tuple([part[:, places] for part in stages])

@@ -40,17 +40,18 @@ class Start:
 
         Raises ``DomainError`` if no way arrives near an end.
         """
-        found, missing = np.empty((len(starts), len(fractions), self.layout.size)), np.arange(len(starts))
-        for way in (self._given, self._default, self._walked):
-            states, arrived = way(starts[missing], ends[missing], fractions)
-            found[missing[arrived]] = states[arrived]
-            missing = missing[~arrived]
-            if not missing.size:
-                return found
-        raise DomainError(
-            "no default guess: the walk from start to end does not arrive; pass a guess that goes through points "
-            "between"
-        )
+        states, arrived = self._given(starts, ends, fractions)
+        for way in (self._default, self._walked):
+            if arrived.all():
+                return states
+            missing = np.flatnonzero(~arrived)
+            states[missing], arrived[missing] = way(starts[missing], ends[missing], fractions)
+        if not arrived.all():
+            raise DomainError(
+                "no default guess: the walk from start to end does not arrive; pass a guess that goes through points "
+                "between"
+            )
+        return states
 
     def _given(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self._along(0, self.retraction, *way)
@@ -66,10 +67,9 @@ class Start:
             self._curves.append(self._curve(retraction))
         leave, go = self._curves[place]
         vectors, lengths = leave.at(1, starts, ends)
-        steps = np.broadcast_to(fractions[None, :, None], (len(starts), len(fractions), 1))
-        (states,) = go.at(2, starts[:, None], vectors[:, None], steps)
-        spaced = np.diff(fractions) * len(fractions)
-        return states, np.isfinite(lengths) & np.all(np.isfinite(states), axis=(1, 2)) & self._even(states, spaced)
+        (states,) = go.at(2, starts[:, None], vectors[:, None], fractions[None, :, None])
+        spaced = (fractions[1:] - fractions[:-1]) * len(fractions)
+        return states, np.isfinite(lengths) & np.isfinite(states).all(axis=(1, 2)) & self._even(states, spaced)
 
     def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
         """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s
@@ -87,11 +87,12 @@ class Start:
 
     def _even(self, states: np.ndarray, spaced: np.ndarray) -> np.ndarray:
         """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point."""
-        change = states[:, 1:] - states[:, :-1]
-        lengths, sizes = (np.sqrt((a * a) @ self.layout.in_arrays.T) for a in (change, states))
+        change, arrays = states[:, 1:] - states[:, :-1], self.layout.in_arrays.T
+        lengths = np.sqrt((change * change) @ arrays)
+        size = np.sqrt(((states * states) @ arrays).max(axis=1, initial=0.0))
         mean = lengths.sum(axis=1) / max(len(spaced), 1)
         longest = (lengths / spaced[:, None]).max(axis=1, initial=0.0)
-        return np.all(longest <= UNEVEN * mean + default_tolerance() * sizes.max(axis=1, initial=0.0), axis=1)
+        return (longest <= UNEVEN * mean + default_tolerance() * size).all(axis=1)
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it
