@@ -287,8 +287,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "fused products are added where they are subtracted": Planted(
         "src/retrax/tape/machine.py",
-        "SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul",
-        "SUB_MUL: lambda b, x, y, z, v: b.fadd(z(), b.fmul",
+        "SUB_MUL: lambda b, v, x, y, z: b.fsub(z(), b.fmul",
+        "SUB_MUL: lambda b, v, x, y, z: b.fadd(z(), b.fmul",
         (TAPE, PRIMITIVES),
     ),
     "lanes write one point too few": Planted(

@@ -3,6 +3,7 @@
 Numba compiles it once on a computer and keeps it on its disk. A program is data to it: nothing is compiled for one.
 """
 
+import inspect
 import math
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -14,16 +15,17 @@ from numba import extending, types
 from numba.core import cgutils
 
 from ..inlined import AS_PART
-from .program import NAMES
+from .program import NAMES, OPERANDS
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
-    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT,
-    OUTPUT, IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT,
-    NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN,
-    SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH, LOG1P, EXPM1,
+    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_ADD, MUL_ADD_ADD, TWO_MUL, TWO_MUL_ADD, MUL_SUB_MUL, THREE_MUL,
+    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, IF_ELSE_ZERO, POW,
+    CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT, NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT,
+    FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH,
+    LOG1P, EXPM1,
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
@@ -41,7 +43,7 @@ def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
 
 
 def _truth(relation: str) -> Callable[..., Any]:
-    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
+    def emit(b: Any, v: Any, x: Any, y: Any) -> Any:
         one, none = (ir.Constant(v.type, value) for value in (_filled(v.type, 1.0), None))
         return b.select(b.fcmp_ordered(relation, x(), y()), one, none)
 
@@ -53,7 +55,7 @@ def _filled(kind: Any, value: float) -> Any:
 
 
 def _of_llvm(name: str) -> Callable[..., Any]:
-    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
+    def emit(b: Any, v: Any, x: Any) -> Any:
         suffix = f"v{v.type.count}f64" if isinstance(v.type, ir.VectorType) else "f64"
         function = cgutils.get_or_insert_function(b.module, ir.FunctionType(v.type, [v.type]), f"{name}.{suffix}")
         return b.call(function, [x()])
@@ -61,61 +63,81 @@ def _of_llvm(name: str) -> Callable[..., Any]:
     return emit
 
 
+def _product_and(b: Any, x: Any, y: Any, rest: Any) -> Any:
+    """``x y + rest``."""
+    return b.fadd(b.fmul(x(), y(), flags=_FUSED), rest, flags=_FUSED)
+
+
 # Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
 # constant.
 _EMITTED: dict[int, Callable[..., Any]] = {
-    MUL: lambda b, x, y, z, v: b.fmul(x(), y()),
-    MUL_ADD: lambda b, x, y, z, v: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    MUL_SUB: lambda b, x, y, z, v: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
-    ADD: lambda b, x, y, z, v: b.fadd(x(), y()),
-    SUB: lambda b, x, y, z, v: b.fsub(x(), y()),
-    DIV: lambda b, x, y, z, v: b.fdiv(x(), y()),
-    MUL_CONST: lambda b, x, y, z, v: b.fmul(x(), v),
-    ADD_CONST: lambda b, x, y, z, v: b.fadd(x(), v),
-    CONST_SUB: lambda b, x, y, z, v: b.fsub(v, x()),
-    CONST_DIV: lambda b, x, y, z, v: b.fdiv(v, x()),
-    CONST: lambda b, x, y, z, v: v,
-    INV: lambda b, x, y, z, v: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
-    NEG: lambda b, x, y, z, v: b.fneg(x()),
-    SQ: lambda b, x, y, z, v: b.fmul(x(), x()),
-    TWICE: lambda b, x, y, z, v: b.fadd(x(), x()),
+    MUL: lambda b, v, x, y: b.fmul(x(), y()),
+    MUL_ADD: lambda b, v, x, y, z: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    MUL_SUB: lambda b, v, x, y, z: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    SUB_MUL: lambda b, v, x, y, z: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
+    ADD_ADD: lambda b, v, x, y, z: b.fadd(b.fadd(x(), y()), z()),
+    MUL_ADD_ADD: lambda b, v, x, y, z, t: b.fadd(_product_and(b, x, y, z()), t()),
+    TWO_MUL: lambda b, v, x, y, z, t: _product_and(b, z, t, b.fmul(x(), y())),
+    TWO_MUL_ADD: lambda b, v, x, y, s, z, t: _product_and(b, z, t, _product_and(b, x, y, s())),
+    MUL_SUB_MUL: lambda b, v, x, y, z, t: b.fsub(b.fmul(z(), t(), flags=_FUSED), b.fmul(x(), y()), flags=_FUSED),
+    THREE_MUL: lambda b, v, x, y, z, t, q, r: _product_and(b, q, r, _product_and(b, z, t, b.fmul(x(), y()))),
+    THREE_MUL_ADD: lambda b, v, x, y, s, z, t, q, r: _product_and(
+        b, q, r, _product_and(b, z, t, _product_and(b, x, y, s()))
+    ),
+    ADD: lambda b, v, x, y: b.fadd(x(), y()),
+    SUB: lambda b, v, x, y: b.fsub(x(), y()),
+    DIV: lambda b, v, x, y: b.fdiv(x(), y()),
+    MUL_CONST: lambda b, v, x: b.fmul(x(), v),
+    ADD_CONST: lambda b, v, x: b.fadd(x(), v),
+    CONST_SUB: lambda b, v, x: b.fsub(v, x()),
+    CONST_DIV: lambda b, v, x: b.fdiv(v, x()),
+    CONST: lambda b, v: v,
+    INV: lambda b, v, x: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
+    NEG: lambda b, v, x: b.fneg(x()),
+    SQ: lambda b, v, x: b.fmul(x(), x()),
+    TWICE: lambda b, v, x: b.fadd(x(), x()),
     SQRT: _of_llvm("llvm.sqrt"),
     FABS: _of_llvm("llvm.fabs"),
     LT: _truth("<"),
     LE: _truth("<="),
-    NOT: lambda b, x, y, z, v: _chosen(b, x(), ir.Constant(v.type, None), ir.Constant(v.type, _filled(v.type, 1.0))),
-    SELECT: lambda b, x, y, z, v: _chosen(b, x(), y(), z()),
-    IF_ELSE_ZERO: lambda b, x, y, z, v: _chosen(b, x(), y(), ir.Constant(v.type, None)),
+    NOT: lambda b, v, x: _chosen(b, x(), ir.Constant(v.type, None), ir.Constant(v.type, _filled(v.type, 1.0))),
+    SELECT: lambda b, v, x, y, z: _chosen(b, x(), y(), z()),
+    IF_ELSE_ZERO: lambda b, v, x, y: _chosen(b, x(), y(), ir.Constant(v.type, None)),
 }
 
 
 @_intrinsic
-def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-    """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is
-    one.
+def _on_lanes(typing: Any, codes: Any, registers: Any, values: Any, w: Any, m: Any, k: Any) -> Any:
+    """``run(codes, registers, values, w, m, k)``: run the instruction ``k`` on the first ``m`` of the lanes if it is
+    one of these, and whether it is.
 
     One table of jumps, where Numba would need a loop for each instruction.
     """
     kind = ir.VectorType(ir.DoubleType(), VECTOR)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        code, _, count, *rows, value = arguments
-        array = context.make_array(signature.args[1])(context, builder, arguments[1])
-        width = builder.extract_value(array.shape, 1)
-        target, *operands = (builder.gep(array.data, [builder.mul(row, width)]) for row in rows)
-        constant = ir.Constant(kind, ir.Undefined)
-        for t in range(VECTOR):
-            constant = builder.insert_element(constant, value, ir.Constant(ir.IntType(32), t))
+        arrays = [
+            context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)
+        ]
+        codes, registers, values, w = (array.data for array in arrays)
+        count, k = arguments[4:]
+        width, row = builder.extract_value(arrays[3].shape, 1), builder.mul(k, ir.Constant(k.type, 1 + OPERANDS))
+        constant = _spread(builder, kind, builder.load(builder.gep(values, [k])))
         known = cgutils.alloca_once_value(builder, cgutils.true_bit)
         after, step = builder.append_basic_block("after"), ir.Constant(count.type, VECTOR)
-        for emit in _cases(builder, code, after):
+
+        def place(operand: int) -> Any:
+            register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
+            return builder.gep(w, [builder.mul(builder.zext(register, row.type), width)])
+
+        for emit in _cases(builder, builder.load(builder.gep(codes, [k])), after):
+            target, *operands = (place(operand) for operand in range(1 + _operands(emit)))
             with cgutils.for_range_slice(builder, ir.Constant(count.type, 0), count, step) as (j, _):
 
                 def load(pointer: Any, j: Any = j) -> Callable[[], Any]:
                     return lambda: builder.load(builder.bitcast(builder.gep(pointer, [j]), kind.as_pointer()), align=8)
 
-                result = emit(builder, *map(load, operands), constant)
+                result = emit(builder, constant, *map(load, operands))
                 builder.store(result, builder.bitcast(builder.gep(target, [j]), kind.as_pointer()), align=8)
             builder.branch(after)
         builder.store(cgutils.false_bit, known)
@@ -123,7 +145,20 @@ def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: An
         builder.position_at_end(after)
         return builder.load(known)
 
-    return types.boolean(types.intp, w, *(types.intp,) * 5, types.float64), generate
+    return types.boolean(codes, registers, values, w, types.intp, types.intp), generate
+
+
+def _operands(emit: Callable[..., Any]) -> int:
+    """How many operands an instruction has."""
+    return len(inspect.signature(emit).parameters) - 2
+
+
+def _spread(builder: Any, kind: Any, value: Any) -> Any:
+    """A vector of the same number."""
+    found = ir.Constant(kind, ir.Undefined)
+    for t in range(kind.count):
+        found = builder.insert_element(found, value, ir.Constant(ir.IntType(32), t))
+    return found
 
 
 @_intrinsic
@@ -147,14 +182,14 @@ def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any
             builder.branch(again)
             builder.position_at_end(again)
             here = builder.load(at)
-            row = builder.mul(here, ir.Constant(here.type, 4))
+            row = builder.mul(here, ir.Constant(here.type, 1 + OPERANDS))
 
             def place(operand: int, row: Any = row) -> Any:
                 register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
                 return builder.gep(w, [builder.zext(register, row.type)])
 
-            loads = (lambda i=i: builder.load(place(i)) for i in (1, 2, 3))
-            builder.store(emit(builder, *loads, builder.load(builder.gep(values, [here]))), place(0))
+            loads = (lambda i=i: builder.load(place(i)) for i in range(1, 1 + _operands(emit)))
+            builder.store(emit(builder, builder.load(builder.gep(values, [here])), *loads), place(0))
             following = builder.add(here, ir.Constant(here.type, 1))
             builder.store(following, at)
             builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
@@ -270,9 +305,9 @@ def run(
     for s in range(first, last, lanes):
         m = min(lanes, last - s)
         for k in range(codes.size):
-            c, v, o, x = codes[k], values[k], registers[k, 0], registers[k, 1]
-            if _on_lanes(c, w, m, o, x, registers[k, 2], registers[k, 3], v):
+            if _on_lanes(codes, registers, values, w, m, k):
                 continue
+            c, v, o, x = codes[k], values[k], registers[k, 0], registers[k, 1]
             if c == INPUT:
                 begin, step = sources[int(v), 0] + s * sources[int(v), 1], sources[int(v), 1]
                 for j in range(m):

@@ -10,13 +10,27 @@ from ..errors import RetraxError
 
 # Instructions with the names of CasADi's, and those that stand for two or more of them.
 NAMES = (
-    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV",
-    "SELECT", "CONST", "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
-    "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR",
-    "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
-    "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
+    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
+    "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
+    "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
+    "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS",
+    "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH",
+    "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
 COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
+OPERANDS = 7  # at most
+SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
+SUMS = {
+    ("ADD", "ADD"): "ADD_ADD",
+    ("ADD", "MUL_ADD"): "MUL_ADD_ADD",
+    ("ADD", "TWO_MUL"): "TWO_MUL_ADD",
+    ("ADD", "THREE_MUL"): "THREE_MUL_ADD",
+    ("MUL_ADD", "MUL"): "TWO_MUL",
+    ("MUL_ADD", "MUL_ADD"): "TWO_MUL_ADD",
+    ("MUL_ADD", "TWO_MUL"): "THREE_MUL",
+    ("MUL_ADD", "TWO_MUL_ADD"): "THREE_MUL_ADD",
+    ("MUL_SUB", "MUL"): "MUL_SUB_MUL",
+}
 FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
@@ -60,6 +74,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Progra
         _divide(instructions, instruction)
         _immediate(instructions, instruction)
         _multiplied(instructions, k)
+        _summed(instructions, instruction)
     kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
     order = _grouped(instructions, kept) if grouped else kept
     return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
@@ -197,6 +212,18 @@ def _multiplied(instructions: list[_Instruction], k: int) -> None:
             return
 
 
+def _summed(instructions: list[_Instruction], instruction: _Instruction) -> None:
+    """A sum that only this one needs is formed in it."""
+    for place in SUMMANDS.get(instruction.name, ()):
+        inner = instructions[instruction.inputs[place]]
+        name = SUMS.get((instruction.name, inner.name))
+        if name is not None and inner.uses == 1:
+            rest = [i for other, i in enumerate(instruction.inputs) if other != place]
+            at = 2 if instruction.name == "ADD" else len(inner.inputs)
+            _replace(instructions, instruction, name, [*inner.inputs[:at], *rest, *inner.inputs[at:]], 0.0)
+            return
+
+
 def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
     """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
     vectors."""
@@ -214,7 +241,7 @@ def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, o
         if instruction.name != "OUTPUT":
             to = where[k] = free.pop() if free else size
             size += to == size
-        rows.append((to, *operands, 0, 0, 0)[:4])
+        rows.append((to, *operands, *[0] * (OPERANDS - len(operands))))
         free += [where[i] for i in set(instruction.inputs) if last[i] == k]
-    registers = np.array(rows, np.uint32).reshape(-1, 4)  # Numba wraps signed indices, at a cost
+    registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)  # Numba wraps signed indices, at a cost
     return Program(codes, registers, values, inputs, outputs, size)
