@@ -19,6 +19,7 @@ NAMES = (
 )  # fmt: skip
 COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
 OPERANDS = 7  # at most
+FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
 SUMS = {
     ("ADD", "ADD"): "ADD_ADD",
@@ -76,7 +77,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Progra
         _multiplied(instructions, k)
         _summed(instructions, instruction)
     kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
-    order = _grouped(instructions, kept) if grouped else kept
+    order = _grouped(instructions, kept) if grouped else _in_fours(instructions, kept)
     return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
 
 
@@ -103,6 +104,22 @@ def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
                     ready.setdefault(instructions[user].name, []).append(user)
         order += group
         del ready[name]
+    return order
+
+
+def _in_fours(instructions: list[_Instruction], kept: list[int]) -> list[int]:
+    """An order in which four inputs are read where the first of them is needed, and four outputs are written where the
+    last is known."""
+    ends: dict[str, dict[int, list[int]]] = {"INPUT": {}, "OUTPUT": {}}
+    for k in kept:
+        if instructions[k].name in ends:
+            ends[instructions[k].name].setdefault(int(instructions[k].value) // FOUR, []).append(k)
+    order: list[int] = []
+    for k in kept:
+        name, four = instructions[k].name, int(instructions[k].value) // FOUR if instructions[k].name in ends else 0
+        group = ends[name][four] if name in ends else [k]
+        if k == group[-1 if name == "OUTPUT" else 0]:
+            order += sorted(group, key=lambda i: instructions[i].value) if name in ends else group
     return order
 
 
@@ -224,6 +241,13 @@ def _summed(instructions: list[_Instruction], instruction: _Instruction) -> None
             return
 
 
+def _first_of_four(instructions: list[_Instruction], ahead: list[int]) -> bool:
+    """Whether these are four inputs, or outputs, one after the other."""
+    first = instructions[ahead[0]]
+    expected = [(first.name, first.value + i) for i in range(FOUR)]
+    return [(instructions[k].name, instructions[k].value) for k in ahead] == expected
+
+
 def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
     """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
     vectors."""
@@ -241,6 +265,9 @@ def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, o
         if instruction.name != "OUTPUT":
             to = where[k] = free.pop() if free else size
             size += to == size
+        if instruction.name in ("INPUT", "OUTPUT"):
+            together = FOUR * _first_of_four(instructions, kept[row : row + FOUR])
+            operands = [operands[0] if operands else 0, together]
         rows.append((to, *operands, *[0] * (OPERANDS - len(operands))))
         free += [where[i] for i in set(instruction.inputs) if last[i] == k]
     registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)  # Numba wraps signed indices, at a cost

@@ -253,7 +253,7 @@ class Tape:
             blocks = -(-len(part) // max(machine.LANES, min(MOST_LANES, MEMORY // max(1, p.size))))
             lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
             (registers,) = scratch(((p.size, lanes),))
-            machine.run(p.codes, p.registers, p.values, ends, registers, part.start, part.stop)
+            machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
 
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
