@@ -18,6 +18,8 @@ from .emitted import EMITTED, operands_of
 from .program import CODES, FOUR, NAMES, OPERANDS
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
+MOST_LANES = 256  # enough to hide the choice of an instruction
+MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
@@ -291,6 +293,12 @@ def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: A
         else:
             data[begin + j * step] = w[registers[k, 1], j]
     return 1
+
+
+def lanes_for(count: int, size: int) -> int:
+    """How many lanes ``count`` points have best, in programs with so many registers."""
+    blocks = -(-count // max(LANES, min(MOST_LANES, MEMORY // max(1, size))))
+    return -(-count // (blocks * VECTOR)) * VECTOR
 
 
 @_compiled
