@@ -196,9 +196,9 @@ def _merged(
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
         used = {hash(s) for s in ca.symvar(value)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(_placed(assembled(tape.inputs, value, grouped=True), read, write))
+        programs.append(_placed(assembled(tape.inputs, value, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
-    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), grouped=True)
+    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), window=None)
     return [_placed(first, reads[0], writes[0][kept]), *programs]
 
 

@@ -61,7 +61,7 @@ def test_instructions_in_groups_compute_the_same(name):
     v = jax.tree.map(lambda a: 0.1 * a, retraction.manifold.random_tangent(jax.random.key(1), x))
     tape = Tape.trace(retraction, x, v)
     column = ca.vertcat(tape.graph.unmarked([tape.outputs])[0])
-    plain, grouped = (assembled(tape.inputs, column, grouped=g) for g in (False, True))
+    plain, grouped = (assembled(tape.inputs, column, window=w) for w in (1, None))
     changes = [np.count_nonzero(np.diff(p.codes)) for p in (plain, grouped)]
     assert changes[1] < 0.75 * changes[0]
     parts = [part for a in map(np.asarray, (x, v)) for part in ((a.real, a.imag) if np.iscomplexobj(a) else (a,))]

@@ -32,6 +32,7 @@ SUMS = {
     ("MUL_ADD", "TWO_MUL_ADD"): "THREE_MUL_ADD",
     ("MUL_SUB", "MUL"): "MUL_SUB_MUL",
 }
+WINDOW = 500  # instructions among which those that are the same come together, with few registers more
 FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
@@ -63,10 +64,11 @@ class Program:
     size: int  # registers
 
 
-def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Program:
+def assembled(inputs: ca.SX, outputs: ca.SX, *, window: int | None = WINDOW) -> Program:
     """The program of a column of scalars as a function of a column of symbols.
 
-    ``grouped``: the same instructions stand together, which takes more registers, and less time where lanes are few.
+    ``window``: among so many instructions, or among all, the same ones stand together: that takes more registers, and
+    less time, as a processor foresees which comes next.
     """
     instructions = _read(ca.Function("f", [inputs], [ca.densify(outputs)]))
     _count(instructions)
@@ -77,17 +79,20 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Progra
         _multiplied(instructions, k)
         _summed(instructions, instruction)
     kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
-    order = _grouped(instructions, kept) if grouped else _in_fours(instructions, kept)
+    size = len(kept) if window is None else window
+    order = [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
+    order = order if window is None else _in_fours(instructions, order)
     return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
 
 
 def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
-    """An order in which many of the same instructions follow each other: those next of which most can run."""
+    """An order of some instructions in which many of the same follow each other: those next of which most can run. What
+    others make is there."""
     waits: dict[int, int] = {}
     users: dict[int, list[int]] = {k: [] for k in kept}
     ready: dict[str, list[int]] = {}
     for k in kept:
-        needs = set(instructions[k].inputs)
+        needs = users.keys() & instructions[k].inputs
         waits[k] = len(needs)
         for i in needs:
             users[i].append(k)
