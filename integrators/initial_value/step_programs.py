@@ -209,4 +209,5 @@ def _placed(program: Program, read: np.ndarray, write: np.ndarray) -> Program:
         here = program.codes == CODES[code]
         values[here] = table[values[here].astype(int)]
         registers[here, operand] = values[here].astype(np.uint32)  # for ``run_one``
+        registers[here, 2] = 0  # none of them stand beside each other
     return replace(program, values=values, registers=registers)

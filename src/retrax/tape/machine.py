@@ -122,10 +122,8 @@ def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any
             builder.store(following, at)
             builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
             builder.position_at_end(more)
-            same = builder.icmp_unsigned(
-                "==", builder.load(builder.gep(codes, [following])), ir.Constant(code.type, number)
-            )
-            builder.cbranch(same, again, after)
+            next_code = builder.load(builder.gep(codes, [following]))
+            builder.cbranch(builder.icmp_unsigned("==", next_code, ir.Constant(code.type, number)), again, after)
         builder.branch(after)
         builder.position_at_end(after)
         return builder.load(at)
@@ -318,7 +316,7 @@ def run(
 
     ``inputs``: numbers that are read; ``sources``: for each input where that of the first point stands and how far the
     next is; ``outputs``, ``targets``: the same of what is written; ``w``: registers, shape ``(size, lanes)``, lanes in
-    whole vectors.
+    whole vectors. Places of inputs ascend, and those of outputs.
     """
     lanes = w.shape[1]
     for s in range(first, last, lanes):
