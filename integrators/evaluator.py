@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
+from ..aligned import LINE, aligned
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from ..reading import traced
@@ -25,6 +26,7 @@ Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
 
 MOST_TAPES = 256
+ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
 ALL_TRACED = "all functions are traced to scalar operations"
@@ -114,26 +116,41 @@ def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Ta
 class _Plan:
     """Where a tape finds the numbers of some arrays, and where it writes: fixed by their shapes."""
 
+    axes: int
+    given: list[tuple[int, ...]]  # shapes of the arrays
     count: int
-    filled: list[tuple[int, ...] | None]  # shapes to which arrays are broadcast first
+    read: list[tuple[int, int, tuple[int, ...]]]  # the parts of what is read, and their shapes: arrays are copied there
     sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
     targets: np.ndarray
-    size: int
-    values: list[tuple[int, int, tuple[int, ...]]]  # the parts of what is written, and their shapes
+    written: list[tuple[int, int, tuple[int, ...]]]  # the parts of what is written, and their shapes
 
     @classmethod
-    def of(cls, axes: int, given: Sequence[tuple[int, ...]], found: Sequence[tuple[int, ...]]) -> Self:
+    def of(cls, axes: int, given: list[tuple[int, ...]], found: Sequence[tuple[int, ...]]) -> Self:
         """The plan for arrays with leading axes, and for the shapes of the values at a point."""
         leading = np.broadcast_shapes(*(shape[:axes] for shape in given))
         count, sizes = math.prod(leading), [math.prod(shape[axes:]) for shape in given]
         shared = [count > 1 and math.prod(shape[:axes]) == 1 for shape in given]
-        alone = [one or shape[:axes] == leading for one, shape in zip(shared, given, strict=True)]
-        filled = [None if own else (*leading, size) for own, size in zip(alone, sizes, strict=True)]
+        filled = [shape if one else (*leading, *shape[axes:]) for one, shape in zip(shared, given, strict=True)]
         sources = _rows((size, 1 if one else count) for one, size in zip(shared, sizes, strict=True))
-        written = [math.prod(shape) for shape in found]
-        cuts = [count * end for end in itertools.accumulate(written, initial=0)]
-        values = [(*pair, (*leading, *shape)) for pair, shape in zip(itertools.pairwise(cuts), found, strict=True)]
-        return cls(count, filled, sources, _rows((size, count) for size in written), cuts[-1], values)
+        targets = _rows((math.prod(shape), count) for shape in found)
+        return cls(axes, given, count, _cut(filled), sources, targets, _cut([(*leading, *shape) for shape in found]))
+
+    @property
+    def numbers(self) -> tuple[int, int]:
+        """How many are read, and written."""
+        return self.read[-1][1] if self.read else 0, self.written[-1][1] if self.written else 0
+
+
+def _cut(shapes: Iterable[tuple[int, ...]]) -> list[tuple[int, int, tuple[int, ...]]]:
+    """Begins and ends of arrays of these shapes, one after the other, and the shapes."""
+    shapes = list(shapes)
+    ends = itertools.accumulate((math.prod(shape) for shape in shapes), initial=0)
+    return [(*pair, shape) for pair, shape in zip(itertools.pairwise(ends), shapes, strict=True)]
+
+
+def _parts(numbers: np.ndarray, cuts: list[tuple[int, int, tuple[int, ...]]]) -> list[np.ndarray]:
+    """The parts of an array."""
+    return [numbers[first:last].reshape(shape) for first, last, shape in cuts]
 
 
 def _rows(arrays: Iterable[tuple[int, int]]) -> np.ndarray:
@@ -150,22 +167,83 @@ def _rows(arrays: Iterable[tuple[int, int]]) -> np.ndarray:
 class _OnTape(Evaluated):
     """A tape with arguments and values in rows."""
 
-    def __init__(self, tape: Any) -> None:
+    def __init__(self, tape: "Tape") -> None:
         self.tape = tape
-        self._planned: tuple[Any, _Plan | None] = None, None
+        self._planned: tuple[_Plan, _Small | None] | None = None
         _ = tape.program
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
-        key, (known, plan) = (axes, *[a.shape for a in arguments]), self._planned
-        if plan is None or known != key:
-            plan = _Plan.of(axes, key[1:], self.tape.shapes)
-            self._planned = key, plan
-        rows = [
-            (a if to is None else np.broadcast_to(a, to)).ravel() for a, to in zip(arguments, plan.filled, strict=True)
-        ]
-        values = np.empty(plan.size)
-        self.tape.run(plan.count, (np.concatenate(rows), plan.sources, values, plan.targets))
-        return tuple([values[first:last].reshape(shape) for first, last, shape in plan.values])
+        planned = self._planned
+        if planned is None or planned[0].axes != axes or planned[0].given != [a.shape for a in arguments]:
+            plan = _Plan.of(axes, [a.shape for a in arguments], self.tape.shapes)
+            planned = self._planned = plan, _Small.of(self.tape, plan)
+        plan, small = planned
+        if small is not None:
+            return small.at(arguments)
+        read, written = map(np.empty, plan.numbers)
+        for place, a in zip(_parts(read, plan.read), arguments, strict=True):
+            place[...] = a
+        self.tape.run(plan.count, (read, plan.sources, written, plan.targets))
+        return tuple(_parts(written, plan.written))
+
+
+@final
+class _Room:
+    """Memory in which one tape after the other runs."""
+
+    def __init__(self) -> None:
+        self.numbers = aligned(ROOM)
+
+
+_rooms: list[_Room] = []  # those that no tape runs in
+
+
+@final
+class _Small:
+    """What a tape needs where its loop takes no longer than Python: all that shapes decide is made once."""
+
+    def __init__(self, run: Callable[..., None], registers: tuple[int, int], plan: _Plan) -> None:
+        self._run, self._registers, self._plan = run, registers, plan
+        self._numbers = plan.numbers[1]
+        # Fields of a structure are views that are made in less time than slices.
+        self._fields = [str(k) for k in range(len(plan.written))]
+        self._structure = np.dtype(
+            [(name, float, cut[2]) for name, cut in zip(self._fields, plan.written, strict=True)]
+        )
+        self._kept: dict[_Room, tuple[list[np.ndarray], np.ndarray, np.ndarray]] = {}
+
+    @classmethod
+    def of(cls, tape: "Tape", plan: _Plan) -> Self | None:
+        """That of a tape; None where a loop is shared among threads, or needs more room."""
+        found, (read, written) = tape.alone(plan.count), plan.numbers
+        if found is None or not written or math.prod(found[1]) + read + LINE > ROOM:
+            return None
+        run, registers = found
+        return cls(run, registers, plan)
+
+    def at(self, arguments: Arrays) -> Arrays:
+        """The values for arrays of the shapes of the plan."""
+        try:
+            room = _rooms.pop()
+        except IndexError:  # one for each thread that is here at the same time
+            room = _Room()
+        places, read, registers = self._kept.get(room) or self._in(room)
+        for place, a in zip(places, arguments, strict=True):
+            place[...] = a
+        written, plan = np.empty(self._numbers), self._plan
+        self._run(read, plan.sources, written, plan.targets, registers, 0, plan.count)
+        _rooms.append(room)
+        structure = np.ndarray((), self._structure, written)
+        return tuple([structure[name] for name in self._fields])
+
+    def _in(self, room: _Room) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
+        """Where arrays are copied to in a room, all that is read, and registers."""
+        size = math.prod(self._registers)
+        begin = -(-size // LINE) * LINE
+        read = room.numbers[begin : begin + self._plan.numbers[0]]
+        found = _parts(read, self._plan.read), read, room.numbers[:size].reshape(self._registers)
+        self._kept[room] = found
+        return found
 
 
 @final

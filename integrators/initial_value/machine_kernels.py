@@ -37,4 +37,4 @@ def evaluate(
         flat, rows = v.reshape(v.size), np.empty((v.shape[0], 2), np.int64)
         for i in range(v.shape[0]):
             rows[i, 0], rows[i, 1] = i * v.shape[1], 1
-        run(codes[a:b], operands[a:b], values[a:b], (flat, rows, flat, rows), w, a - a, v.shape[1])
+        run(codes[a:b], operands[a:b], values[a:b], flat, rows, flat, rows, w, a - a, v.shape[1])

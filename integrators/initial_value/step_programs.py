@@ -196,9 +196,9 @@ def _merged(
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
         used = {hash(s) for s in ca.symvar(value)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(_placed(assembled(tape.inputs, value, grouped=True), read, write))
+        programs.append(_placed(assembled(tape.inputs, value, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
-    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), grouped=True)
+    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), window=None)
     return [_placed(first, reads[0], writes[0][kept]), *programs]
 
 
@@ -209,4 +209,5 @@ def _placed(program: Program, read: np.ndarray, write: np.ndarray) -> Program:
         here = program.codes == CODES[code]
         values[here] = table[values[here].astype(int)]
         registers[here, operand] = values[here].astype(np.uint32)  # for ``run_one``
+        registers[here, 2] = 0  # none of them stand beside each other
     return replace(program, values=values, registers=registers)

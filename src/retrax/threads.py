@@ -31,7 +31,7 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
 
     All ranges but the last are multiples of ``unit`` long.
     """
-    if count * work < 2 * WORTH_A_THREAD:  # the system is asked only where it matters: that takes as long as a kernel
+    if not worth_threads(count, work):  # the system is asked only where it matters: that takes as long as a kernel
         run(range(count))
         return
     units = -(-count // unit)
@@ -44,6 +44,11 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
     run(own)
     for future in futures:
         future.result()
+
+
+def worth_threads(count: int, work: float) -> bool:
+    """Whether ``count`` items, each of them ``work`` operations, are enough for a second thread."""
+    return count * work >= 2 * WORTH_A_THREAD
 
 
 def parts_of(count: int, fewest: int, most: int) -> list[range]:

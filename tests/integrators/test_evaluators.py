@@ -1,10 +1,13 @@
 """Which evaluator is chosen: swept through the sizes of what a tape writes out, with the same numbers on both sides."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Solver, SymplecticIntegrator, integrate
+from retrax.integrators.evaluator import TapeEvaluator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from retrax.tape import NotTraceableError, Tape
@@ -62,3 +65,27 @@ def test_no_larger_matrix_is_factorised_on_the_tape(factor):
     for rows in (LARGEST_FACTOR + 1, 2 * LARGEST_FACTOR):
         with pytest.raises(NotTraceableError, match=f"of a matrix of {rows} rows, where at most {LARGEST_FACTOR}"):
             Tape.trace(lambda x, n=rows: factor(jnp.eye(n) + x[0]), np.ones(1))
+
+
+def together(x, y, none):
+    """A product and a sum with what is empty."""
+    return jnp.outer(x, y) + jnp.sum(none), jnp.sum(x) * y
+
+
+@pytest.mark.parametrize("points", [1, 3, 100, 20_000])
+def test_threads_share_a_tape_and_keep_what_they_found(points):
+    """Few points and many, with shared arguments, empty ones and ones that are not in order of memory."""
+    tape = TapeEvaluator().values(together, 2, 3, 0)
+
+    def found(k):
+        x, y = k + np.arange(2.0 * points).reshape(2, points).T[None], np.full((1, 1, 3), 1.0 + k)
+        product, total = tape.at(2, x, y, np.zeros((1, 1, 0)))
+        again = tape.at(2, x + 1, y, np.zeros((1, 1, 0)))
+        again[0][:] = np.nan
+        return np.array_equal(product, x[..., None] * y[..., None, :]) and np.array_equal(
+            total, x.sum(axis=-1, keepdims=True) * y
+        )
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(found, range(40 if points > 1000 else 400)))
+    assert tape.at(2, np.zeros((1, 0, 2)), np.zeros((1, 1, 3)), np.zeros((1, 1, 0)))[0].shape == (1, 0, 2, 3)

@@ -286,15 +286,15 @@ PLANTED: dict[str, Planted] = {
         (PRIMITIVES,),
     ),
     "fused products are added where they are subtracted": Planted(
-        "src/retrax/tape/machine.py",
-        "SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul",
-        "SUB_MUL: lambda b, x, y, z, v: b.fadd(z(), b.fmul",
+        "src/retrax/tape/emitted.py",
+        '"SUB_MUL": lambda b, v, x, y, z: b.fsub(z(), b.fmul',
+        '"SUB_MUL": lambda b, v, x, y, z: b.fadd(z(), b.fmul',
         (TAPE, PRIMITIVES),
     ),
     "lanes write one point too few": Planted(
         "src/retrax/tape/machine.py",
-        "m = min(lanes, last - s)",
-        "m = min(lanes, last - s - 1)",
+        "m, k = min(lanes, last - s), 0",
+        "m, k = min(lanes, last - s - 1), 0",
         (f"{TAPE}::test_any_number_of_points",),
     ),
     "substitution in triangular systems does not divide": Planted(

@@ -1,5 +1,6 @@
 """The tape as its users meet it: arguments, results, derivatives, exports, and what it refuses."""
 
+import itertools
 import os
 import shutil
 import subprocess
@@ -17,7 +18,7 @@ from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
 from retrax.tape.machine import run_one
-from retrax.tape.program import CODES, assembled
+from retrax.tape.program import CODES, NAMES, SUMS, assembled
 
 REMARKABLE = {
     "exponential of SO(3)": Exponential(SO(3)),
@@ -60,7 +61,7 @@ def test_instructions_in_groups_compute_the_same(name):
     v = jax.tree.map(lambda a: 0.1 * a, retraction.manifold.random_tangent(jax.random.key(1), x))
     tape = Tape.trace(retraction, x, v)
     column = ca.vertcat(tape.graph.unmarked([tape.outputs])[0])
-    plain, grouped = (assembled(tape.inputs, column, grouped=g) for g in (False, True))
+    plain, grouped = (assembled(tape.inputs, column, window=w) for w in (1, None))
     changes = [np.count_nonzero(np.diff(p.codes)) for p in (plain, grouped)]
     assert changes[1] < 0.75 * changes[0]
     parts = [part for a in map(np.asarray, (x, v)) for part in ((a.real, a.imag) if np.iscomplexobj(a) else (a,))]
@@ -70,6 +71,27 @@ def test_instructions_in_groups_compute_the_same(name):
     expected = tape(*(np.asarray(a)[..., None] for a in (x, v)))
     halves = (expected.real, expected.imag) if np.iscomplexobj(expected) else (expected,)
     np.testing.assert_allclose(values[1], np.concatenate([h.ravel() for h in halves]), rtol=1e-14, atol=1e-15)
+
+
+def test_sums_of_any_number_of_products():
+    """The machine forms several at once: sums of each length, which have nothing in common, with any signs."""
+
+    def sums(x, y):
+        found = []
+        for length, signs in itertools.product(range(1, 9), itertools.product((1, -1), repeat=3)):
+            terms = [x[k] * y[len(found) + k] for k in range(length)]
+            total = signs[0] * x[0] + y[len(found)] * signs[1] if length % 2 else terms.pop(0)
+            for k, term in enumerate(terms):
+                total = signs[k % 3] * term + total
+            found.append(signs[2] * y[-1] * x[1] + (total + x[2]) if length % 3 else total)
+        return jnp.stack(found)
+
+    draw = np.random.default_rng(5).standard_normal
+    x, y = draw((9, 20)), draw((80, 20))
+    tape = Tape.trace(sums, x[:, 0], y[:, 0])
+    names = {NAMES[code] for code in tape.program.codes}
+    assert names >= {"MUL_ADD", "SUB_MUL", *SUMS.values()}
+    np.testing.assert_allclose(tape(x, y), jax.vmap(sums, (-1, -1), -1)(x, y), atol=1e-13)
 
 
 def run_alone(program, inputs):

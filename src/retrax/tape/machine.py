@@ -14,16 +14,20 @@ from numba import extending, types
 from numba.core import cgutils
 
 from ..inlined import AS_PART
-from .program import NAMES
+from .emitted import EMITTED, operands_of
+from .program import CODES, FOUR, NAMES, OPERANDS
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
+MOST_LANES = 256  # enough to hide the choice of an instruction
+MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
-    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT,
-    OUTPUT, IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT,
-    NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN,
-    SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH, LOG1P, EXPM1,
+    ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_ADD, MUL_ADD_ADD, TWO_MUL, TWO_MUL_ADD, MUL_SUB_MUL, THREE_MUL,
+    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, IF_ELSE_ZERO, POW,
+    CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT, NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT,
+    FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH,
+    LOG1P, EXPM1,
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
@@ -31,91 +35,42 @@ FIRST_OF_ONE = NEG
 _njit: Any = numba.njit
 _compiled = _njit(cache=True, error_model="numpy", nogil=True)
 _inner = _njit(error_model="numpy", nogil=True, **AS_PART)
+_pasted = _njit(inline="always")  # a call with arrays counts references to them, which takes longer than it
 _intrinsic: Any = extending.intrinsic
-_FUSED = ("contract",)  # a product and a sum may be one instruction
-
-
-def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
-    """``a`` where ``condition`` is not zero, else ``b``."""
-    return builder.select(builder.fcmp_unordered("!=", condition, ir.Constant(condition.type, None)), a, b)
-
-
-def _truth(relation: str) -> Callable[..., Any]:
-    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-        one, none = (ir.Constant(v.type, value) for value in (_filled(v.type, 1.0), None))
-        return b.select(b.fcmp_ordered(relation, x(), y()), one, none)
-
-    return emit
-
-
-def _filled(kind: Any, value: float) -> Any:
-    return [value] * kind.count if isinstance(kind, ir.VectorType) else value
-
-
-def _of_llvm(name: str) -> Callable[..., Any]:
-    def emit(b: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-        suffix = f"v{v.type.count}f64" if isinstance(v.type, ir.VectorType) else "f64"
-        function = cgutils.get_or_insert_function(b.module, ir.FunctionType(v.type, [v.type]), f"{name}.{suffix}")
-        return b.call(function, [x()])
-
-    return emit
-
-
-# Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
-# constant.
-_EMITTED: dict[int, Callable[..., Any]] = {
-    MUL: lambda b, x, y, z, v: b.fmul(x(), y()),
-    MUL_ADD: lambda b, x, y, z, v: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    MUL_SUB: lambda b, x, y, z, v: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    SUB_MUL: lambda b, x, y, z, v: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
-    ADD: lambda b, x, y, z, v: b.fadd(x(), y()),
-    SUB: lambda b, x, y, z, v: b.fsub(x(), y()),
-    DIV: lambda b, x, y, z, v: b.fdiv(x(), y()),
-    MUL_CONST: lambda b, x, y, z, v: b.fmul(x(), v),
-    ADD_CONST: lambda b, x, y, z, v: b.fadd(x(), v),
-    CONST_SUB: lambda b, x, y, z, v: b.fsub(v, x()),
-    CONST_DIV: lambda b, x, y, z, v: b.fdiv(v, x()),
-    CONST: lambda b, x, y, z, v: v,
-    INV: lambda b, x, y, z, v: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
-    NEG: lambda b, x, y, z, v: b.fneg(x()),
-    SQ: lambda b, x, y, z, v: b.fmul(x(), x()),
-    TWICE: lambda b, x, y, z, v: b.fadd(x(), x()),
-    SQRT: _of_llvm("llvm.sqrt"),
-    FABS: _of_llvm("llvm.fabs"),
-    LT: _truth("<"),
-    LE: _truth("<="),
-    NOT: lambda b, x, y, z, v: _chosen(b, x(), ir.Constant(v.type, None), ir.Constant(v.type, _filled(v.type, 1.0))),
-    SELECT: lambda b, x, y, z, v: _chosen(b, x(), y(), z()),
-    IF_ELSE_ZERO: lambda b, x, y, z, v: _chosen(b, x(), y(), ir.Constant(v.type, None)),
-}
 
 
 @_intrinsic
-def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: Any, v: Any) -> Any:
-    """``run(c, w, m, o, x, y, z, v)``: run one of these instructions on the first ``m`` of the lanes, and whether it is
-    one.
+def _on_lanes(typing: Any, codes: Any, registers: Any, values: Any, w: Any, m: Any, k: Any) -> Any:
+    """``run(codes, registers, values, w, m, k)``: run the instruction ``k`` on the first ``m`` of the lanes if it is
+    one of these, and whether it is.
 
     One table of jumps, where Numba would need a loop for each instruction.
     """
     kind = ir.VectorType(ir.DoubleType(), VECTOR)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        code, _, count, *rows, value = arguments
-        array = context.make_array(signature.args[1])(context, builder, arguments[1])
-        width = builder.extract_value(array.shape, 1)
-        target, *operands = (builder.gep(array.data, [builder.mul(row, width)]) for row in rows)
-        constant = ir.Constant(kind, ir.Undefined)
-        for t in range(VECTOR):
-            constant = builder.insert_element(constant, value, ir.Constant(ir.IntType(32), t))
+        arrays = [
+            context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)
+        ]
+        codes, registers, values, w = (array.data for array in arrays)
+        count, k = arguments[4:]
+        width, row = builder.extract_value(arrays[3].shape, 1), builder.mul(k, ir.Constant(k.type, 1 + OPERANDS))
+        constant = _spread(builder, kind, builder.load(builder.gep(values, [k])))
         known = cgutils.alloca_once_value(builder, cgutils.true_bit)
         after, step = builder.append_basic_block("after"), ir.Constant(count.type, VECTOR)
-        for emit in _cases(builder, code, after):
+
+        def place(operand: int) -> Any:
+            register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
+            return builder.gep(w, [builder.mul(builder.zext(register, row.type), width)])
+
+        for emit in _cases(builder, builder.load(builder.gep(codes, [k])), after):
+            target, *operands = (place(operand) for operand in range(1 + operands_of(emit)))
             with cgutils.for_range_slice(builder, ir.Constant(count.type, 0), count, step) as (j, _):
 
                 def load(pointer: Any, j: Any = j) -> Callable[[], Any]:
                     return lambda: builder.load(builder.bitcast(builder.gep(pointer, [j]), kind.as_pointer()), align=8)
 
-                result = emit(builder, *map(load, operands), constant)
+                result = emit(builder, constant, *map(load, operands))
                 builder.store(result, builder.bitcast(builder.gep(target, [j]), kind.as_pointer()), align=8)
             builder.branch(after)
         builder.store(cgutils.false_bit, known)
@@ -123,7 +78,15 @@ def _on_lanes(typing: Any, c: Any, w: Any, m: Any, o: Any, x: Any, y: Any, z: An
         builder.position_at_end(after)
         return builder.load(known)
 
-    return types.boolean(types.intp, w, *(types.intp,) * 5, types.float64), generate
+    return types.boolean(codes, registers, values, w, types.intp, types.intp), generate
+
+
+def _spread(builder: Any, kind: Any, value: Any) -> Any:
+    """A vector of the same number."""
+    found = ir.Constant(kind, ir.Undefined)
+    for t in range(kind.count):
+        found = builder.insert_element(found, value, ir.Constant(ir.IntType(32), t))
+    return found
 
 
 @_intrinsic
@@ -147,22 +110,20 @@ def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any
             builder.branch(again)
             builder.position_at_end(again)
             here = builder.load(at)
-            row = builder.mul(here, ir.Constant(here.type, 4))
+            row = builder.mul(here, ir.Constant(here.type, 1 + OPERANDS))
 
             def place(operand: int, row: Any = row) -> Any:
                 register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
                 return builder.gep(w, [builder.zext(register, row.type)])
 
-            loads = (lambda i=i: builder.load(place(i)) for i in (1, 2, 3))
-            builder.store(emit(builder, *loads, builder.load(builder.gep(values, [here]))), place(0))
+            loads = (lambda i=i: builder.load(place(i)) for i in range(1, 1 + operands_of(emit)))
+            builder.store(emit(builder, builder.load(builder.gep(values, [here])), *loads), place(0))
             following = builder.add(here, ir.Constant(here.type, 1))
             builder.store(following, at)
             builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
             builder.position_at_end(more)
-            same = builder.icmp_unsigned(
-                "==", builder.load(builder.gep(codes, [following])), ir.Constant(code.type, number)
-            )
-            builder.cbranch(same, again, after)
+            next_code = builder.load(builder.gep(codes, [following]))
+            builder.cbranch(builder.icmp_unsigned("==", next_code, ir.Constant(code.type, number)), again, after)
         builder.branch(after)
         builder.position_at_end(after)
         return builder.load(at)
@@ -174,12 +135,61 @@ def _cases(builder: Any, code: Any, after: Any, numbered: bool = False) -> Itera
     """Go through the instructions with the builder where one begins; at the end, where a code is none of them."""
     unknown = builder.append_basic_block("unknown")
     jump = builder.switch(code, unknown)
-    for number, emit in _EMITTED.items():
-        block = builder.append_basic_block(NAMES[number])
+    for name, emit in EMITTED.items():
+        number, block = CODES[name], builder.append_basic_block(name)
         jump.add_case(ir.Constant(code.type, number), block)
         builder.position_at_end(block)
         yield (number, emit) if numbered else emit
     builder.position_at_end(unknown)
+
+
+def _turning(write: bool) -> Any:
+    """What reads or writes four neighbouring numbers of each of four points."""
+
+    @_intrinsic
+    def turn(
+        typing: Any, w: Any, j: Any, registers: Any, k: Any, operand: Any, data: Any, begin: Any, step: Any
+    ) -> Any:
+        """``turn(w, j, registers, k, operand, data, begin, step)``: those of the points from the lane ``j`` on, the
+        first of them at ``begin`` and each ``step`` further, in the registers that are the ``operand`` of the
+        instructions ``k`` to ``k + 3``."""
+        kind = ir.VectorType(ir.DoubleType(), FOUR)
+
+        def generate(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
+            arrays = [context.make_array(signature.args[i])(context, b, arguments[i]) for i in (0, 2, 5)]
+            (_, j, _, k, operand, _, begin, step), (w, registers, data) = arguments, (array.data for array in arrays)
+            width, number = b.extract_value(arrays[0].shape, 1), lambda n: ir.Constant(k.type, n)
+
+            def lanes(n: int) -> Any:
+                place = b.add(b.mul(b.add(k, number(n)), number(1 + OPERANDS)), operand)
+                row = b.mul(b.zext(b.load(b.gep(registers, [place])), k.type), width)
+                return b.bitcast(b.gep(w, [b.add(row, j)]), kind.as_pointer())
+
+            def point(n: int) -> Any:
+                return b.bitcast(b.gep(data, [b.add(begin, b.mul(step, number(n)))]), kind.as_pointer())
+
+            given, found = (lanes, point) if write else (point, lanes)
+            for n, column in enumerate(_columns(b, [b.load(given(n), align=8) for n in range(FOUR)])):
+                b.store(column, found(n), align=8)
+            return context.get_dummy_value()
+
+        return types.void(w, j, registers, k, operand, data, begin, step), generate
+
+    return turn
+
+
+def _columns(builder: Any, rows: list[Any]) -> list[Any]:
+    """The columns of a matrix with four rows of four numbers."""
+
+    def mixed(a: Any, b: Any, *places: int) -> Any:
+        index = ir.Constant(ir.VectorType(ir.IntType(32), FOUR), list(places))
+        return builder.shuffle_vector(a, b, index)
+
+    low, high = ([mixed(a, b, *places) for a, b in (rows[:2], rows[2:])] for places in ((0, 4, 2, 6), (1, 5, 3, 7)))
+    return [mixed(*pair, *places) for places in ((0, 1, 4, 5), (2, 3, 6, 7)) for pair in (low, high)]
+
+
+_read_four, _write_four = _turning(write=False), _turning(write=True)
 
 
 @_inner
@@ -255,36 +265,74 @@ def _other(c: int, x: float, y: float) -> float:
     return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
 
 
+@_pasted
+def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: Any, s: int, m: int, k: int) -> int:
+    """Read inputs, or write outputs, of ``m`` points from ``s`` on; the number of instructions that this was."""
+    code, place = codes[k], int(values[k])
+    step, last = places[place, 1], place + FOUR - 1
+    begin = places[place, 0] + s * step
+    # Places ascend: where the fourth is the third after the first, all stand beside each other.
+    if (
+        m >= FOUR
+        and registers[k, 2] == FOUR
+        and places[last, 0] - places[place, 0] == FOUR - 1
+        and places[last, 1] == step
+    ):
+        for i in range(0, m, FOUR):
+            j = min(i, m - FOUR)  # the last four points, some of them for the second time
+            if code == INPUT:
+                _read_four(w, j, registers, k, 0, data, begin + j * step, step)
+            else:
+                _write_four(w, j, registers, k, 1, data, begin + j * step, step)
+        return FOUR
+    for j in range(m):
+        if code == INPUT:
+            w[registers[k, 0], j] = data[begin + j * step]
+        else:
+            data[begin + j * step] = w[registers[k, 1], j]
+    return 1
+
+
+def lanes_for(count: int, size: int) -> int:
+    """How many lanes ``count`` points have best, in programs with so many registers."""
+    blocks = -(-count // max(LANES, min(MOST_LANES, MEMORY // max(1, size))))
+    return -(-count // (blocks * VECTOR)) * VECTOR
+
+
 @_compiled
 def run(
-    codes: np.ndarray, registers: np.ndarray, values: np.ndarray, ends: tuple, w: np.ndarray, first: int, last: int
+    codes: np.ndarray,
+    registers: np.ndarray,
+    values: np.ndarray,
+    inputs: np.ndarray,
+    sources: np.ndarray,
+    outputs: np.ndarray,
+    targets: np.ndarray,
+    w: np.ndarray,
+    first: int,
+    last: int,
 ) -> None:
     """Run a program on the points ``first`` to ``last``, as many at once as there are lanes.
 
-    ``ends``: numbers that are read, and for each input where that of the first point stands and how far the next is;
-    numbers that are written, and the same for each output; ``w``: registers, shape ``(size, lanes)``, lanes in whole
-    vectors.
+    ``inputs``: numbers that are read; ``sources``: for each input where that of the first point stands and how far the
+    next is; ``outputs``, ``targets``: the same of what is written; ``w``: registers, shape ``(size, lanes)``, lanes in
+    whole vectors. Places of inputs ascend, and those of outputs.
     """
-    inputs, sources, outputs, targets = ends
     lanes = w.shape[1]
     for s in range(first, last, lanes):
-        m = min(lanes, last - s)
-        for k in range(codes.size):
-            c, v, o, x = codes[k], values[k], registers[k, 0], registers[k, 1]
-            if _on_lanes(c, w, m, o, x, registers[k, 2], registers[k, 3], v):
-                continue
-            if c == INPUT:
-                begin, step = sources[int(v), 0] + s * sources[int(v), 1], sources[int(v), 1]
-                for j in range(m):
-                    w[o, j] = inputs[begin + j * step]
-            elif c == OUTPUT:
-                begin, step = targets[int(v), 0] + s * targets[int(v), 1], targets[int(v), 1]
-                for j in range(m):
-                    outputs[begin + j * step] = w[x, j]
+        m, k = min(lanes, last - s), 0
+        while k < codes.size:
+            c = codes[k]
+            if _on_lanes(codes, registers, values, w, m, k):
+                k += 1
+            elif c in (INPUT, OUTPUT):
+                data, places = (inputs, sources) if c == INPUT else (outputs, targets)
+                k += _moved(codes, registers, values, data, places, w, s, m, k)
             else:  # its own time hides the choice
-                y = registers[k, 2]
+                o, x, y = registers[k, 0], registers[k, 1], registers[k, 2]
                 for j in range(m):
                     w[o, j] = _other(c, w[x, j], w[y, j])
+                k += 1
 
 
 @_compiled

@@ -10,13 +10,29 @@ from ..errors import RetraxError
 
 # Instructions with the names of CasADi's, and those that stand for two or more of them.
 NAMES = (
-    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV",
-    "SELECT", "CONST", "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
-    "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR",
-    "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
-    "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
+    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
+    "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
+    "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
+    "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS",
+    "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH",
+    "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
 COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
+OPERANDS = 7  # at most
+FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
+SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
+SUMS = {
+    ("ADD", "ADD"): "ADD_ADD",
+    ("ADD", "MUL_ADD"): "MUL_ADD_ADD",
+    ("ADD", "TWO_MUL"): "TWO_MUL_ADD",
+    ("ADD", "THREE_MUL"): "THREE_MUL_ADD",
+    ("MUL_ADD", "MUL"): "TWO_MUL",
+    ("MUL_ADD", "MUL_ADD"): "TWO_MUL_ADD",
+    ("MUL_ADD", "TWO_MUL"): "THREE_MUL",
+    ("MUL_ADD", "TWO_MUL_ADD"): "THREE_MUL_ADD",
+    ("MUL_SUB", "MUL"): "MUL_SUB_MUL",
+}
+WINDOW = 500  # instructions among which those that are the same come together, with few registers more
 FEW = 2  # divisions by one number that are not worth its inverse
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
@@ -48,10 +64,11 @@ class Program:
     size: int  # registers
 
 
-def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Program:
+def assembled(inputs: ca.SX, outputs: ca.SX, *, window: int | None = WINDOW) -> Program:
     """The program of a column of scalars as a function of a column of symbols.
 
-    ``grouped``: the same instructions stand together, which takes more registers, and less time where lanes are few.
+    ``window``: among so many instructions, or among all, the same ones stand together: that takes more registers, and
+    less time, as a processor foresees which comes next.
     """
     instructions = _read(ca.Function("f", [inputs], [ca.densify(outputs)]))
     _count(instructions)
@@ -60,18 +77,22 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, grouped: bool = False) -> Progra
         _divide(instructions, instruction)
         _immediate(instructions, instruction)
         _multiplied(instructions, k)
+        _summed(instructions, instruction)
     kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
-    order = _grouped(instructions, kept) if grouped else kept
+    size = len(kept) if window is None else window
+    order = [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
+    order = order if window is None else _in_fours(instructions, order)
     return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
 
 
 def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
-    """An order in which many of the same instructions follow each other: those next of which most can run."""
+    """An order of some instructions in which many of the same follow each other: those next of which most can run. What
+    others make is there."""
     waits: dict[int, int] = {}
     users: dict[int, list[int]] = {k: [] for k in kept}
     ready: dict[str, list[int]] = {}
     for k in kept:
-        needs = set(instructions[k].inputs)
+        needs = users.keys() & instructions[k].inputs
         waits[k] = len(needs)
         for i in needs:
             users[i].append(k)
@@ -88,6 +109,22 @@ def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
                     ready.setdefault(instructions[user].name, []).append(user)
         order += group
         del ready[name]
+    return order
+
+
+def _in_fours(instructions: list[_Instruction], kept: list[int]) -> list[int]:
+    """An order in which four inputs are read where the first of them is needed, and four outputs are written where the
+    last is known."""
+    ends: dict[str, dict[int, list[int]]] = {"INPUT": {}, "OUTPUT": {}}
+    for k in kept:
+        if instructions[k].name in ends:
+            ends[instructions[k].name].setdefault(int(instructions[k].value) // FOUR, []).append(k)
+    order: list[int] = []
+    for k in kept:
+        name, four = instructions[k].name, int(instructions[k].value) // FOUR if instructions[k].name in ends else 0
+        group = ends[name][four] if name in ends else [k]
+        if k == group[-1 if name == "OUTPUT" else 0]:
+            order += sorted(group, key=lambda i: instructions[i].value) if name in ends else group
     return order
 
 
@@ -197,6 +234,25 @@ def _multiplied(instructions: list[_Instruction], k: int) -> None:
             return
 
 
+def _summed(instructions: list[_Instruction], instruction: _Instruction) -> None:
+    """A sum that only this one needs is formed in it."""
+    for place in SUMMANDS.get(instruction.name, ()):
+        inner = instructions[instruction.inputs[place]]
+        name = SUMS.get((instruction.name, inner.name))
+        if name is not None and inner.uses == 1:
+            rest = [i for other, i in enumerate(instruction.inputs) if other != place]
+            at = 2 if instruction.name == "ADD" else len(inner.inputs)
+            _replace(instructions, instruction, name, [*inner.inputs[:at], *rest, *inner.inputs[at:]], 0.0)
+            return
+
+
+def _first_of_four(instructions: list[_Instruction], ahead: list[int]) -> bool:
+    """Whether these are four inputs, or outputs, one after the other."""
+    first = instructions[ahead[0]]
+    expected = [(first.name, first.value + i) for i in range(FOUR)]
+    return [(instructions[k].name, instructions[k].value) for k in ahead] == expected
+
+
 def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
     """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
     vectors."""
@@ -214,7 +270,10 @@ def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, o
         if instruction.name != "OUTPUT":
             to = where[k] = free.pop() if free else size
             size += to == size
-        rows.append((to, *operands, 0, 0, 0)[:4])
+        if instruction.name in ("INPUT", "OUTPUT"):
+            together = FOUR * _first_of_four(instructions, kept[row : row + FOUR])
+            operands = [operands[0] if operands else 0, together]
+        rows.append((to, *operands, *[0] * (OPERANDS - len(operands))))
         free += [where[i] for i in set(instruction.inputs) if last[i] == k]
-    registers = np.array(rows, np.uint32).reshape(-1, 4)  # Numba wraps signed indices, at a cost
+    registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)  # Numba wraps signed indices, at a cost
     return Program(codes, registers, values, inputs, outputs, size)

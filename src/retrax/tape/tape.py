@@ -5,7 +5,7 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from types import ModuleType
 from typing import Any, Self, final
 
@@ -14,15 +14,13 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..threads import in_threads
+from ..threads import in_threads, worth_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
 from .trace import Flat, flat, trace
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
-MOST_LANES = 256  # points that an instruction acts on at once: enough to hide its choice
-MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 
 
 @final
@@ -250,13 +248,19 @@ class Tape:
         p = self.program
 
         def run(part: range) -> None:
-            blocks = -(-len(part) // max(machine.LANES, min(MOST_LANES, MEMORY // max(1, p.size))))
-            lanes = -(-len(part) // (blocks * machine.VECTOR)) * machine.VECTOR
-            (registers,) = scratch(((p.size, lanes),))
-            machine.run(p.codes, p.registers, p.values, ends, registers, part.start, part.stop)
+            (registers,) = scratch(((p.size, machine.lanes_for(len(part), p.size)),))
+            machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
 
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
+
+    def alone(self, count: int) -> tuple[Callable[..., None], tuple[int, int]] | None:
+        """What runs the program on so few points that one thread does: ``run(*ends, registers, 0, count)``, with the
+        shape of the registers; None where they are more, or none, and without Numba."""
+        machine, p = _machine(), self.program
+        if machine is None or not count or worth_threads(count, self.instructions):
+            return None
+        return partial(machine.run, p.codes, p.registers, p.values), (p.size, machine.lanes_for(count, p.size))
 
     def _run_slowly(
         self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray

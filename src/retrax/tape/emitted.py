@@ -1,0 +1,84 @@
+"""What the instructions of the machine are that the processor has vector instructions for, in the words of LLVM."""
+
+import inspect
+from collections.abc import Callable
+from typing import Any
+
+from llvmlite import ir
+from numba.core import cgutils
+
+_FUSED = ("contract",)  # a product and a sum may be one instruction
+
+
+def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
+    """``a`` where ``condition`` is not zero, else ``b``."""
+    return builder.select(builder.fcmp_unordered("!=", condition, ir.Constant(condition.type, None)), a, b)
+
+
+def _truth(relation: str) -> Callable[..., Any]:
+    def emit(b: Any, v: Any, x: Any, y: Any) -> Any:
+        one, none = (ir.Constant(v.type, value) for value in (_filled(v.type, 1.0), None))
+        return b.select(b.fcmp_ordered(relation, x(), y()), one, none)
+
+    return emit
+
+
+def _filled(kind: Any, value: float) -> Any:
+    return [value] * kind.count if isinstance(kind, ir.VectorType) else value
+
+
+def _of_llvm(name: str) -> Callable[..., Any]:
+    def emit(b: Any, v: Any, x: Any) -> Any:
+        suffix = f"v{v.type.count}f64" if isinstance(v.type, ir.VectorType) else "f64"
+        function = cgutils.get_or_insert_function(b.module, ir.FunctionType(v.type, [v.type]), f"{name}.{suffix}")
+        return b.call(function, [x()])
+
+    return emit
+
+
+def _product_and(b: Any, x: Any, y: Any, rest: Any) -> Any:
+    """``x y + rest``."""
+    return b.fadd(b.fmul(x(), y(), flags=_FUSED), rest, flags=_FUSED)
+
+
+# Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
+# constant.
+EMITTED: dict[str, Callable[..., Any]] = {
+    "MUL": lambda b, v, x, y: b.fmul(x(), y()),
+    "MUL_ADD": lambda b, v, x, y, z: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    "MUL_SUB": lambda b, v, x, y, z: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
+    "SUB_MUL": lambda b, v, x, y, z: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
+    "ADD_ADD": lambda b, v, x, y, z: b.fadd(b.fadd(x(), y()), z()),
+    "MUL_ADD_ADD": lambda b, v, x, y, z, t: b.fadd(_product_and(b, x, y, z()), t()),
+    "TWO_MUL": lambda b, v, x, y, z, t: _product_and(b, z, t, b.fmul(x(), y())),
+    "TWO_MUL_ADD": lambda b, v, x, y, s, z, t: _product_and(b, z, t, _product_and(b, x, y, s())),
+    "MUL_SUB_MUL": lambda b, v, x, y, z, t: b.fsub(b.fmul(z(), t(), flags=_FUSED), b.fmul(x(), y()), flags=_FUSED),
+    "THREE_MUL": lambda b, v, x, y, z, t, q, r: _product_and(b, q, r, _product_and(b, z, t, b.fmul(x(), y()))),
+    "THREE_MUL_ADD": lambda b, v, x, y, s, z, t, q, r: _product_and(
+        b, q, r, _product_and(b, z, t, _product_and(b, x, y, s()))
+    ),
+    "ADD": lambda b, v, x, y: b.fadd(x(), y()),
+    "SUB": lambda b, v, x, y: b.fsub(x(), y()),
+    "DIV": lambda b, v, x, y: b.fdiv(x(), y()),
+    "MUL_CONST": lambda b, v, x: b.fmul(x(), v),
+    "ADD_CONST": lambda b, v, x: b.fadd(x(), v),
+    "CONST_SUB": lambda b, v, x: b.fsub(v, x()),
+    "CONST_DIV": lambda b, v, x: b.fdiv(v, x()),
+    "CONST": lambda b, v: v,
+    "INV": lambda b, v, x: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
+    "NEG": lambda b, v, x: b.fneg(x()),
+    "SQ": lambda b, v, x: b.fmul(x(), x()),
+    "TWICE": lambda b, v, x: b.fadd(x(), x()),
+    "SQRT": _of_llvm("llvm.sqrt"),
+    "FABS": _of_llvm("llvm.fabs"),
+    "LT": _truth("<"),
+    "LE": _truth("<="),
+    "NOT": lambda b, v, x: _chosen(b, x(), ir.Constant(v.type, None), ir.Constant(v.type, _filled(v.type, 1.0))),
+    "SELECT": lambda b, v, x, y, z: _chosen(b, x(), y(), z()),
+    "IF_ELSE_ZERO": lambda b, v, x, y: _chosen(b, x(), y(), ir.Constant(v.type, None)),
+}
+
+
+def operands_of(emit: Callable[..., Any]) -> int:
+    """How many operands an instruction has."""
+    return len(inspect.signature(emit).parameters) - 2
