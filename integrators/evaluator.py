@@ -43,6 +43,23 @@ class Evaluated(ABC):
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
 
+    def program(self, axes: int, shapes: list[tuple[int, ...]]) -> "Program | None":
+        """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
+        so long that threads share it."""
+        del axes, shapes
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """A tape for arrays of fixed shapes, one after the other in what it reads and in what it writes."""
+
+    code: tuple[np.ndarray, np.ndarray, np.ndarray]  # of the machine
+    sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
+    targets: np.ndarray
+    numbers: tuple[int, int]  # how many are read, and written
+    registers: tuple[int, int]  # their shape
+
 
 class Evaluator(ABC):
     """Makes of functions of one point, whose arguments are flat vectors of given sizes, functions of many points."""
@@ -185,6 +202,12 @@ class _OnTape(Evaluated):
             place[...] = a
         self.tape.run(plan.count, (read, plan.sources, written, plan.targets))
         return tuple(_parts(written, plan.written))
+
+    def program(self, axes: int, shapes: list[tuple[int, ...]]) -> Program | None:
+        plan = _Plan.of(axes, shapes, self.tape.shapes)
+        found, own = self.tape.alone(plan.count), self.tape.program
+        code = own.codes, own.registers, own.values
+        return found and Program(code, plan.sources, plan.targets, plan.numbers, found[1])
 
 
 @final

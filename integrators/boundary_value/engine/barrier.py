@@ -20,6 +20,7 @@ LAST = 0.1  # of the tolerance: the last barrier, relative
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
 NEAR = 0.5  # of its price, a multiplier says that it is too low
+PRICES = PRICE, NEAR, DEAREST
 
 
 @final
@@ -75,7 +76,7 @@ class Barrier(NamedTuple):
 
     def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
         """What the inequalities and their multipliers lack, and what they cost."""
-        return surveyed(held, slacks, self.limits, self.rate, (PRICE, NEAR, DEAREST))
+        return surveyed(held, slacks, self.limits, self.rate, PRICES)
 
     def lowered(
         self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float, dear: np.ndarray

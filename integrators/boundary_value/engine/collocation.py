@@ -18,7 +18,7 @@ from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves
+from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes
 
 
 class GaussUnknowns(NamedTuple):
@@ -96,6 +96,10 @@ class Collocation:
         place = self.method.nodes[:, None]
         between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
         return GaussUnknowns(centres, velocities, controls, between)
+
+    def trial(self, nodes: Nodes, count: int) -> None:
+        """There is no compiled pass of a trial."""
+        del nodes, count
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -14,7 +14,7 @@ from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
-from .meeting import meeting
+from .meeting import FAR, meeting
 from .residuals import Appraisal, appraisal
 from .room import room
 from .scaling import SHARE, Units, natural_units
@@ -129,6 +129,38 @@ class Conditions:
             slacks = moved(slacks, step.turn, fraction)
         return Iterate(unknowns, costates, slacks)
 
+    def tried(
+        self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray
+    ) -> tuple[Iterate, Assembled]:
+        """The iterate moved by fractions of the steps, as by ``move``, and its system."""
+        trial = self._trial if assembled.paid == (None, None) else None
+        units = self.judging, self.measured, self.barrier
+        found = trial and trial(self._weighed, self._at_nodes, units, (iterate, assembled, step), fraction)
+        if found is None:
+            moved = self.move(iterate, assembled, step, fraction)
+            return moved, self.assemble(moved)
+        if self.barrier is not None and found.iterate.slacks is not None:
+            self._survey = found.assembled.blocks.inequalities, found.iterate.slacks, found.surveyed
+        self._appraisal = self._key(found.iterate, found.assembled), found.appraisal
+        return found.iterate, found.assembled
+
+    @cached_property
+    def _trial(self) -> Any:
+        """The compiled pass of a trial; of one trajectory alone."""
+        batch, count = self.data.steps.shape
+        return self.transcription.trial(self.at_nodes, count) if batch == 1 else None
+
+    @cached_property
+    def _weighed(self) -> tuple[Data, np.ndarray]:
+        """What trajectories are computed for, and the weights of their inequalities."""
+        held = self.data.held(self.transcription.inequalities, self.transcription.stages)
+        return self.data, self.data.steps[:, :, None, None] * held
+
+    @cached_property
+    def _at_nodes(self) -> tuple[Any, ...]:
+        """What belongs to the nodes, as the compiled pass takes it."""
+        return self._fixed.ravel(), self._ends, self.at_nodes.layout.columns, self._mean_step, FAR
+
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
         """The first iterate with its system; takes the units from it."""
         return self.begun(*self.in_units(guess))
@@ -182,7 +214,7 @@ class Conditions:
     def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:
         """How far iterates are from satisfying the conditions, and what they are compared by; asked for several times
         in turn."""
-        key = assembled, iterate.slacks, self.units, self.wider, self.barrier
+        key = self._key(iterate, assembled)
         if self._appraisal is None or any(a is not b for a, b in zip(self._appraisal[0], key, strict=True)):
             limits = None
             if self.barrier is not None and iterate.slacks is not None:
@@ -190,6 +222,10 @@ class Conditions:
             units = self.judging, self.measured
             self._appraisal = key, appraisal(assembled, units, self._mean_step, limits)
         return self._appraisal[1]
+
+    def _key(self, iterate: Iterate, assembled: Assembled) -> tuple[Any, ...]:
+        """What an appraisal depends on."""
+        return assembled, iterate.slacks, self.units, self.wider, self.barrier
 
     def residuals(self, iterate: Iterate, assembled: Assembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""

@@ -128,6 +128,13 @@ class JointConditions:
         coordinates = assembled.coupled.multipliers + (fraction * step.reach)[:, None] * step.multipliers
         return JointIterate(tuple(parts), self.coupling.lifted(coordinates, frames))
 
+    def tried(
+        self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray
+    ) -> tuple[JointIterate, JointAssembled]:
+        """The iterate moved by fractions of the steps, and its system."""
+        moved = self.move(iterate, assembled, step, fraction)
+        return moved, self.assemble(moved)
+
     def residuals(self, iterate: JointIterate, assembled: JointAssembled) -> Residuals:
         """How far iterates are from satisfying the conditions."""
         each = [phase.residuals(part, system) for phase, part, system in self._each(iterate, assembled)]

@@ -203,8 +203,7 @@ class _Search:
     def next(self, state: State) -> State:
         """Assemble the trial, judge it, and compute the next step."""
         conditions = self.conditions.of(state.member)
-        trial = conditions.move(state.iterate, state.assembled, state.step, state.fraction)
-        assembled = conditions.assemble(trial)
+        trial, assembled = conditions.tried(state.iterate, state.assembled, state.step, state.fraction)
         found = conditions.residuals(trial, assembled)
         before = state
         state, good, again = self.judged(conditions, state, trial, assembled, found)

@@ -1,6 +1,6 @@
 """How far an iterate is from satisfying its conditions, relative to what these are made of."""
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +34,11 @@ class Appraisal(NamedTuple):
     shortfall: Float[np.ndarray, " B"]  # that a node or a point lacks
     alone: Float[np.ndarray, " B"]  # the same in units of steps
 
+    @classmethod
+    def of(cls, along: np.ndarray, entries: np.ndarray, numbers: np.ndarray) -> Self:
+        """From what the kernel finds."""
+        return cls(along, entries, Residuals(*numbers[:9]), *numbers[9:])
+
 
 def appraisal(
     assembled: Assembled,
@@ -64,4 +69,4 @@ def appraisal(
         SHARES,
         (along, entries, numbers),
     )
-    return Appraisal(along, entries, Residuals(*numbers[:9]), *numbers[9:])
+    return Appraisal.of(along, entries, numbers)

@@ -118,11 +118,20 @@ class OneStage:
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
         self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given)
+        self._trial: tuple[int, Any] | None = None
 
     def stage(self, step: Array, parameters: Array) -> ControlStage:
         """The stage with a step length and parameters, in a function that is traced."""
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         return ControlStage(problem=bound, discretization=self.method, step=step[0])
+
+    def trial(self, nodes: "Nodes", count: int) -> Any:
+        """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
+        from .trial import Trial
+
+        if self._trial is None or self._trial[0] != count:
+            self._trial = count, Trial.of(self, nodes, count)
+        return self._trial[1]
 
     def ends(self, unknowns: Unknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -1,0 +1,57 @@
+"""Compiled functions that call others by their addresses.
+
+Numba optimises a function again, with all that it calls in turn, wherever it is called: the kernels of an iteration
+would be compiled twice, and that takes seconds. Called by its address a kernel is compiled once.
+"""
+
+from typing import Any
+
+from numba import types
+from numba.core import cgutils, typing
+from numba.core.errors import TypingError
+
+from .factorisation import intrinsic
+
+
+def array(axes: int, kind: Any = types.float64) -> Any:
+    """The type of an array in the order of C."""
+    return types.Array(kind, axes, "C")
+
+
+def address(kernel: Any, signature: Any) -> int:
+    """Where the kernel stands that is compiled for these types, or read from the disk now."""
+    kernel.compile(signature.args)
+    found = kernel.overloads[signature.args]
+    if found.signature.return_type != signature.return_type:
+        raise TypeError(f"{kernel.__name__} returns {found.signature.return_type}, expected {signature.return_type}")
+    return found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
+
+
+def signature(result: Any, *arguments: Any) -> Any:
+    """The types of the arguments and of the result of a kernel."""
+    return typing.signature(result, *arguments)
+
+
+def called(kernel: Any) -> Any:
+    """``call(address, (arguments...))``, to be used in a compiled function, of a kernel with this signature."""
+
+    def typed(context: Any, place: Any, arguments: Any) -> Any:
+        given = [types.unliteral(kind) for kind in arguments.types]
+        wrong = [(k, a, b) for k, (a, b) in enumerate(zip(given, kernel.args, strict=True)) if a != b]
+        if wrong:
+            raise TypingError(f"arguments of other types (place, given, expected): {wrong}")
+
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            kinds = [*signature.args[1].types]
+            own = [builder.extract_value(values[1], k) for k in range(len(kinds))]
+            own = [context.cast(builder, v, a, b) for v, a, b in zip(own, kinds, kernel.args, strict=True)]
+            form = context.call_conv.get_function_type(kernel.return_type, kernel.args)
+            function = builder.inttoptr(values[0], form.as_pointer())
+            status, found = context.call_conv.call_function(builder, function, kernel.return_type, kernel.args, own)
+            with cgutils.if_unlikely(builder, status.is_error):
+                context.call_conv.return_status_propagate(builder, status)
+            return found
+
+        return kernel.return_type(place, arguments), generate
+
+    return intrinsic(typed)

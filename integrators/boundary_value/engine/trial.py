@@ -1,0 +1,177 @@
+"""A trial of Newton's method on one trajectory in one compiled pass: what ``move``, ``assemble`` and ``appraised``
+find.
+
+Each of these is a few kernels and many small operations of NumPy, which for one trajectory of some hundred steps take
+longer than the kernels. In batches they take next to nothing of each.
+"""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, NamedTuple, Self, final
+
+import numpy as np
+
+from ....aligned import scratch
+from ...evaluator import Evaluated, Program
+from .arrays import plain
+from .barrier import PRICES, Barrier
+from .extent import Extent
+from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
+from .kkt_system import Assembled, Iterate, Step
+from .residuals import NUMBERS, SHARES, Appraisal
+from .scaling import Units
+from .transcription import Blocks, Data, Nodes, OneStage, Unknowns
+
+Shapes = dict[str, tuple[int, ...]]
+
+
+class Tried(NamedTuple):
+    """The iterate where a step leads, its system, how it is judged, and the survey of its inequalities."""
+
+    iterate: Iterate
+    assembled: Assembled
+    appraisal: Appraisal
+    surveyed: Surveyed
+
+
+@final
+class Trial:
+    """The pass for one trajectory of so many steps."""
+
+    def __init__(self, programs: list[Program], shapes: Shapes) -> None:
+        from . import trial_kernels
+
+        self._run, self._calls = trial_kernels.trial, trial_kernels.addresses()
+        self._programs = [((*own.code,), own.sources, own.targets) for own in programs]
+        self._memory = tuple(shape for own in programs for shape in ((own.numbers[0],), own.registers))
+        ends = np.cumsum([0, *(own.numbers[1] for own in programs)]).tolist()
+        self._written = [slice(first, last) for first, last in pairwise(ends)]
+        self._fields = list(shapes)
+        self._structure = np.dtype([(name, float, shape) for name, shape in shapes.items()])
+        self._none = np.zeros((1, 6, shapes["along"][1])), np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
+        self._apart = shapes["nodes"][:2]
+
+    @classmethod
+    def of(cls, steps: OneStage, nodes: Nodes, count: int) -> Self | None:
+        """That of a discretization map; None where its functions do not run as tapes, or threads share them."""
+        found = [function.program(2, given) for function, given in _functions(steps, nodes, count)]
+        programs = [program for program in found if program is not None]
+        return cls(programs, _shapes(steps, count)) if len(programs) == len(found) else None
+
+    def __call__(
+        self,
+        data: tuple[Data, np.ndarray | None],
+        ends: tuple[Any, ...],
+        units: tuple[Units, Units, Barrier | None],
+        before: tuple[Iterate, Assembled, Step],
+        fraction: np.ndarray,
+    ) -> Tried | None:
+        """The trial of a fraction of a step; None where ends of steps are far apart, which takes more than this.
+
+        ``data``: with the weights of the inequalities; ``ends``: what belongs to the nodes, as the kernel takes it;
+        ``units``: of success, of steps, and of the inequalities.
+        """
+        iterate, assembled, step = before
+        numbers = np.empty(self._structure.itemsize // 8)
+        structure = np.ndarray((), self._structure, numbers)
+        v = {name: structure[name] for name in self._fields}
+        part, x, of = fraction * step.reach, iterate.unknowns, data[0]
+        moved = x.centres.ravel(), x.controls.ravel(), assembled.coordinates, assembled.frames
+        own = (*moved, step.unknowns, step.multipliers, part), (of.steps.ravel(), of.parameters.ravel())
+        held = self._limits(v, iterate.slacks, step, data[1], units[2], part)
+        judging, measured, barrier = units
+        least = self._none[2] if barrier is None else judging.cost
+        sizes = plain(judging.nodes), plain(judging.unknowns), least, plain(measured.nodes), measured.cost
+        out = self._out(v)
+        if not self._run(self._calls, self._tapes(numbers), *own, ends, (sizes, SHARES), held, out):
+            return None
+        return _tried(v, iterate.slacks, data[1])
+
+    def _tapes(self, numbers: np.ndarray) -> tuple[tuple[Any, ...], ...]:
+        """The tapes with what they read, what of these numbers they write, and registers."""
+        memory = scratch(self._memory)
+        each = zip(self._programs, memory[::2], memory[1::2], self._written, strict=True)
+        return tuple(
+            [(*code, read, sources, numbers[own], targets, w) for (code, sources, targets), read, w, own in each]
+        )
+
+    def _limits(
+        self,
+        v: dict[str, np.ndarray],
+        slacks: Slacks | None,
+        step: Step,
+        weights: np.ndarray | None,
+        barrier: Barrier | None,
+        part: np.ndarray,
+    ) -> tuple[Any, ...]:
+        """Slacks and their steps, and what they are judged by, as the kernel takes them."""
+        if slacks is None or barrier is None or step.turn is None:
+            _, no, zero, flat = self._none
+            one = np.ones(1)
+            return (no, no, no, no, zero), (no, no, no), (part, one), KEPT, (flat, one, v["room"]), no, VALUE, PRICES
+        turn = step.turn
+        units = plain(barrier.limits), plain(barrier.rate), v["room"]
+        given = tuple(map(plain, slacks)), (turn.slacks, turn.multipliers, turn.excess), (part, plain(turn.dual))
+        return (*given, KEPT, units, weights, VALUE, PRICES)
+
+    def _out(self, v: dict[str, np.ndarray]) -> tuple[Any, ...]:
+        """Where the kernel writes."""
+        apart, points = np.empty(self._apart, bool), v["hessian"][:, :, None]
+        arrays = v["begins"], v["finishes"], v["work"], v["covectors"], v["frames"], v["gap"]
+        raised = points, v["slopes"][:, :, None], v["limits"], v["pushes"], v["costs"], v["cost"]
+        return (
+            (*arrays, v["coordinates"], v["costates"]),
+            (v["nodes"], v["gaps"], apart, v["largest"]),
+            (v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"]),
+            raised,
+            tuple([v[name] for name in Extent._fields]),
+            (v["along"], v["entries"], v["numbers"], v["surveyed"]),
+            ((v["s"], v["nu"], v["t"]), self._none[0], v["pushed"], v["sums"]),
+        )
+
+
+def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray | None) -> Tried:
+    """What the kernel has written."""
+    held, pushed = None, None
+    if slacks is not None and weights is not None:
+        held, pushed = Held(v["limits"], v["pushes"], weights), v["pushed"][:, :, 0]
+        slacks = Slacks(v["s"], v["nu"], v["t"], slacks.price, slacks.barrier)
+    own = v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"]
+    blocks = Blocks(*own, None, held, pushed)
+    extent = Extent(*(v[name] for name in Extent._fields))
+    at = v["gap"], v["gap"], v["frames"], v["coordinates"], v["nodes"], v["costates"], v["cost"]
+    assembled = Assembled(blocks, *at, (None, None), v["largest"], extent)
+    covectors = v["covectors"].reshape(v["nodes"].shape)
+    iterate = Iterate(Unknowns(v["x"], v["u"]), covectors, slacks)
+    return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), Surveyed(*v["surveyed"]))
+
+
+def _functions(steps: OneStage, nodes: Nodes, count: int) -> Iterator[tuple[Evaluated, list[tuple[int, ...]]]]:
+    """The functions of a trial, with the shapes of what they are evaluated for."""
+    e, u, k = steps.state.size, steps.control.size, steps.parameter.size
+    n, z, c = steps.manifold.dimension, steps.dimension, steps.inequalities
+    given, ends = [(1, count, 1), (1, 1, k)], [(1, count, e)] * 4
+    yield steps._move, [(1, count, e), (1, count, u), (1, count, z), *given]
+    yield steps._ends, [(1, count, e), (1, count, u), *given]
+    yield nodes._in_frame, [(1, count + 1, size) for size in (e, n, e, e)]
+    yield steps._row, [(1, count, e), (1, count, u), *ends, *given, (1, count, c)]
+
+
+def _shapes(steps: OneStage, count: int) -> Shapes:
+    """The shapes of what a trial finds: what the tapes write, in their order, and then what kernels do."""
+    e, u, n, z = steps.state.size, steps.control.size, steps.manifold.dimension, steps.dimension
+    c, each, at = steps.inequalities, (1, count), (1, count + 1)
+    return {
+        "x": (*each, e), "u": (*each, 1, u),
+        "begins": (*each, e), "finishes": (*each, e),
+        "frames": (*at, n, e), "gap": (*at, n), "coordinates": (*at, n), "costates": (*at, e),
+        "hessian": (*each, z, z), "slopes": (*each, z), "left": (*each, n, z), "right": (*each, n, z),
+        "gradient": (*each, z), "pushes": (*each, 1, c, z), "starts": (*each, n), "arrives": (*each, n),
+        "costs": each, "limits": (*each, 1, c),
+        "nodes": (*at, e), "gaps": (*at, e), "largest": (1, e), "work": (2, e), "covectors": ((count + 1) * e,),
+        "cost": (1,), "pushed": (*each, 1, z, 2), "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
+        "room": (c,), "sums": (2, z), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),
+        "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e), "support": (1, n, e),
+        "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,), "parts": (1, z), "slope": (1, z),
+        "curvature": (1, z),
+    }  # fmt: skip

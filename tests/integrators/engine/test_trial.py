@@ -1,0 +1,116 @@
+"""The compiled pass of a trial finds what moving, assembling and appraising find one after the other."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Free, OptimalControlProblem, Solver
+from retrax.integrators.boundary_value.engine.conditions import Conditions
+from retrax.integrators.boundary_value.engine.trial import Trial
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Cayley, Midpoint, ProjectionRetraction, Theta
+
+from tests.integrators.problems import ELLIPSOID, IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, spacecraft
+
+LINE, PLANE = Euclidean(1), Euclidean(2)
+SLEWS = (IDENTITY, REST), (SLEW_END, REST), 60.0
+PARTICLE = (lambda q, u: jnp.stack([q[1], u[0]]), half_square, 1)
+ON_ELLIPSOID = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0 / np.sqrt(2.0), 0.0])
+
+
+def ellipsoid_problem() -> OptimalControlProblem:
+    """A walk on a level set, whose functions have parameters."""
+    return OptimalControlProblem(
+        ELLIPSOID, lambda q, u, k: ELLIPSOID.projection(q, k * u), lambda q, u, k: u @ u / 2 + q[2], 3
+    )
+
+
+CASES: dict[str, Callable[[], tuple[Solver, tuple, dict[str, Any]]]] = {
+    "a slew": lambda: (Solver(SLEW, Midpoint(Cayley(RIGID)), 30), SLEWS, {}),
+    "one step": lambda: (Solver(SLEW, Midpoint(Cayley(RIGID)), 1), SLEWS, {}),
+    "unequal steps, beginning weighted": lambda: (
+        Solver(SLEW, Theta(Cayley(RIGID), 0.3), np.linspace(1.0, 2.0, 12)), SLEWS, {}
+    ),
+    "limits that hold at the guess": lambda: (
+        Solver(OptimalControlProblem(RIGID, spacecraft, half_square, 3, control_bounds=(-10.0, 10.0)),
+               Midpoint(Cayley(RIGID)), 40), SLEWS, {}
+    ),
+    "limits that the guess violates": lambda: (
+        Solver(OptimalControlProblem(PLANE, *PARTICLE, constraints={"aside": lambda q, u: 0.3 - q[1]}),
+               Midpoint(Addition(PLANE)), 20), (np.zeros(2), np.array([1.0, 0.5]), 1.0), {}
+    ),
+    "a free horizon": lambda: (
+        Solver(OptimalControlProblem(PLANE, PARTICLE[0], lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
+               Midpoint(Addition(PLANE)), 20), (np.zeros(2), np.array([1.0, 0.0]), Free(3.0)), {}
+    ),
+    "a level set with parameters": lambda: (
+        Solver(ellipsoid_problem(), Midpoint(ProjectionRetraction(ELLIPSOID)), 15),
+        (*ON_ELLIPSOID, 1.0), {"parameters": 2.0},
+    ),
+    "a free end": lambda: (
+        Solver(OptimalControlProblem(PLANE, *PARTICLE, terminal_cost=lambda q: 5.0 * jnp.sin(q[0]) ** 2),
+               Midpoint(Addition(PLANE)), 10), (np.ones(2), Free(np.zeros(2)), 1.0), {}
+    ),
+}  # fmt: skip
+
+
+def same(found: Any, expected: Any) -> None:
+    """Trees of equal arrays but for rounding, which is relative to the largest entry of each."""
+    jax.tree.map(
+        lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * max(1.0, np.max(np.abs(b), initial=0.0))),
+        found,
+        expected,
+    )
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_trial_is_what_its_parts_are(name, monkeypatch):
+    """At every iterate of a solve, whole steps and parts of them."""
+    solver, way, options = CASES[name]()
+    compiled, calls = Conditions.tried, []
+
+    def checked(self: Conditions, *before: Any) -> tuple[Any, Any]:
+        found = compiled(self, *before)
+        if isinstance(self._trial, Trial) and before[1].paid == (None, None):
+            calls.append(self)
+            iterate = self.move(*before)
+            expected = self.assemble(iterate)
+            same(found[0], iterate)
+            same(found[1], expected)
+            judged = self.appraised(*found)
+            self._appraisal = self._survey = None
+            same(judged, self.appraised(iterate, expected))
+        return found
+
+    monkeypatch.setattr(Conditions, "tried", checked)
+    assert solver.solve(*way, **options).success
+    # The cost of an end asks for an evaluation between the frames and the steps.
+    assert bool(calls) == (name != "a free end")
+
+
+def test_ends_far_apart_go_the_longer_way(monkeypatch):
+    """A first step so long that ends of steps lie more than half a diameter apart has no compiled pass."""
+    results, call = [], Trial.__call__
+
+    def heard(self: Trial, *given: Any) -> Any:
+        results.append(call(self, *given))
+        return results[-1]
+
+    monkeypatch.setattr(Trial, "__call__", heard)
+    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 2)
+    solution = solver.solve((IDENTITY, REST), (SLEW_END, REST), 60.0)
+    assert solution.success
+    assert any(found is None for found in results)
+
+
+def test_the_pass_is_made_for_tapes_of_one_trajectory():
+    """Not where XLA evaluates, nor where threads share a function."""
+    for evaluator, steps, made in (("tape", 20, True), ("xla", 20, False), ("tape", 5000, False)):
+        solver = Solver(
+            OptimalControlProblem(LINE, lambda q, u: u, half_square, 1), Midpoint(Addition(LINE)), 1, evaluator
+        )
+        traced = solver._posing.traced(None)
+        assert (traced.steps.trial(traced.nodes, 200 * steps) is not None) == made
