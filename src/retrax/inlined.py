@@ -6,9 +6,24 @@ are made of small functions the most time goes into code that never runs by itse
 
 from typing import Any, Literal, final
 
+from numba._dynfunc import make_function
+from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
+
+
+@final
+class _Part(JITCodeLibrary):
+    """Code to link into that of others, which the machine never sees by itself."""
+
+    def _optimize_final_module(self) -> None:
+        """Leave it as it is."""
+
+    def _finalize_final_module(self) -> None:
+        """Keep it from the engine, which would compile it, and call it where LLVM did not inline its copy."""
+        self._finalize_dynamic_globals()
+        self._finalized = True
 
 
 @final
@@ -19,10 +34,14 @@ class _PlainLowering(NativeLowering):
     _name = "plain_lowering"
 
     def run_pass(self, state: Any) -> Literal[True]:
-        state.library = state.targetctx.codegen().create_library(state.func_id.func_qualname)
-        state.library.enable_object_caching()
-        state.library._optimize_final_module = lambda: None
-        return super().run_pass(state)
+        state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.flags.no_compile = True
+        super().run_pass(state)
+        lowered, name = state.cr, state.func_id.func_name
+        handle = make_function(lowered.fndesc.lookup_module(), name, "", 0, lowered.env, (state.library,))
+        state.targetctx.insert_user_function(handle, lowered.fndesc, [state.library])
+        state.cr = lowered._replace(cfunc=handle)
+        return True
 
 
 @final

@@ -7,8 +7,8 @@ array.
 import numpy as np
 
 from .arrays import LANES
-from .factorisation import add_vector, compiled, inner
 from .lu import back_substitute, decompose, product, solve_transposed
+from .vectors import add_vector, compiled, inner
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]

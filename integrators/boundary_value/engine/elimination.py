@@ -1,7 +1,6 @@
 """Block elimination of a trajectory's KKT system: cost linear in the number of steps, many trajectories side by
 side."""
 
-from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
@@ -10,7 +9,7 @@ from jaxtyping import Bool, Float
 from ....aligned import scratch
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from ....threads import in_threads
-from .arrays import LANES, plain, whole
+from .arrays import plain, whole
 from .scaling import Units
 
 WEIGHT = 2.0**8  # times the number of steps, the curvature of the cost of one being about 1
@@ -100,22 +99,21 @@ def eliminate(
 
 def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
-    rows, width, bases, size = _rows(n, z, columns)
-    shapes = (2 * n, whole(z)), (rows, width), (columns, rows), (2, width), (count, size), (count, width)
-    *work, kept, sizes = scratch(shapes)
+    rows, pivots = z + 2 * n, count * (z + n) + n
+    width = whole(rows + columns)
+    shapes = (
+        (2 * n, whole(z)),
+        (rows, width),
+        (columns, 2 * rows),
+        (4, width),
+        (rows, width),
+        (pivots, width),
+        (count, width),
+    )
+    *work, upper, kept, sizes = scratch(shapes)
     for array in work:
         array.fill(0.0)
-    return tuple(work), (kept, bases, sizes, np.empty((count, rows), np.int64))
-
-
-@cache
-def _rows(n: int, z: int, columns: int) -> tuple[int, int, np.ndarray, int]:
-    """Number of rows of a front, their width, where those that are kept begin, and how many numbers these have."""
-    rows = z + 2 * n
-    width = whole(rows + columns)
-    starts = np.arange(rows) // LANES * LANES  # rows are kept from the vector that has their diagonal
-    ends = np.cumsum(width - starts)
-    return rows, width, ends - width, int(ends[-1])
+    return tuple(work), (kept, upper, np.empty(pivots, np.int64), np.empty(rows, np.int64), sizes)
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:

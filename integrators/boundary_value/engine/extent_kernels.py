@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .factorisation import compiled, inner
+from .vectors import compiled, inner
 
 
 @inner

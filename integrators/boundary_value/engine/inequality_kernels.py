@@ -8,7 +8,7 @@ import math
 import numpy as np
 
 from .extent_kernels import larger
-from .factorisation import compiled, inner
+from .vectors import compiled, inner
 
 Five = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .arrays import LANES
-from .factorisation import add_vector, inner
+from .vectors import add_vector, inner
 
 
 @inner

@@ -3,8 +3,8 @@
 import numpy as np
 
 from .arrays import LANES
-from .factorisation import add_vector, compiled, inner
 from .lu import back_substitute, decompose, product
+from .vectors import add_vector, compiled, inner
 
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
