@@ -10,7 +10,7 @@ from numba import types
 from numba.core import cgutils, typing
 from numba.core.errors import TypingError
 
-from .factorisation import intrinsic
+from .vectors import intrinsic
 
 
 def array(axes: int, kind: Any = types.float64) -> Any:

@@ -7,8 +7,8 @@ from numba import types
 
 from ....tape import machine
 from . import extent_kernels, inequality_kernels
-from .factorisation import compiled, inner
 from .linked import address, array, called, signature
+from .vectors import compiled, inner
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))

@@ -11,26 +11,32 @@ from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.engine.conditions import Conditions
 from retrax.integrators.boundary_value.engine.trial import Trial
 from retrax.manifolds import Euclidean
-from retrax.retractions import Addition, Cayley, Midpoint, ProjectionRetraction, Theta
+from retrax.retractions import Addition, Cayley, Midpoint, Theta, default_retraction
 
-from tests.integrators.problems import ELLIPSOID, IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, spacecraft
+from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SPHERE, half_square, spacecraft
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 SLEWS = (IDENTITY, REST), (SLEW_END, REST), 60.0
 PARTICLE = (lambda q, u: jnp.stack([q[1], u[0]]), half_square, 1)
-ON_ELLIPSOID = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0 / np.sqrt(2.0), 0.0])
+NORTH, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
 
 
-def ellipsoid_problem() -> OptimalControlProblem:
-    """A walk on a level set, whose functions have parameters."""
-    return OptimalControlProblem(
-        ELLIPSOID, lambda q, u, k: ELLIPSOID.projection(q, k * u), lambda q, u, k: u @ u / 2 + q[2], 3
-    )
+def sphere_problem() -> OptimalControlProblem:
+    """A turn of a direction, whose functions have parameters."""
+    return OptimalControlProblem(SPHERE, lambda q, u, k: k * jnp.cross(u, q), lambda q, u, k: u @ u / 2 + q[2], 3)
+
+
+def obstacle(q: Any, u: Any) -> Any:
+    """A disk beside the straight line between the ends."""
+    return 0.04 - jnp.sum((q - jnp.array([0.5, 0.05])) ** 2)
 
 
 CASES: dict[str, Callable[[], tuple[Solver, tuple, dict[str, Any]]]] = {
     "a slew": lambda: (Solver(SLEW, Midpoint(Cayley(RIGID)), 30), SLEWS, {}),
-    "one step": lambda: (Solver(SLEW, Midpoint(Cayley(RIGID)), 1), SLEWS, {}),
+    "one step": lambda: (
+        Solver(OptimalControlProblem(LINE, lambda q, u: u, half_square, 1), Midpoint(Addition(LINE)), 1),
+        (np.zeros(1), np.ones(1), 1.0), {}
+    ),
     "unequal steps, beginning weighted": lambda: (
         Solver(SLEW, Theta(Cayley(RIGID), 0.3), np.linspace(1.0, 2.0, 12)), SLEWS, {}
     ),
@@ -39,16 +45,15 @@ CASES: dict[str, Callable[[], tuple[Solver, tuple, dict[str, Any]]]] = {
                Midpoint(Cayley(RIGID)), 40), SLEWS, {}
     ),
     "limits that the guess violates": lambda: (
-        Solver(OptimalControlProblem(PLANE, *PARTICLE, constraints={"aside": lambda q, u: 0.3 - q[1]}),
-               Midpoint(Addition(PLANE)), 20), (np.zeros(2), np.array([1.0, 0.5]), 1.0), {}
+        Solver(OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2, constraints={"obstacle": obstacle}),
+               Midpoint(Addition(PLANE)), 20), (np.zeros(2), np.array([1.0, 0.0]), 1.0), {}
     ),
     "a free horizon": lambda: (
         Solver(OptimalControlProblem(PLANE, PARTICLE[0], lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
                Midpoint(Addition(PLANE)), 20), (np.zeros(2), np.array([1.0, 0.0]), Free(3.0)), {}
     ),
-    "a level set with parameters": lambda: (
-        Solver(ellipsoid_problem(), Midpoint(ProjectionRetraction(ELLIPSOID)), 15),
-        (*ON_ELLIPSOID, 1.0), {"parameters": 2.0},
+    "a sphere with parameters": lambda: (
+        Solver(sphere_problem(), Midpoint(default_retraction(SPHERE)), 15), (NORTH, EAST, 1.0), {"parameters": 2.0}
     ),
     "a free end": lambda: (
         Solver(OptimalControlProblem(PLANE, *PARTICLE, terminal_cost=lambda q: 5.0 * jnp.sin(q[0]) ** 2),
@@ -92,18 +97,27 @@ def test_a_trial_is_what_its_parts_are(name, monkeypatch):
 
 
 def test_ends_far_apart_go_the_longer_way(monkeypatch):
-    """A first step so long that ends of steps lie more than half a diameter apart has no compiled pass."""
-    results, call = [], Trial.__call__
+    """A step many times too long leads to ends of steps that lie more than half their size apart."""
+    compiled, call, far = Conditions.tried, Trial.__call__, []
 
     def heard(self: Trial, *given: Any) -> Any:
-        results.append(call(self, *given))
-        return results[-1]
+        found = call(self, *given)
+        far.append(found is None)
+        return found
+
+    def checked(self: Conditions, iterate: Any, assembled: Any, step: Any, fraction: Any) -> tuple[Any, Any]:
+        if not far:
+            longer = step._replace(unknowns=30 * step.unknowns)
+            found = compiled(self, iterate, assembled, longer, fraction)
+            moved = self.move(iterate, assembled, longer, fraction)
+            same(found, (moved, self.assemble(moved)))
+        return compiled(self, iterate, assembled, step, fraction)
 
     monkeypatch.setattr(Trial, "__call__", heard)
-    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 2)
-    solution = solver.solve((IDENTITY, REST), (SLEW_END, REST), 60.0)
-    assert solution.success
-    assert any(found is None for found in results)
+    monkeypatch.setattr(Conditions, "tried", checked)
+    assert Solver(SLEW, Midpoint(Cayley(RIGID)), 30).solve(*SLEWS).success
+    assert far[0]
+    assert not any(far[1:])
 
 
 def test_the_pass_is_made_for_tapes_of_one_trajectory():
