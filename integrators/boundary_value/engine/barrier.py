@@ -74,8 +74,8 @@ class Barrier(NamedTuple):
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
         )
 
-    def surveyed(self, held: Held, slacks: Slacks) -> Surveyed:
-        """What the inequalities and their multipliers lack, and what they cost."""
+    def surveyed(self, held: Held, slacks: Slacks) -> np.ndarray:
+        """What the inequalities and their multipliers lack, and what they cost: the fields of ``Surveyed``."""
         return surveyed(held, slacks, self.limits, self.rate, PRICES)
 
     def lowered(

@@ -48,7 +48,7 @@ class Conditions:
     ) -> None:
         self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
         self.units, self.barrier, self.wider = units, barrier, wider
-        self._survey: tuple[Held, Slacks, Surveyed] | None = None  # the last one, and of what
+        self._survey: tuple[Held, Slacks, np.ndarray] | None = None  # the last one, and of what
         self._appraisal: tuple[tuple, Appraisal] | None = None
 
     def of(self, members: np.ndarray) -> "Conditions":
@@ -218,7 +218,7 @@ class Conditions:
         if self._appraisal is None or any(a is not b for a, b in zip(self._appraisal[0], key, strict=True)):
             limits = None
             if self.barrier is not None and iterate.slacks is not None:
-                limits = self._surveyed(iterate, assembled), iterate.slacks.barrier, self.barrier.rate
+                limits = self._survey_of(iterate, assembled), iterate.slacks.barrier, self.barrier.rate
             units = self.judging, self.measured
             self._appraisal = key, appraisal(assembled, units, self._mean_step, limits)
         return self._appraisal[1]
@@ -286,7 +286,11 @@ class Conditions:
         return self.barrier.is_infeasible(found, iterate.slacks, residuals.steady, tolerance)
 
     def _surveyed(self, iterate: Iterate, assembled: Assembled) -> Surveyed:
-        """The survey of the inequalities of an iterate; it is asked for several times in turn."""
+        """The survey of the inequalities of an iterate."""
+        return Surveyed(*self._survey_of(iterate, assembled))
+
+    def _survey_of(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+        """The rows of the survey; it is asked for several times in turn."""
         if self.barrier is None or iterate.slacks is None:
             raise RuntimeError("there are no inequalities to survey; assemble an iterate that has slacks")
         held, slacks = assembled.blocks.inequalities, iterate.slacks

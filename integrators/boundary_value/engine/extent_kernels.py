@@ -233,13 +233,13 @@ def measure(
             found[0, m] = larger(found[0, m], points[m, 0, a] / (along[m, a] if along[m, a] > 0 else 1.0))
             size = larger(nodes[m, a] * points[m, 3, a], share * scale)
             found[1, m] = larger(found[1, m], nodes[m, a] * points[m, 4, a] / (size if size > 0 else 1.0))
-        found[2, m], found[3, m], found[4, m] = surveyed[0][m], surveyed[1][m], surveyed[2][m] / rate[m]
-        off = larger(surveyed[2][m] - barrier[m], barrier[m] - surveyed[3][m])
+        found[2, m], found[3, m], found[4, m] = surveyed[0, m], surveyed[1, m], surveyed[2, m] / rate[m]
+        off = larger(surveyed[2, m] - barrier[m], barrier[m] - surveyed[3, m])
         found[5, m] = larger(0.0, off) / rate[m]
         found[6, m] = larger(larger(found[0, m], found[1, m]), found[2, m])
         found[7, m] = larger(found[6, m], larger(found[3, m], found[4, m]))
         found[8, m] = larger(found[6, m], found[5, m])
         _in_all((missing, lacking, held), points, nodes[m], wide[m], m, found)
-        found[9, m] += surveyed[4][m] / mean[m]
-        found[10, m] = (cost[m] + surveyed[5][m]) / unit[m]
-        found[11, m] = (found[11, m] + surveyed[6][m]) / unit[m]
+        found[9, m] += surveyed[4, m] / mean[m]
+        found[10, m] = (cost[m] + surveyed[5, m]) / unit[m]
+        found[11, m] = (found[11, m] + surveyed[6, m]) / unit[m]

@@ -107,11 +107,6 @@ class Surveyed(NamedTuple):
     hard: np.ndarray  # 1 where an inequality is not elastic
     left: np.ndarray  # the largest excess whose multiplier comes near to the highest price, in units
 
-    @classmethod
-    def none(cls, count: int) -> "Surveyed":
-        """Of no inequalities."""
-        return cls(*np.zeros((len(cls._fields), count)))
-
     def off(self, barrier: np.ndarray) -> np.ndarray:
         """The largest difference of these products from a barrier."""
         return np.maximum(np.maximum(self.product - barrier, barrier - self.least), 0.0)
@@ -188,8 +183,8 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
 
 def surveyed(
     held: Held, slacks: Slacks, limits: np.ndarray, rate: np.ndarray, prices: tuple[float, float, float]
-) -> Surveyed:
-    """What is largest in the inequalities and their slacks, and their sums.
+) -> np.ndarray:
+    """What is largest in the inequalities and their slacks, and their sums: the fields of ``Surveyed``.
 
     ``limits``: units of the inequalities, shape (B, c), ``rate``: of the cost rate, (B,); ``prices``: the first one,
     the share of its price that a multiplier comes near to it with, and the highest one.
@@ -204,7 +199,7 @@ def surveyed(
         inequality_kernels.survey(part.start, part.stop, *given, (*units, room), VALUE, prices, found)
 
     in_threads(run, len(limits), 8 * held.values[0].size)
-    return Surveyed(*found)
+    return found
 
 
 def _three(like: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -1,7 +1,8 @@
 """Compiled functions that call others by their addresses.
 
 Numba optimises a function again, with all that it calls in turn, wherever it is called: the kernels of an iteration
-would be compiled twice, and that takes seconds. Called by its address a kernel is compiled once.
+would be compiled twice, and that takes seconds. Called by its address a kernel is compiled once. Each array that comes
+from Python takes its time to compile too: those that lie in one piece of memory are views that the kernel makes.
 """
 
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 from numba import types
 from numba.core import cgutils, typing
 from numba.core.errors import TypingError
+from numba.np import arrayobj
 
 from .vectors import intrinsic
 
@@ -55,3 +57,36 @@ def called(kernel: Any) -> Any:
         return kernel.return_type(place, arguments), generate
 
     return intrinsic(typed)
+
+
+@intrinsic
+def view(typing: Any, numbers: Any, first: Any, shape: Any) -> Any:
+    """``numbers[first : first + size].reshape(shape)``, where that is known to fit."""
+    kind = array(len(shape.types))
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        source, own = (context.make_array(form) for form in (signature.args[0], kind))
+        found, size = own(context, builder), context.get_constant(types.intp, 8)
+        lengths = [builder.extract_value(values[2], k) for k in range(kind.ndim)]
+        strides, step = [], size
+        for length in reversed(lengths):
+            strides.insert(0, step)
+            step = builder.mul(step, length)
+        data = builder.gep(source(context, builder, values[0]).data, [values[1]])
+        arrayobj.populate_array(found, data=data, shape=lengths, strides=strides, itemsize=size, meminfo=None)
+        return found._getvalue()
+
+    return kind(numbers, types.intp, types.UniTuple(types.intp, kind.ndim)), generate
+
+
+@intrinsic
+def put(typing: Any, to: Any, at: Any, numbers: Any, first: Any, count: Any) -> Any:
+    """Copy ``count`` numbers of an array from ``first`` on to a vector from ``at`` on; where the next ones go."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        target, source = (context.make_array(signature.args[k])(context, builder, values[k]).data for k in (0, 2))
+        places = builder.gep(target, [values[1]]), builder.gep(source, [values[3]])
+        cgutils.raw_memcpy(builder, *places, values[4], context.get_constant(types.intp, 8))
+        return builder.add(values[1], values[4])
+
+    return types.intp(to, types.intp, numbers, types.intp, types.intp), generate

@@ -44,12 +44,12 @@ def appraisal(
     assembled: Assembled,
     units: tuple[Units, Units],
     mean: np.ndarray,
-    limits: tuple[Surveyed, np.ndarray, np.ndarray] | None,
+    limits: tuple[np.ndarray, np.ndarray, np.ndarray] | None,
 ) -> Appraisal:
     """The appraisal of iterates.
 
     ``units``: those that success is judged by, and those of steps; ``mean``: the mean steps; ``limits``: the survey of
-    the inequalities, their barrier and its unit, if there are any.
+    the inequalities, shape (11, B), their barrier and its unit, if there are any.
     """
     from . import extent_kernels
 
@@ -59,13 +59,13 @@ def appraisal(
     points = np.zeros((batch, 6, n)) if inner is None else inner.extent
     # With a barrier the curvature of the Hessian has no bound.
     least = np.zeros(batch) if limits is None else judging.cost
-    surveyed, barrier, rate = (Surveyed.none(batch), np.zeros(batch), np.ones(batch)) if limits is None else limits
+    none = np.zeros((len(Surveyed._fields), batch)), np.zeros(batch), np.ones(batch)
     extent_kernels.measure(
         (*extent[:3], *extent[4:]),
         points,
         (assembled.distance, mean, assembled.cost),
         (plain(judging.nodes), judging.unknowns, least, plain(measured.nodes), measured.cost),
-        (tuple(surveyed), barrier, rate),
+        none if limits is None else limits,
         SHARES,
         (along, entries, numbers),
     )

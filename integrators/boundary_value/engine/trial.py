@@ -6,12 +6,11 @@ longer than the kernels. In batches they take next to nothing of each.
 """
 
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any, NamedTuple, Self, final
 
 import numpy as np
 
-from ....aligned import scratch
+from ....aligned import LINE, scratch
 from ...evaluator import Evaluated, Program
 from .arrays import plain
 from .barrier import PRICES, Barrier
@@ -31,7 +30,7 @@ class Tried(NamedTuple):
     iterate: Iterate
     assembled: Assembled
     appraisal: Appraisal
-    surveyed: Surveyed
+    surveyed: np.ndarray
 
 
 @final
@@ -41,14 +40,14 @@ class Trial:
     def __init__(self, programs: list[Program], shapes: Shapes) -> None:
         from . import trial_kernels
 
-        self._run, self._calls = trial_kernels.trial, trial_kernels.addresses()
-        self._programs = [((*own.code,), own.sources, own.targets) for own in programs]
-        self._memory = tuple(shape for own in programs for shape in ((own.numbers[0],), own.registers))
-        ends = np.cumsum([0, *(own.numbers[1] for own in programs)]).tolist()
-        self._written = [slice(first, last) for first, last in pairwise(ends)]
+        self._run, self._calls = trial_kernels.trial, trial_kernels.addresses(shapes["room"][0] > 0)
+        arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
+        table, self._memory = _table(programs)
+        self._programs = *map(np.concatenate, arrays), table
         self._fields = list(shapes)
         self._structure = np.dtype([(name, float, shape) for name, shape in shapes.items()])
-        self._none = np.zeros((1, 6, shapes["along"][1])), np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
+        self._zeros = slice(self._structure.fields["points"][1] // 8, None)
+        self._none = np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
         self._apart = shapes["nodes"][:2]
 
     @classmethod
@@ -80,20 +79,13 @@ class Trial:
         own = (*moved, step.unknowns, step.multipliers, part), (of.steps.ravel(), of.parameters.ravel())
         held = self._limits(v, iterate.slacks, step, data[1], units[2], part)
         judging, measured, barrier = units
-        least = self._none[2] if barrier is None else judging.cost
+        least = self._none[1] if barrier is None else judging.cost
         sizes = plain(judging.nodes), plain(judging.unknowns), least, plain(measured.nodes), measured.cost
-        out = self._out(v)
-        if not self._run(self._calls, self._tapes(numbers), *own, ends, (sizes, SHARES), held, out):
+        out = self._out(v, numbers)
+        tapes = *self._programs, *scratch(((self._memory,),)), numbers
+        if not self._run(self._calls, tapes, *own, ends, (sizes, SHARES), held, out):
             return None
         return _tried(v, iterate.slacks, data[1])
-
-    def _tapes(self, numbers: np.ndarray) -> tuple[tuple[Any, ...], ...]:
-        """The tapes with what they read, what of these numbers they write, and registers."""
-        memory = scratch(self._memory)
-        each = zip(self._programs, memory[::2], memory[1::2], self._written, strict=True)
-        return tuple(
-            [(*code, read, sources, numbers[own], targets, w) for (code, sources, targets), read, w, own in each]
-        )
 
     def _limits(
         self,
@@ -106,7 +98,7 @@ class Trial:
     ) -> tuple[Any, ...]:
         """Slacks and their steps, and what they are judged by, as the kernel takes them."""
         if slacks is None or barrier is None or step.turn is None:
-            _, no, zero, flat = self._none
+            no, zero, flat = self._none
             one = np.ones(1)
             return (no, no, no, no, zero), (no, no, no), (part, one), KEPT, (flat, one, v["room"]), no, VALUE, PRICES
         turn = step.turn
@@ -114,7 +106,7 @@ class Trial:
         given = tuple(map(plain, slacks)), (turn.slacks, turn.multipliers, turn.excess), (part, plain(turn.dual))
         return (*given, KEPT, units, weights, VALUE, PRICES)
 
-    def _out(self, v: dict[str, np.ndarray]) -> tuple[Any, ...]:
+    def _out(self, v: dict[str, np.ndarray], numbers: np.ndarray) -> tuple[Any, ...]:
         """Where the kernel writes."""
         apart, points = np.empty(self._apart, bool), v["hessian"][:, :, None]
         arrays = v["begins"], v["finishes"], v["work"], v["covectors"], v["frames"], v["gap"]
@@ -126,7 +118,7 @@ class Trial:
             raised,
             tuple([v[name] for name in Extent._fields]),
             (v["along"], v["entries"], v["numbers"], v["surveyed"]),
-            ((v["s"], v["nu"], v["t"]), self._none[0], v["pushed"], v["sums"]),
+            ((v["s"], v["nu"], v["t"]), v["pushed"], v["sums"], v["points"], numbers[self._zeros]),
         )
 
 
@@ -143,7 +135,20 @@ def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray 
     assembled = Assembled(blocks, *at, (None, None), v["largest"], extent)
     covectors = v["covectors"].reshape(v["nodes"].shape)
     iterate = Iterate(Unknowns(v["x"], v["u"]), covectors, slacks)
-    return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), Surveyed(*v["surveyed"]))
+    return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), v["surveyed"])
+
+
+def _table(programs: list[Program]) -> tuple[np.ndarray, int]:
+    """For each program the begin and the end of its instructions, of its sources, and of its targets; the begin and the
+    size of what it reads, and of what it writes; the begin and the shape of its registers; and the size of memory."""
+    ends, rows, memory, written = np.zeros(3, int), [], 0, 0
+    for own in programs:
+        after = ends + np.array([len(own.code[0]), len(own.sources), len(own.targets)])
+        read, memory = memory, memory + -(-own.numbers[0] // LINE) * LINE
+        (reads, writes), registers = own.numbers, own.registers
+        rows.append([*np.ravel((ends, after), "F"), read, reads, written, writes, memory, *registers])
+        memory, written, ends = memory + registers[0] * registers[1], written + writes, after
+    return np.array(rows), memory
 
 
 def _functions(steps: OneStage, nodes: Nodes, count: int) -> Iterator[tuple[Evaluated, list[tuple[int, ...]]]]:
@@ -170,8 +175,9 @@ def _shapes(steps: OneStage, count: int) -> Shapes:
         "costs": each, "limits": (*each, 1, c),
         "nodes": (*at, e), "gaps": (*at, e), "largest": (1, e), "work": (2, e), "covectors": ((count + 1) * e,),
         "cost": (1,), "pushed": (*each, 1, z, 2), "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
-        "room": (c,), "sums": (2, z), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),
-        "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e), "support": (1, n, e),
+        "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
+        # These come as zeros.
+        "points": (1, 6, n), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1), "support": (1, n, e),
         "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,), "parts": (1, z), "slope": (1, z),
         "curvature": (1, z),
     }  # fmt: skip

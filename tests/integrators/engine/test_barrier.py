@@ -4,7 +4,7 @@ excesses."""
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.barrier import LAST, NEAR, PRICE, SOLVED, TELLS, Barrier
-from retrax.integrators.boundary_value.engine.inequalities import Held, central, stiffness
+from retrax.integrators.boundary_value.engine.inequalities import Held, Surveyed, central, stiffness
 
 MU = np.array([1e-2])
 VALUES = np.linspace(-1.0, 1.0, 41)
@@ -34,7 +34,7 @@ def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_thei
     """Central slacks leave nothing but the error, which is in units of what counts as solved."""
     barrier, given = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([value]))
     slacks = central(given, MU, np.full((1, 1, 1, 1), PRICE))
-    found = barrier.surveyed(given, slacks)
+    found = Surveyed(*barrier.surveyed(given, slacks))
     lower, cheap = barrier.lowered(found, slacks, error * SOLVED * MU, 1e-8, barrier.dear(found))
     solved, near = error < 1, float(slacks.multipliers[0, 0, 0, 0]) > NEAR * PRICE
     assert near == (value > 0)
@@ -51,7 +51,7 @@ def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
         for error in (0.9, 1.1):
             mu = share * TELLS * np.ones(1)
             slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
-            found = barrier.surveyed(given, slacks)
+            found = Surveyed(*barrier.surveyed(given, slacks))
             lower, cheap = barrier.lowered(found, slacks, error * SOLVED * mu, 1e-8, barrier.dear(found))
             assert cheap.tolist() == [error < 1 and share < 1], (factor, error)
             # Where it is lowered first, the price is judged where the problem with that barrier is solved.
@@ -63,7 +63,7 @@ def test_the_barrier_of_dear_excesses_falls_to_its_last_value_where_errors_are_r
     for factor in 3.0 ** np.arange(11):
         mu = np.array([1e-16])
         slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
-        found = barrier.surveyed(given, slacks)
+        found = Surveyed(*barrier.surveyed(given, slacks))
         # Times the price, what is left of the last barrier is far less than rounding.
         lower, _ = barrier.lowered(found, slacks, np.array([1e-14]), tolerance, barrier.dear(found))
         assert lower.barrier[0] <= 1.01 * LAST * tolerance, factor
