@@ -16,7 +16,7 @@ from ..free import is_free, near
 from ..problem import OptimalControlProblem
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
-from .engine.newton import Iteration
+from .engine.found import Iteration
 from .iteration_table import printed
 
 DEFAULT_TOLERANCE_POWER = 0.7

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from .engine.newton import Iteration
+from .engine.found import Iteration
 
 TITLES = f"{'iteration':>9} {'cost':>16} {'gap':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
 LIMITED = f" {'violation':>9} {'barrier':>8}"  # with inequalities

@@ -8,7 +8,7 @@ from ...manifolds.numerics import ambient as vec
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
 from ..results import sentence
-from .engine.newton import Found
+from .engine.found import Found
 from .solution import Solution
 
 

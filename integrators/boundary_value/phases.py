@@ -21,8 +21,9 @@ from ..text import many
 from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
 from .engine.coupling import Link
+from .engine.found import Iteration
 from .engine.joint import JointConditions
-from .engine.newton import Iteration, newton
+from .engine.newton import newton
 from .engine.stopwatch import Stopwatch
 from .formulated import AGAIN, FAR, MAGNITUDES
 from .independence import equation_words, require_independent

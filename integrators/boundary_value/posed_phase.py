@@ -12,7 +12,7 @@ from ..evaluator import Automatic, Evaluator
 from ..inspection import Inspection
 from ..problem import OptimalControlProblem
 from .arguments import Given, Method, Options, fractions_of
-from .engine.newton import Found
+from .engine.found import Found
 from .examination import Examination
 from .formulated import SINGULAR, Formulated
 from .formulation import Formulation

@@ -11,7 +11,7 @@ from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
 from .checks import RegularChecks
-from .engine.newton import Found
+from .engine.found import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
 from .outcome import outcomes

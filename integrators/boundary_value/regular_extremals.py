@@ -5,8 +5,9 @@ from typing import Any
 
 from .arguments import Options
 from .coupled import Own
+from .engine.found import Found
 from .engine.joint import JointConditions
-from .engine.newton import Found, newton
+from .engine.newton import newton
 from .engine.parallel import newton_in_parts
 from .independence import dependent_words, equation_words, require_independent
 

@@ -9,7 +9,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import Given, Method, Options, check_accuracy
-from .engine.newton import Iteration
+from .engine.found import Iteration
 from .guess import Guess
 from .refinement import Refinement
 from .request import Request

@@ -20,7 +20,7 @@ from ..singular import Classification, SingularIntegrator
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
 from .differentiable import Extremal, extremal_of
 from .engine.derivatives import Sensitivities
-from .engine.newton import Found, Iteration
+from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
 from .examination import Examination
 from .formulated import SINGULAR, Formulated

@@ -442,8 +442,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a trajectory has kept its size in wider units": Planted(
         f"{ENGINE}/conditions.py",
-        "extent, controls, units = assembled.extent, self._controls(iterate), self.judging.unknowns",
-        "extent, controls, units = assembled.extent, self._controls(iterate), self.measured.unknowns",
+        "extent, controls, units = assembled.extent, self.control_sizes(iterate), self.judging.unknowns",
+        "extent, controls, units = assembled.extent, self.control_sizes(iterate), self.measured.unknowns",
         (f"{TESTS}/test_far_ends.py::test_a_trajectory_that_grows_without_end_is_no_success",),
     ),
     "the Hessian is never raised": Planted(

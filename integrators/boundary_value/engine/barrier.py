@@ -88,7 +88,7 @@ class Barrier(NamedTuple):
         cheap, rate = found.cheap > 0, self.rate * dear
         last = LAST * tolerance * self.rate / rate
         solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
-        while True:
+        while solved.any():
             barrier = slacks.barrier / rate
             told = cheap & (barrier <= TELLS)
             # The last barrier times the rate and back is rounded, to more than it was for some rates.
@@ -98,6 +98,7 @@ class Barrier(NamedTuple):
             less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))
             slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
             solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
+        return slacks, solved
 
     def is_infeasible(self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.

@@ -164,7 +164,7 @@ def slopes(
     in_threads(
         lambda part: condensing_kernels.slopes(part.start, part.stop, *given, *flat), steps, 2 * s * n * (z + s + 2)
     )
-    return tuple(out), tuple(inside)
+    return (out[0], out[1]), (inside[0], inside[1])
 
 
 def full_slope(

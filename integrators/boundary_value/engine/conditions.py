@@ -12,16 +12,16 @@ from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier
 from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
+from .first_units import first_units
 from .inequalities import Held, Slacks, Surveyed, moved, turned
-from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, steps_of_covectors, turned_by
-from .meeting import FAR, meeting
+from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
+from .meeting import meeting
 from .residuals import Appraisal, appraisal
-from .room import room
-from .scaling import SHARE, Units, natural_units
+from .scaling import SHARE, Units
 from .share import followed
 from .transcription import Blocks, Data, Moves, Nodes, Paid
+from .trial import Alone
 
-FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
 SOFTEST = 1e-3  # of the largest curvature of a coordinate, in its unit: those of less are shifted by as much
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 
@@ -97,11 +97,11 @@ class Conditions:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
         problem."""
         begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
-        met = meeting(begins, finishes, self._ends, self.at_nodes)
+        met = meeting(begins, finishes, self.points, self.at_nodes)
         paid = self.paid(met.nodes) if paid is None else paid
         covectors = turned_by(iterate.costates, paid, 1)
-        frames, gap, coordinates, costates = self.at_nodes.in_frames(met.nodes, self._fixed, met.gaps, covectors)
-        asked = gap if met.asked is None else self._fixed * np.einsum("bkne,bke->bkn", frames, met.asked)
+        frames, gap, coordinates, costates = self.at_nodes.in_frames(met.nodes, self.fixed, met.gaps, covectors)
+        asked = gap if met.asked is None else self.fixed * np.einsum("bkne,bke->bkn", frames, met.asked)
         costates = turned_by(costates, paid, -1)
         blocks = self.blocks(iterate, met.nodes, costates, paid)
         cost = sum((end.value for end in paid if end is not None), blocks.costs.sum(axis=1))
@@ -133,33 +133,20 @@ class Conditions:
         self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray
     ) -> tuple[Iterate, Assembled]:
         """The iterate moved by fractions of the steps, as by ``move``, and its system."""
-        trial = self._trial if assembled.paid == (None, None) else None
-        units = self.judging, self.measured, self.barrier
-        found = trial and trial(self._weighed, self._at_nodes, units, (iterate, assembled, step), fraction)
+        before = iterate, assembled, step
+        found = self.alone and self.alone.tried(self, before, fraction * step.reach)
         if found is None:
-            moved = self.move(iterate, assembled, step, fraction)
+            moved = self.move(*before, fraction)
             return moved, self.assemble(moved)
-        if self.barrier is not None and found.iterate.slacks is not None:
+        if found.iterate.slacks is not None:
             self._survey = found.assembled.blocks.inequalities, found.iterate.slacks, found.surveyed
         self._appraisal = self._key(found.iterate, found.assembled), found.appraisal
         return found.iterate, found.assembled
 
     @cached_property
-    def _trial(self) -> Any:
-        """The compiled pass of a trial; of one trajectory alone."""
-        batch, count = self.data.steps.shape
-        return self.transcription.trial(self.at_nodes, count) if batch == 1 else None
-
-    @cached_property
-    def _weighed(self) -> tuple[Data, np.ndarray]:
-        """What trajectories are computed for, and the weights of their inequalities."""
-        held = self.data.held(self.transcription.inequalities, self.transcription.stages)
-        return self.data, self.data.steps[:, :, None, None] * held
-
-    @cached_property
-    def _at_nodes(self) -> tuple[Any, ...]:
-        """What belongs to the nodes, as the compiled pass takes it."""
-        return self._fixed.ravel(), self._ends, self.at_nodes.layout.columns, self._mean_step, FAR
+    def alone(self) -> Alone | None:
+        """What the compiled pass of a trial takes, if there is one."""
+        return Alone.of(self)
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
         """The first iterate with its system; takes the units from it."""
@@ -172,14 +159,14 @@ class Conditions:
             shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
             resting = guess._replace(slacks=Slacks.none(shape))
         assembled = self.assemble(resting, paid)
-        self.units, self.wider = self._natural(resting, assembled), None
+        self.units, self.wider = first_units(self, resting, assembled), None
         return (resting if guess.slacks is None else guess), assembled
 
     def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
         """The first iterate with the slacks of its inequalities, and its system."""
         if first.slacks is None:
             return first, assembled
-        held, rate = assembled.blocks.inequalities, self.measured.cost / self._mean_step
+        held, rate = assembled.blocks.inequalities, self.measured.cost / self.mean_step
         self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
         slacks = self.barrier.first(held)
         if np.any(first.slacks.multipliers):
@@ -196,21 +183,6 @@ class Conditions:
         near = barrier.near(held, multipliers, np.maximum(unsolved * np.minimum(unsolved, KNOWN), LOWEST))
         return merged((unsolved < FIRST) & np.any(multipliers, axis=(1, 2, 3)), near, far)
 
-    def _natural(self, iterate: Iterate, assembled: Assembled) -> Units:
-        """Units from an iterate."""
-        extent, blocks, controls, curved = assembled.extent, assembled.blocks, self._controls(iterate), True
-        free: np.ndarray | float = np.inf
-        if blocks.held is not None:
-            # Where the cost is not curved in the controls, but for rounding, their way to the bounds measures them.
-            own, (ways, free) = extent.curvature[:, assembled.gap.shape[2] :], room(self, iterate, assembled)
-            changes = own * np.where(ways > 0, ways, 1.0) ** 2
-            curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
-            controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
-        moved, sizes = extent.moved(self.at_nodes.layout)
-        fallback = np.concatenate([sizes, controls], axis=1)
-        system = self.system(iterate, assembled)
-        return natural_units(system, blocks.gradient, moved, controls, fallback, curved, free)
-
     def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:
         """How far iterates are from satisfying the conditions, and what they are compared by; asked for several times
         in turn."""
@@ -220,7 +192,7 @@ class Conditions:
             if self.barrier is not None and iterate.slacks is not None:
                 limits = self._survey_of(iterate, assembled), iterate.slacks.barrier, self.barrier.rate
             units = self.judging, self.measured
-            self._appraisal = key, appraisal(assembled, units, self._mean_step, limits)
+            self._appraisal = key, appraisal(assembled, units, self.mean_step, limits)
         return self._appraisal[1]
 
     def _key(self, iterate: Iterate, assembled: Assembled) -> tuple[Any, ...]:
@@ -338,18 +310,7 @@ class Conditions:
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
         go."""
-        blocks = assembled.blocks
-        ahead = np.einsum("bkz,bkz->b", blocks.gradient, step.unknowns)
-        turned = np.einsum("bkn,bkn->b", step.multipliers, assembled.gap)
-        inner = blocks.inner
-        if inner is not None:
-            for end, moved in zip(assembled.paid, (inner.before[:, 0], inner.after[:, -1]), strict=True):
-                ahead += 0.0 if end is None else (end.slope * moved).sum(axis=1)
-            velocities, multipliers = step.inner
-            direct = inner.kept[2][..., : step.unknowns.shape[2]]
-            within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
-            ahead += (inner.gradient * (velocities - within)).sum(axis=(1, 2, 3))
-            turned += (multipliers * inner.defect).sum(axis=(1, 2, 3))
+        ahead, turned = promised(assembled, step)
         if step.turn is not None and iterate.slacks is not None:
             ahead += step.turn.ahead
             dual = step.turn.dual * step.turn.lacking
@@ -404,21 +365,21 @@ class Conditions:
         The first is ``K^-1`` times the residual, rounding included: the error that remains, relative to the trajectory.
         Where K is singular to rounding, it is as large as that.
         """
-        extent, controls, units = assembled.extent, self._controls(iterate), self.judging.unknowns
+        extent, controls, units = assembled.extent, self.control_sizes(iterate), self.judging.unknowns
         own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
         largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
         return largest.max(axis=1), (spread / units).max(axis=1)
 
     @cached_property
-    def _ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The ends as the kernels take them."""
         ends = self.ends
         start, end = (np.array(points, order="C") for points in ends[:2])  # members of one for all lie in another order
         return start, end, np.array(ends.start_entries), np.array(ends.end_entries)
 
     @cached_property
-    def _fixed(self) -> np.ndarray:
+    def fixed(self) -> np.ndarray:
         """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of the ends that are
         free."""
         fixed = np.ones((len(self.data.steps), self.data.steps.shape[1] + 1, len(self.ends.start_coordinates)))
@@ -428,7 +389,7 @@ class Conditions:
     @property
     def fixed_ends(self) -> tuple[np.ndarray, np.ndarray]:
         """1 for the coordinates of the first node that are prescribed, and for those of the last, shape (B, n)."""
-        return self._fixed[:, 0], self._fixed[:, -1]
+        return self.fixed[:, 0], self.fixed[:, -1]
 
     def system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
         """The equations of Newton's step."""
@@ -443,9 +404,9 @@ class Conditions:
         return BlockSystem(blocks.hessian, blocks.left, blocks.right, slope[..., None], gap[..., None], *fixed)
 
     @cached_property
-    def _mean_step(self) -> np.ndarray:
+    def mean_step(self) -> np.ndarray:
         return np.mean(self.data.steps, axis=1)
 
-    def _controls(self, iterate: Iterate) -> np.ndarray:
+    def control_sizes(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""
         return self.at_nodes.control_sizes(iterate.unknowns.controls)

@@ -139,7 +139,8 @@ class JointConditions:
         """How far iterates are from satisfying the conditions."""
         each = [phase.residuals(part, system) for phase, part, system in self._each(iterate, assembled)]
         largest = Residuals(*(np.max(values, axis=0) for values in zip(*each, strict=True)))
-        return Residuals.of(np.maximum(self._gap(iterate, assembled), largest.gap), *largest[1:6])
+        own = largest.violation, largest.excess, largest.complementarity, largest.centring
+        return Residuals.of(np.maximum(self._gap(iterate, assembled), largest.gap), largest.stationarity, *own)
 
     def _gap(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """By how much the equations between the ends are missed, relative to what the trajectories change them by."""
@@ -183,7 +184,7 @@ class JointConditions:
     ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
         each = self._each(iterate, assembled)
-        return np.any([phase.is_infeasible(*own, residuals, tolerance) for phase, *own in each], axis=0)
+        return np.any([phase.is_infeasible(a, b, residuals, tolerance) for phase, a, b in each], axis=0)
 
     def barriers(self, iterate: JointIterate) -> np.ndarray:
         """The largest barriers relative to the units of the cost rates."""

@@ -97,7 +97,8 @@ class Residuals(NamedTuple):
         violation, excess, complementarity, centring = limits
         steady = np.maximum(np.maximum(gap, stationarity), violation)
         final = np.maximum(steady, np.maximum(excess, complementarity))
-        return cls(gap, stationarity, *limits, steady, final, np.maximum(steady, centring))
+        own = gap, stationarity, violation, excess, complementarity, centring
+        return cls(*own, steady, final, np.maximum(steady, centring))
 
 
 class Ends(NamedTuple):
@@ -150,3 +151,20 @@ def steps_of_covectors(assembled: Assembled, step: Step) -> np.ndarray:
         begun += 0.0 if blocks.inner is None else blocks.inner.before[:, 0]
         turned[:, 0] += np.einsum("bnj,bj->bn", initial.curvature, begun)
     return turned
+
+
+def promised(assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
+    """Changes of the cost and of the multipliers on what is lacking, to first order, by the whole step."""
+    blocks = assembled.blocks
+    ahead = np.einsum("bkz,bkz->b", blocks.gradient, step.unknowns)
+    turned = np.einsum("bkn,bkn->b", step.multipliers, assembled.gap)
+    inner = blocks.inner
+    if inner is None:
+        return ahead, turned
+    for end, moved in zip(assembled.paid, (inner.before[:, 0], inner.after[:, -1]), strict=True):
+        ahead += 0.0 if end is None else (end.slope * moved).sum(axis=1)
+    velocities, multipliers = step.inner
+    direct = inner.kept[2][..., : step.unknowns.shape[2]]
+    within = np.einsum("bkiz,bkz->bki", direct, step.unknowns).reshape(velocities.shape)
+    ahead += (inner.gradient * (velocities - within)).sum(axis=(1, 2, 3))
+    return ahead, turned + (multipliers * inner.defect).sum(axis=(1, 2, 3))

@@ -8,8 +8,9 @@ from Python takes its time to compile too: those that lie in one piece of memory
 from typing import Any
 
 from numba import types
-from numba.core import cgutils, typing
+from numba.core import cgutils
 from numba.core.errors import TypingError
+from numba.core.typing.templates import signature as typed_signature
 from numba.np import arrayobj
 
 from .vectors import intrinsic
@@ -31,7 +32,7 @@ def address(kernel: Any, signature: Any) -> int:
 
 def signature(result: Any, *arguments: Any) -> Any:
     """The types of the arguments and of the result of a kernel."""
-    return typing.signature(result, *arguments)
+    return typed_signature(result, *arguments)
 
 
 def called(kernel: Any) -> Any:

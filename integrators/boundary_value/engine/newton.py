@@ -11,7 +11,7 @@ Zavala 2016], and further after steps that had to be cut, so that the next is as
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, final
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
+from .found import Found, Iteration
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
 from .own_units import judged_loosely
@@ -41,43 +42,6 @@ OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing",
     "contradictory", "unit",
 )  # fmt: skip
-
-
-class Iteration(NamedTuple):
-    """What a callback sees after each evaluation, with one entry for each member that is still on its way."""
-
-    number: int
-    members: np.ndarray  # their places in the batch
-    cost: np.ndarray
-    gap: np.ndarray
-    stationarity: np.ndarray
-    shift: np.ndarray  # of the Hessian's diagonal, relative to it
-    fraction: np.ndarray  # of the step that was tried
-    accepted: np.ndarray
-    violation: np.ndarray  # of the inequalities, relative
-    barrier: np.ndarray  # relative to the unit of the cost rate; zero without inequalities
-
-
-@final
-class Found(NamedTuple):
-    """The last accepted iterate of each member with its KKT system, and how the iteration ended.
-
-    ``strict_minimum``: the Hessian of the Lagrangian is positive definite on the null space of the constraints there.
-    """
-
-    iterate: Iterate
-    assembled: Assembled
-    residuals: Residuals
-    strict_minimum: np.ndarray
-    iterations: np.ndarray
-    claimed: np.ndarray
-    solvable: np.ndarray
-    stopped: bool
-    missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
-    contradictory: np.ndarray  # the inequalities, or they and the ends
-    unit: np.ndarray  # of the cost, in which success was judged, shape (B,)
-    boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
-    notes: list[str] | None = None  # what is to be said of each member beside its result
 
 
 def newton(

@@ -8,7 +8,8 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
 from ....threads import on_its_own, parts_of
-from .newton import Found, newton
+from .found import Found
+from .newton import newton
 
 # Points of a part: with fewer, threads wait for one another in Python; the numbers of more do not stay in a cache.
 FEWEST, MOST = 1000, 16_000

@@ -258,6 +258,11 @@ class Nodes:
         first_cost, final_cost = (cost and Terminal(*cost.at(1, end, parameters)) for cost, end in ends)
         return first_cost, final_cost
 
+    @property
+    def pays(self) -> bool:
+        """Whether an end costs something."""
+        return bool(self._paid)
+
     def control_sizes(self, controls: np.ndarray) -> np.ndarray:
         """Largest sizes of the controls in their coordinates, shape (B, s m), from flat controls of shape (B, N, s,
         U)."""

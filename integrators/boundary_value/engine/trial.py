@@ -5,8 +5,9 @@ Each of these is a few kernels and many small operations of NumPy, which for one
 longer than the kernels. In batches they take next to nothing of each.
 """
 
+import math
 from collections.abc import Iterator
-from typing import Any, NamedTuple, Self, final
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
 
 import numpy as np
 
@@ -17,11 +18,41 @@ from .barrier import PRICES, Barrier
 from .extent import Extent
 from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
 from .kkt_system import Assembled, Iterate, Step
+from .meeting import FAR
 from .residuals import NUMBERS, SHARES, Appraisal
-from .scaling import Units
-from .transcription import Blocks, Data, Nodes, OneStage, Unknowns
+from .transcription import Blocks, Nodes, OneStage, Unknowns
+
+if TYPE_CHECKING:
+    from .conditions import Conditions
 
 Shapes = dict[str, tuple[int, ...]]
+
+
+class Alone(NamedTuple):
+    """What stays the same in the trials of one trajectory."""
+
+    trial: "Trial"
+    data: tuple[np.ndarray, np.ndarray]  # lengths of the steps, and parameters
+    weights: np.ndarray  # of the inequalities
+    ends: tuple[Any, ...]  # what belongs to the nodes, as the kernel takes it
+
+    @classmethod
+    def of(cls, conditions: "Conditions") -> Self | None:
+        """Those of one trajectory with the costs of no ends whose functions are tapes."""
+        steps, nodes, data = conditions.transcription, conditions.at_nodes, conditions.data
+        batch, count = data.steps.shape
+        trial = steps.trial(nodes, count) if batch == 1 and not nodes.pays else None
+        if trial is None:
+            return None
+        weights = data.steps[:, :, None, None] * data.held(steps.inequalities, steps.stages)
+        ends = conditions.fixed.ravel(), conditions.points, nodes.layout.columns, conditions.mean_step, FAR
+        return cls(trial, (np.array(data.steps[0]), np.array(data.parameters[0])), weights, ends)
+
+    def tried(
+        self, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
+    ) -> "Tried | None":
+        """What is ``Tried`` of a part of a step; None where ends of steps are far apart, which takes more than this."""
+        return self.trial(self, conditions, before, part)
 
 
 class Tried(NamedTuple):
@@ -46,7 +77,8 @@ class Trial:
         self._programs = *map(np.concatenate, arrays), table
         self._fields = list(shapes)
         self._structure = np.dtype([(name, float, shape) for name, shape in shapes.items()])
-        self._zeros = slice(self._structure.fields["points"][1] // 8, None)
+        begins = dict(zip(shapes, np.cumsum([0, *map(math.prod, shapes.values())]).tolist(), strict=False))
+        self._zeros = slice(begins["points"], None)
         self._none = np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
         self._apart = shapes["nodes"][:2]
 
@@ -58,45 +90,32 @@ class Trial:
         return cls(programs, _shapes(steps, count)) if len(programs) == len(found) else None
 
     def __call__(
-        self,
-        data: tuple[Data, np.ndarray | None],
-        ends: tuple[Any, ...],
-        units: tuple[Units, Units, Barrier | None],
-        before: tuple[Iterate, Assembled, Step],
-        fraction: np.ndarray,
+        self, alone: Alone, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
-        """The trial of a fraction of a step; None where ends of steps are far apart, which takes more than this.
-
-        ``data``: with the weights of the inequalities; ``ends``: what belongs to the nodes, as the kernel takes it;
-        ``units``: of success, of steps, and of the inequalities.
-        """
-        iterate, assembled, step = before
+        """The trial; None where ends of steps are far apart."""
+        (iterate, assembled, step), x = before, before[0].unknowns
         numbers = np.empty(self._structure.itemsize // 8)
         structure = np.ndarray((), self._structure, numbers)
         v = {name: structure[name] for name in self._fields}
-        part, x, of = fraction * step.reach, iterate.unknowns, data[0]
-        moved = x.centres.ravel(), x.controls.ravel(), assembled.coordinates, assembled.frames
-        own = (*moved, step.unknowns, step.multipliers, part), (of.steps.ravel(), of.parameters.ravel())
-        held = self._limits(v, iterate.slacks, step, data[1], units[2], part)
-        judging, measured, barrier = units
-        least = self._none[1] if barrier is None else judging.cost
-        sizes = plain(judging.nodes), plain(judging.unknowns), least, plain(measured.nodes), measured.cost
-        out = self._out(v, numbers)
+        unknowns = np.concatenate((x.centres.ravel(), x.controls.ravel()))
+        own = unknowns, assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
+        limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, alone.weights))
         tapes = *self._programs, *scratch(((self._memory,),)), numbers
-        if not self._run(self._calls, tapes, *own, ends, (sizes, SHARES), held, out):
+        given = own, alone.data, alone.ends, (_units(conditions), SHARES), limits
+        if not self._run(self._calls, tapes, *given, self._out(v, numbers)):
             return None
-        return _tried(v, iterate.slacks, data[1])
+        return _tried(v, iterate.slacks, alone.weights)
 
     def _limits(
         self,
         v: dict[str, np.ndarray],
         slacks: Slacks | None,
         step: Step,
-        weights: np.ndarray | None,
         barrier: Barrier | None,
-        part: np.ndarray,
+        own: tuple[np.ndarray, np.ndarray],
     ) -> tuple[Any, ...]:
-        """Slacks and their steps, and what they are judged by, as the kernel takes them."""
+        """Slacks and their steps, and what they are judged by, as the kernel takes them; ``own``: the part, weights."""
+        part, weights = own
         if slacks is None or barrier is None or step.turn is None:
             no, zero, flat = self._none
             one = np.ones(1)
@@ -120,6 +139,14 @@ class Trial:
             (v["along"], v["entries"], v["numbers"], v["surveyed"]),
             ((v["s"], v["nu"], v["t"]), v["pushed"], v["sums"], v["points"], numbers[self._zeros]),
         )
+
+
+def _units(conditions: "Conditions") -> tuple[np.ndarray, ...]:
+    """Units of success and of steps, as the kernel takes them."""
+    judging, measured = conditions.judging, conditions.measured
+    # With a barrier the curvature of the Hessian has no bound.
+    least = np.zeros(1) if conditions.barrier is None else judging.cost
+    return plain(judging.nodes), plain(judging.unknowns), least, plain(measured.nodes), measured.cost
 
 
 def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray | None) -> Tried:

@@ -81,8 +81,8 @@ def _evaluate(place: int, k: int, tapes: tuple, count: int) -> None:
 @inner
 def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> None:
     """What the tape of the moved unknowns reads, and the covectors at the nodes after the step."""
-    (x, u, coordinates, frames, steps, multipliers, part), (h, parameters) = before, data
-    at, fraction, size = put(read, put(read, 0, x, 0, x.size), u, 0, u.size), part[0], frames.shape[3]
+    (x, coordinates, frames, steps, multipliers, part), (h, parameters) = before, data
+    at, fraction, size = put(read, 0, x, 0, x.size), part[0], frames.shape[3]
     for k in range(h.size):
         for i in range(steps.shape[2]):
             read[at] = fraction * steps[0, k, i]
@@ -116,7 +116,7 @@ def trial(
 
     ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
     one after the other, a table of where each stands, reads and writes, memory, and what they write; ``before``:
-    centres, controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them
+    centres and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them
     that is made; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates of the nodes that count;
     the points and which of their entries are prescribed; columns; the mean step; from which share on ends are far
     apart; ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier

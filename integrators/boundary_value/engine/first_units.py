@@ -1,0 +1,30 @@
+"""Units in which a search begins, from its first iterate."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from .kkt_system import Assembled, Iterate
+from .room import room
+from .scaling import Units, natural_units
+
+if TYPE_CHECKING:
+    from .conditions import Conditions
+
+FLAT = 1e-8  # of the largest curvature in the controls, by their ways to the bounds: less of it is rounding
+
+
+def first_units(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> Units:
+    """Units from an iterate."""
+    extent, blocks, controls, curved = assembled.extent, assembled.blocks, conditions.control_sizes(iterate), True
+    free: np.ndarray | float = np.inf
+    if blocks.held is not None:
+        # Where the cost is not curved in the controls, but for rounding, their way to the bounds measures them.
+        own, (ways, free) = extent.curvature[:, assembled.gap.shape[2] :], room(conditions, iterate, assembled)
+        changes = own * np.where(ways > 0, ways, 1.0) ** 2
+        curved = (changes > FLAT * changes.max(axis=1, keepdims=True, initial=0.0)).all(axis=1)
+        controls = np.where(curved[:, None], controls, np.maximum(controls, ways))
+    moved, sizes = extent.moved(conditions.at_nodes.layout)
+    fallback = np.concatenate([sizes, controls], axis=1)
+    system = conditions.system(iterate, assembled)
+    return natural_units(system, blocks.gradient, moved, controls, fallback, curved, free)
