@@ -112,7 +112,7 @@ def test_ipopt_finds_the_solution(name):
     ids=str,
 )
 def test_equations_are_as_many_as_the_codimension_and_independent(manifold):
-    x = manifold.random_point(jax.random.key(3))
+    x = jax.jit(manifold.random_point)(jax.random.key(3))
     units = np.eye(x.size).reshape(x.size, *x.shape)
     units = np.concatenate([units, 1j * units]) if jnp.iscomplexobj(x) else units
 

@@ -169,8 +169,13 @@ def test_the_tangent_lift_commutes_with_pullbacks(seed):
     np.testing.assert_allclose(lifted, pulled, atol=1e-13)
 
 
+@lru_cache
+def _points(space: PresymplecticManifold):
+    return jax.jit(lambda seed: space.manifold.random_point(jax.random.key(seed)))
+
+
 def draw(space: PresymplecticManifold, seed: int):
-    return space.manifold.random_point(jax.random.key(seed))
+    return _points(space)(seed)
 
 
 @pytest.mark.parametrize(("space", "rank", "nullity"), [(SYMPLECTIC, 4, 0), (PRESYMPLECTIC, 4, 1)])
@@ -252,13 +257,19 @@ def submanifold(name: str) -> Immersion:
     return {"dS": CLOSED, "dS x R": WIDE}[name]
 
 
+@lru_cache
+def points_of(name: str):
+    """The random points of its source by their seeds, compiled."""
+    return jax.jit(lambda seed: submanifold(name).source.random_point(jax.random.key(seed)))
+
+
 @pytest.mark.long("dS x R")
 @pytest.mark.parametrize("name", ["dS", "dS x R", "pulled dS", "pulled dS x R"])
 @given(seed=SEEDS)
 @pytest.mark.long("pulled dS x R")
 def test_closed_one_forms_and_their_preimages_are_lagrangian(name, seed):
     made = submanifold(name)
-    verdict = is_lagrangian(made, made.source.random_point(jax.random.key(seed)))
+    verdict = is_lagrangian(made, points_of(name)(seed))
     assert verdict, verdict.reason
     assert verdict.dimension == made.source.dimension
 
