@@ -1,5 +1,7 @@
 """What a solution claims - success, a strict minimum, its residuals - on both sides of where it stops being true."""
 
+from functools import cache
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -13,7 +15,11 @@ from .problems import half_square
 
 LINE, SPHERE, STEPS = Euclidean(1), Sphere(2), 9
 ARCS = OptimalControlProblem(SPHERE, SPHERE.projection, half_square, 3)
-ALONG_ARCS = Solver(ARCS, Midpoint(Exponential(SPHERE)), STEPS)
+
+
+@cache
+def along_arcs():
+    return Solver(ARCS, Midpoint(Exponential(SPHERE)), STEPS)
 
 
 def arc(degrees: float) -> Solution:
@@ -26,7 +32,7 @@ def arc(degrees: float) -> Solution:
     angles = (np.arange(STEPS) + 0.5) / STEPS * length
     guess = Guess(at(angles), length * at(angles + np.pi / 2))
     ends = at(np.array([0.0, length]))
-    return ALONG_ARCS.solve(*ends, 1.0, guess=guess, throw=False)
+    return along_arcs().solve(*ends, 1.0, guess=guess, throw=False)
 
 
 @pytest.mark.parametrize("degrees", [*range(5, 180, 5), 179, 179.9, 180.1, 181, 200, 265, 275, 350])
@@ -40,8 +46,12 @@ def test_a_great_circle_is_a_strict_minimum_up_to_half_a_turn_wherever_nodes_fal
 
 
 OSCILLATOR = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (u @ u - q @ q) / 2, 1)
-OSCILLATIONS = Solver(OSCILLATOR, Midpoint(Exponential(LINE)), STEPS)
 HALF_PERIOD = 2 * STEPS * np.tan(np.pi / 2 / STEPS)  # of the discrete oscillator, whose steps turn by 2 arctan(h / 2)
+
+
+@cache
+def oscillations():
+    return Solver(OSCILLATOR, Midpoint(Exponential(LINE)), STEPS)
 
 
 @pytest.mark.parametrize("sign", [-1, 1])
@@ -49,7 +59,7 @@ HALF_PERIOD = 2 * STEPS * np.tan(np.pi / 2 / STEPS)  # of the discrete oscillato
 def test_an_oscillator_over_half_a_period_is_solved_as_far_as_the_system_determines_it(distance, sign):
     """The extremal from 0 to 1 costs ``cot(turn) / 2``; over half a period there is none, near it rounding decides."""
     horizon = HALF_PERIOD + sign * distance
-    solution = OSCILLATIONS.solve(np.zeros(1), np.ones(1), horizon, throw=False)
+    solution = oscillations().solve(np.zeros(1), np.ones(1), horizon, throw=False)
     if distance <= 1e-12:
         assert not solution.success
         assert "singular" in solution.result

@@ -1,6 +1,8 @@
 """What is looked at beside the conditions of a solution: for each structure of parameters, and not where it was
 stopped."""
 
+from functools import cache
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -52,7 +54,11 @@ def test_an_iteration_that_was_stopped_is_said_to_be_stopped(height):
 CART = LINE * LINE
 WALLS = {"wall": lambda q, u: -q[0], "speed": lambda q, u: q[1] - 9}
 WALL = OptimalControlProblem(CART, lambda q, u: (q[1], u), lambda q, u: u @ u / 2, 1, constraints=WALLS)
-BY_THE_WALL = Solver(WALL, Midpoint(default_retraction(CART)), 10)
+
+
+@cache
+def by_the_wall():
+    return Solver(WALL, Midpoint(default_retraction(CART)), 10)
 
 
 @pytest.mark.long("None--0.001", "None-1e-06", "velocity1--0.1", "velocity1--1e-06", "velocity1-0.001")
@@ -61,10 +67,10 @@ BY_THE_WALL = Solver(WALL, Midpoint(default_retraction(CART)), 10)
 def test_what_is_prescribed_of_an_end_is_where_constraints_hold(place, velocity):
     """A start behind the wall with a free velocity too; one phase, and the end."""
     behind, ahead = (np.array([place]), velocity), (np.ones(1), np.array([0.5]))
-    found = BY_THE_WALL.solve(behind, ahead, 1.0, throw=False)
+    found = by_the_wall().solve(behind, ahead, 1.0, throw=False)
     assert found.success == (place >= 0)
     assert ("The start violates wall" in found.result) == (place < 0)
-    back = BY_THE_WALL.solve(ahead, (behind[0], None if velocity is None else -velocity), 1.0, throw=False)
+    back = by_the_wall().solve(ahead, (behind[0], None if velocity is None else -velocity), 1.0, throw=False)
     assert back.success == (place >= 0)
-    phases = solve_phases([Phase(WALL, BY_THE_WALL.method, 10, start=behind, end=ahead, duration=1.0)], throw=False)
+    phases = solve_phases([Phase(WALL, by_the_wall().method, 10, start=behind, end=ahead, duration=1.0)], throw=False)
     assert phases.success == (place >= 0)

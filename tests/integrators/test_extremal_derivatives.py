@@ -55,6 +55,7 @@ CASES = {
 }
 
 
+@jax.jit
 def loss(found: Extremal):
     """One number of everything that an extremal has."""
     parts = [
@@ -78,11 +79,13 @@ def test_both_modes_are_the_differences_of_solutions(name):
     factor = manifold.factors[0] if isinstance(end, tuple) else manifold
     axis = factor.projection(fixed, 0.3 * jnp.cos(jnp.arange(fixed.size)).reshape(fixed.shape))
 
+    @jax.jit
+    def moved(aside):
+        return default_retraction(factor)(fixed, aside * axis)
+
     def total(aside, horizon, parameters):
-        moved = default_retraction(factor)(fixed, aside * axis)
-        return loss(
-            solver.extremal(start, (moved, None) if isinstance(end, tuple) else moved, horizon, parameters=parameters)
-        )
+        there = (moved(aside), None) if isinstance(end, tuple) else moved(aside)
+        return loss(solver.extremal(start, there, horizon, parameters=parameters))
 
     at, direction = (0.0, 1.1, DRAG), (0.7, -0.4, {"mass": 0.5, "rates": np.array([0.2, -0.9])})
     plus, minus = (total(*along(at, direction, size)) for size in (1e-5, -1e-5))

@@ -1,6 +1,8 @@
 """Free horizons, free parameters and explicit time, against closed forms and against the problem with what was
 found."""
 
+from functools import cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -9,6 +11,8 @@ from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, load_
 from retrax.integrators.boundary_value.formulation import Formulation, Kind
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta
+
+from .problems import rotation
 
 PLANE, LINE = Euclidean(2), Euclidean(1)
 REST, AHEAD = np.zeros(2), np.array([1.0, 0.0])
@@ -26,8 +30,12 @@ def timed_effort(q, u):
 
 
 QUICK = OptimalControlProblem(PLANE, cart, timed_effort, 1)
-QUICKLY = Solver(QUICK, GAUSS, 6)
 T_BEST = 18**0.25  # of T + 6 / T^3
+
+
+@cache
+def quickly():
+    return Solver(QUICK, GAUSS, 6)
 
 
 def assert_same_extremal(found, other, tolerance=1e-9):
@@ -50,7 +58,7 @@ def assert_same_extremal(found, other, tolerance=1e-9):
 def test_a_free_horizon_is_found_from_far_above_and_below():
     """``int 1 + u^2 / 2`` from rest to rest over the distance 1: ``T + 6 / T^3``; two points a step integrate it
     exactly."""
-    solver = QUICKLY
+    solver = quickly()
     for guess in (0.02 * T_BEST, 0.3 * T_BEST, T_BEST, 5 * T_BEST, 100 * T_BEST):
         found = solver.solve(REST, AHEAD, Free(guess))
         assert found.horizon == pytest.approx(T_BEST, rel=1e-11)
@@ -74,11 +82,7 @@ def turning(q, u, inertia):
     return R @ hat(w), (u - jnp.cross(w, inertia * w)) / inertia
 
 
-def rotation(*turn):
-    return np.asarray(jax.scipy.linalg.expm(hat(jnp.array(turn))))
-
-
-START, END = (np.eye(3), np.zeros(3)), (rotation(0.4, 0.9, -0.5), np.zeros(3))
+START, END = (np.eye(3), np.zeros(3)), (rotation([0.4, 0.9, -0.5]), np.zeros(3))
 METHODS = {
     "Gauss": Gauss(2, Cayley(BODY)),
     "one point": Gauss(1, Cayley(BODY)),
@@ -176,7 +180,7 @@ def test_the_time_of_a_free_horizon_ends_with_it():
 def test_a_guess_and_a_solution_are_taken():
     places = (np.repeat(np.arange(6), 2) + np.tile(GAUSS.nodes, 6)) / 6
     guess = Guess(np.stack([places, np.ones(12)], axis=1), np.zeros((12, 1)))
-    solver = QUICKLY
+    solver = quickly()
     found = solver.solve(REST, AHEAD, Free(1.0), guess=guess)
     assert found.horizon == pytest.approx(T_BEST, rel=1e-11)
     again = solver.solve(REST, AHEAD, Free(found.horizon), guess=found)
@@ -187,7 +191,7 @@ def test_a_guess_and_a_solution_are_taken():
 
 
 def test_a_batch_is_solved_at_once():
-    solver, ends = QUICKLY, np.array([[0.5, 0.0], [1.0, 0.0], [3.0, 0.0]])
+    solver, ends = quickly(), np.array([[0.5, 0.0], [1.0, 0.0], [3.0, 0.0]])
     many = solver.solve_many(REST, ends, Free(np.array([1.0, 2.0, 3.0])))
     for k, found in enumerate(many):
         assert found.horizon == pytest.approx((18 * ends[k, 0] ** 2) ** 0.25, rel=1e-10)
@@ -205,7 +209,7 @@ def test_a_batch_is_solved_at_once():
 def test_derivatives_of_what_was_found():
     """``T^4 = 18 L^2``, so that the cost ``4 T / 3`` has the derivative ``2 T / (3 L)`` by the distance, minus the
     costate."""
-    solver = QUICKLY
+    solver = quickly()
     found = solver.solve(REST, AHEAD, Free(1.0))
     by = solver.sensitivity(found)
     assert by.horizon is None
@@ -336,7 +340,7 @@ def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, s
     bound, other = share * T_BEST, share < 1
     holds = other if side == "upper" else not other
     horizon = Free(0.8 * bound, upper=bound) if side == "upper" else Free(1.2 * bound, lower=bound)
-    found = QUICKLY.solve(REST, AHEAD, horizon)
+    found = quickly().solve(REST, AHEAD, horizon)
     assert found.horizon == pytest.approx(bound if holds else T_BEST, rel=1e-8)
     weight = (found.times[1] - found.times[0]) / 2
     expected = abs(1 - 18 / bound**4) if holds else 0.0

@@ -11,18 +11,22 @@ from retrax.integrators import Guess, OptimalControlProblem, Solver
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Midpoint, default_retraction
 
-from .problems import half_square
+from .problems import half_square, rotation
 
 N, Q = 20, SO(3)
 TURNED = OptimalControlProblem(Q, lambda q, u: q @ hat(jnp.append(u, 0.0)), half_square, 2)
-SOLVER = Solver(TURNED, Midpoint(default_retraction(Q)), N)
 AXIS = np.array([0.6, 0.0, 0.8])
-SLEW = Solver(
-    OptimalControlProblem(Q * Euclidean(3), lambda q, u: (q[0] @ hat(q[1]), u), half_square, 3),
-    Midpoint(Cayley(Q * Euclidean(3))),
-    N,
-)
-END = np.asarray(default_retraction(Q)(np.eye(3), hat(jnp.array([0.4, -0.3, 1.6]))))
+
+
+@cache
+def turning():
+    return Solver(TURNED, Midpoint(default_retraction(Q)), N)
+
+
+@cache
+def slewing():
+    problem = OptimalControlProblem(Q * Euclidean(3), lambda q, u: (q[0] @ hat(q[1]), u), half_square, 3)
+    return Solver(problem, Midpoint(Cayley(Q * Euclidean(3))), N)
 
 
 FAR = 0.07  # controls smaller than that are moved aside, by which the trajectory goes half its spread
@@ -31,9 +35,10 @@ FAR = 0.07  # controls smaller than that are moved aside, by which the trajector
 @pytest.mark.parametrize("size", [0.0, 1e-15, 1e-8, *10.0 ** np.arange(-2.5, 1.01, 0.25)])
 def test_a_guess_nearly_at_rest_leads_to_a_solution(size):
     times, shares = np.linspace(0, 1, N), []
+    solver, end = turning(), rotation([0.4, -0.3, 1.6])
     controls = size * np.stack([np.cos(times), np.sin(2 * times)], axis=1)
-    guess = Guess.from_controls(TURNED, SOLVER.method, np.eye(3), controls, 1.0, N)
-    found = SOLVER.solve(np.eye(3), END, 1.0, guess=guess, throw=False, callback=lambda i: shares.append(i.fraction[0]))
+    guess = Guess.from_controls(TURNED, solver.method, np.eye(3), controls, 1.0, N)
+    found = solver.solve(np.eye(3), end, 1.0, guess=guess, throw=False, callback=lambda i: shares.append(i.fraction[0]))
     assert found.success
     assert found.cost < 16  # with a turn more than needed at most, and not with hundreds
     # The first step is as long as the controls are small: a diameter is this share of it.
@@ -47,10 +52,10 @@ def test_a_guess_nearly_at_rest_leads_to_a_solution(size):
 @pytest.mark.parametrize("rate", [0.0, 10.0])
 def test_ends_that_are_opposite_come_together(angle, rate):
     # All attitudes of the guess are the first one; rates far larger than their entries do not hide the way to the last.
-    end = np.asarray(default_retraction(Q)(np.eye(3), hat(angle * AXIS))), np.zeros(3)
+    end = rotation(angle * AXIS), np.zeros(3)
     states = np.tile(np.eye(3), (N, 1, 1)), np.tile(rate * AXIS, (N, 1))
     guess = Guess(states, np.zeros((N, 3)))
-    found = SLEW.solve((np.eye(3), np.zeros(3)), end, 1.0, guess=guess, throw=False)
+    found = slewing().solve((np.eye(3), np.zeros(3)), end, 1.0, guess=guess, throw=False)
     assert found.success
 
 
@@ -58,8 +63,8 @@ def test_ends_that_are_opposite_come_together(angle, rate):
 @pytest.mark.parametrize("angle", [0.3, 1.2, 2.5, 3.1])
 def test_a_turn_that_no_control_gives_to_first_order_is_found(angle, tilt):
     """About the third axis the constraints of the default guess are dependent, and next to it nearly."""
-    end = np.asarray(default_retraction(Q)(np.eye(3), hat(jnp.array([tilt, 0.0, angle]))))
-    found = SOLVER.solve(np.eye(3), end, 1.0, throw=False)
+    end = rotation([tilt, 0.0, angle])
+    found = turning().solve(np.eye(3), end, 1.0, throw=False)
     assert found.success
     # The shortest curve is sqrt(angle (4 pi - angle)) long.
     assert found.cost == pytest.approx(angle * (4 * np.pi - angle) / 2, rel=0.02 + 5 * tilt / angle)
@@ -72,15 +77,21 @@ def spun(q, u):
 
 
 LONG = 1e3
-SPUN = Solver(OptimalControlProblem(Euclidean(6), spun, half_square, 2), Midpoint(default_retraction(Euclidean(6))), N)
+
+
+@cache
+def spinning():
+    space = Euclidean(6)
+    return Solver(OptimalControlProblem(space, spun, half_square, 2), Midpoint(default_retraction(space)), N)
 
 
 @pytest.mark.parametrize("size", [0.0, *10.0 ** np.arange(-12, 2.0, 2), 3.0])
 def test_a_rate_that_only_products_change_is_no_obstacle(size):
     end = np.array([1.0, 0.5, 0.3, 0, 0, 0]) * np.array([LONG, LONG, LONG, 1, 1, 1])
-    guess = Guess.from_waypoints(SPUN.problem, SPUN.method, [np.zeros(6), end], N)
+    solver = spinning()
+    guess = Guess.from_waypoints(solver.problem, solver.method, [np.zeros(6), end], N)
     guess = guess._replace(controls=size * np.random.default_rng(0).standard_normal((N, 2)))
-    found = SPUN.solve(np.zeros(6), end, 3.0, guess=guess, throw=False)
+    found = solver.solve(np.zeros(6), end, 3.0, guess=guess, throw=False)
     assert found.success
     assert found.cost == pytest.approx(1.910, abs=1e-3)
 

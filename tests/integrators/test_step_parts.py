@@ -34,6 +34,8 @@ from retrax.manifolds import SO, Euclidean, Sphere
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
 
+from tests.support.numerics import compiled
+
 LINE, PLANE, SPHERE = Euclidean(1), Euclidean(2), Sphere(2)
 THETAS = [0.0, 0.3, 0.5, 1.0]
 
@@ -128,7 +130,7 @@ def test_the_inverse_of_small_steps_is_that_of_the_equations(theta):
     stage = HamiltonianStage(lambda q, p: p @ p / 2 + q @ q, Theta(Addition(PLANE), theta), 0.0)
     z = jnp.array([0.3, -0.2]), jnp.array([0.5, 0.1])
     equations = StepEquations.near(stage, *z, (*z, z[1]))
-    jacobian = jax.jacfwd(lambda c: equations.residual(c, *z))(equations.first)
+    jacobian = compiled(jax.jacfwd(lambda c: equations.residual(c, *z)))(equations.first)
     np.testing.assert_allclose(stage.small_step_inverse() @ jacobian, np.eye(8), atol=1e-14)
 
 

@@ -1,5 +1,6 @@
 """Steps on the tape: the numbers of XLA, the failures of XLA, one trajectory and many."""
 
+from functools import cache
 from typing import final
 
 import jax
@@ -59,10 +60,14 @@ CASES = {
 SLOW = ("poses", "rigid body", "optimal control by Gauss")  # to compile by XLA
 
 
+@cache
+def point_of(manifold) -> tuple:
+    return jax.jit(lambda key: start_of_key(manifold, key))(KEY)
+
+
 def start_of(method, size=0.5) -> tuple:
-    manifold = method.manifold
-    q = manifold.random_point(KEY)
-    return q, jax.tree.map(lambda a: size * a, manifold.random_tangent(KEY, q))
+    q, v = point_of(method.manifold)
+    return q, jax.tree.map(lambda a: size * a, v)
 
 
 @pytest.mark.long("plane, backward Euler")
@@ -168,7 +173,7 @@ def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
 def test_many_trajectories_are_those_of_one_after_the_other(count):
     """One after the other, and on lanes with two full blocks; with step sizes of their own."""
     method = CASES["sphere"][1]
-    starts = jax.vmap(lambda k: start_of_key(method, k))(jax.random.split(KEY, count))
+    starts = jax.tree.map(lambda a: jnp.asarray(a[:count]), many_starts())
     sizes = np.linspace(0.05, 0.2, count)
     many = integrate_many(pendulum_energy, method, starts, sizes, 6, save_every=3)
     assert many.q.shape == (count, 3, 3)
@@ -181,15 +186,22 @@ def test_many_trajectories_are_those_of_one_after_the_other(count):
             assert norm(mine - theirs) <= 1e-13
 
 
-def start_of_key(method, key) -> tuple:
-    q = method.manifold.random_point(key)
-    return q, method.manifold.random_tangent(key, q)
+def start_of_key(manifold, key) -> tuple:
+    q = manifold.random_point(key)
+    return q, manifold.random_tangent(key, q)
+
+
+@cache
+def many_starts() -> tuple:
+    """Of which each test takes the first, as many as it needs."""
+    starts = jax.jit(jax.vmap(lambda key: start_of_key(SPHERE, key)))(jax.random.split(KEY, 130))
+    return jax.tree.map(np.asarray, starts)
 
 
 def test_trajectories_that_stop_are_marked_one_by_one():
     """Among lanes that go on, whose states do not depend on them."""
     method = CASES["sphere"][1]
-    starts = jax.vmap(lambda k: start_of_key(method, k))(jax.random.split(KEY, 70))
+    starts = jax.tree.map(lambda a: jnp.asarray(a[:70]), many_starts())
     sizes = np.full(70, 0.1)
     whole = integrate_many(pendulum_energy, method, starts, sizes, 4)
     sizes[[3, 66]] = 50.0

@@ -58,7 +58,7 @@ def test_a_symmetric_map_backward_in_time_returns(seed, h):
 
 
 def test_a_batch_is_the_loop_over_its_members():
-    starts = jax.vmap(CotangentBundle(SPHERE).random_point)(jax.random.split(jax.random.key(2), 5))
+    starts = jax.jit(jax.vmap(CotangentBundle(SPHERE).random_point))(jax.random.split(jax.random.key(2), 5))
     batch = jax.vmap(lambda *start: swing(start))(*starts)
     for i in range(5):
         single = swing(at(starts, i))

@@ -47,7 +47,7 @@ LANDED = OptimalControlProblem(
 DOCKED = OptimalControlProblem(
     MOTIONS * Euclidean(6), lambda q, u: (q[0] @ MOTIONS.hat(q[1]), u - 0.3 * q[1] * jnp.roll(q[1], 1)), half_square, 6
 )
-POSE = np.asarray(MOTIONS.pose(SLEW_END, np.array([1.0, 2.0, 3.0])))
+POSE = np.block([[SLEW_END, np.array([[1.0], [2.0], [3.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])
 CASES = {
     "slew": (SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, 20),
     "slew to any rate, uneven steps": (
@@ -112,7 +112,7 @@ def test_ipopt_finds_the_solution(name):
     ids=str,
 )
 def test_equations_are_as_many_as_the_codimension_and_independent(manifold):
-    x = manifold.random_point(jax.random.key(3))
+    x = jax.jit(manifold.random_point)(jax.random.key(3))
     units = np.eye(x.size).reshape(x.size, *x.shape)
     units = np.concatenate([units, 1j * units]) if jnp.iscomplexobj(x) else units
 

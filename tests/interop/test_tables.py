@@ -37,9 +37,9 @@ def batch():
 
 
 TRAJECTORY = Trajectory(
-    jnp.linspace(0.0, 1.0, 4), (jnp.broadcast_to(jnp.eye(3), (4, 3, 3)), jnp.arange(8.0).reshape(4, 2)),
-    (jnp.zeros((4, 3, 3)), jnp.ones((4, 2))), jnp.arange(18.0).reshape(3, 2, 3), jnp.arange(6.0).reshape(3, 2),
-    Result.successful, jnp.asarray(-1),
+    np.linspace(0.0, 1.0, 4), (np.broadcast_to(np.eye(3), (4, 3, 3)), np.arange(8.0).reshape(4, 2)),
+    (np.zeros((4, 3, 3)), np.ones((4, 2))), np.arange(18.0).reshape(3, 2, 3), np.arange(6.0).reshape(3, 2),
+    Result.successful, np.asarray(-1),
 )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import BundleRetraction, Polar, Projection
 
 from tests.support.cases import MANIFOLDS
-from tests.support.numerics import NODES, SEEDS, compiled, differences, draw_bundle_tangent, flat, unflat
+from tests.support.numerics import NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
 
 BASES = {"S2": Projection(MANIFOLDS["S2"]), "SO3": Polar(MANIFOLDS["SO3"])}
 STEP = 4e-3
@@ -62,11 +62,9 @@ def _matrix(base: str):
 
 
 def draw(base: str, seed: int) -> tuple[np.ndarray, ...]:
-    """A point of the cotangent bundle and two unit tangent vectors there."""
-    w, frame = draw_bundle_tangent(MANIFOLDS[base], seed, 1.0)
-    z, a = np.split(w, 2)
-    other = frame[len(frame) // 2 :, z.size :]
-    return z, a, np.random.default_rng(seed + 1).standard_normal(len(other)) @ other
+    """A point of the cotangent bundle and two tangent vectors there."""
+    z, other, basis = draw_point(CotangentBundle(MANIFOLDS[base]), seed)
+    return z, draw_tangent(np.random.default_rng(seed), basis, 1.0), other
 
 
 @every_base

@@ -16,7 +16,7 @@ from retrax.manifolds.numerics.levenberg import APPROACH, RELATIVE, SHORTENING, 
 from retrax.manifolds.numerics.rank import null_space, numerical_rank
 from retrax.manifolds.numerics.root import find_root
 
-from tests.support.numerics import SEEDS, compiled
+from tests.support.numerics import SEEDS, compiled, norm
 
 ANGLES = st.one_of(st.floats(0.0, 3.1), st.sampled_from([0.0, 1e-200, 1e-9, 0.1, 1.0]))
 
@@ -137,9 +137,14 @@ def test_second_derivatives_of_roots_in_a_loop_are_right_in_every_mode(outer, in
     np.testing.assert_allclose(jax.jit(jax.vmap(outer(inner(twice))))(jnp.zeros((3, 2)))[1], expected, atol=1e-14)
 
 
+@compiled
+def _scaled_square(scale):
+    return find_root(lambda c: (c / scale) ** 2 - 2.0, jnp.array([scale]), scale)
+
+
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_find_root_knows_the_size_of_its_unknowns(scale):
-    c, converged = find_root(lambda c: (c / scale) ** 2 - 2.0, jnp.array([scale]), scale)
+    c, converged = _scaled_square(scale)
     assert converged
     np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
 
@@ -159,27 +164,37 @@ def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_un
     assert abs(c[0] - np.log(2)) < 2e-16 * max(1.0, size)
 
 
+@compiled
+def _far_larger(a, size):
+    def residual(c):
+        return jnp.stack([c[0] - a * c[1] / 3, c[1] + jnp.sin(c[0]) / 10 - a, jnp.sum(c)])
+
+    c, converged = find_root(residual, jnp.zeros(3), jnp.stack([size, 1.0, size]))
+    return residual(c), converged
+
+
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-40, 1, 8))
 @pytest.mark.parametrize("a", [0.3, 1.7, 5.539])
 def test_find_root_ends_at_a_root_whose_unknowns_are_far_larger_than_their_sizes(size, a):
     """As those of a step from a point that is zero but for rounding: what moves them is the rounding of the root."""
-
-    def residual(c):
-        return jnp.stack([c[0] - a * c[1] / 3, c[1] + jnp.sin(c[0]) / 10 - a, jnp.sum(c)])
-
-    c, converged = find_root(residual, jnp.zeros(3), jnp.array([size, 1.0, size]))
+    left, converged = _far_larger(a, size)
     assert converged
-    assert vec.size(residual(c)) < 1e-14
+    assert norm(left) < 1e-14
+
+
+@compiled
+def _beside_noise(scale, start):
+    def residual(c):
+        noise = 1e-12 * jax.lax.stop_gradient(jnp.sin(1e15 * c[0]))
+        return jnp.stack([jnp.exp(c[0]) - 3, scale * c[1] + noise])
+
+    return find_root(residual, jnp.stack([start, 0.0]))
 
 
 @pytest.mark.parametrize("scale", 10.0 ** np.arange(-40, 1, 10))
 @pytest.mark.parametrize("start", [0.0, 1.05, 3.0])
 def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others(scale, start):
-    def residual(c):
-        noise = 1e-12 * jax.lax.stop_gradient(jnp.sin(1e15 * c[0]))
-        return jnp.stack([jnp.exp(c[0]) - 3, scale * c[1] + noise])
-
-    c, converged = find_root(residual, jnp.array([start, 0.0]))
+    c, converged = _beside_noise(scale, start)
     assert converged
     assert abs(c[0] - np.log(3)) < 1e-12
 

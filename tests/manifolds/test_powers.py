@@ -12,11 +12,16 @@ KEY = jax.random.key(0)
 
 def test_a_power_is_the_product_of_its_copies():
     power, product = Power(Sphere(2), 3), Product(*3 * [Sphere(2)])
-    x = power.random_point(KEY)
-    a = jax.random.normal(KEY, x.shape)
+
+    @jax.jit
+    def both(key):
+        x, a = power.random_point(key), jax.random.normal(key, power.ambient.shape)
+        parts = product.projection(tuple(x), tuple(a)), product.basis(tuple(x))
+        return (jnp.stack(parts[0]), jnp.stack(parts[1], axis=1)), (power.projection(x, a), power.basis(x))
+
     assert power.dimension == product.dimension
-    np.testing.assert_allclose(jnp.stack(product.projection(tuple(x), tuple(a))), power.projection(x, a), atol=1e-15)
-    np.testing.assert_allclose(jnp.stack(product.basis(tuple(x)), axis=1), power.basis(x), atol=1e-15)
+    for of_product, of_power in zip(*both(KEY), strict=True):
+        np.testing.assert_allclose(of_product, of_power, atol=1e-15)
 
 
 @pytest.mark.slow

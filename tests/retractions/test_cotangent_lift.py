@@ -16,7 +16,7 @@ from retrax.testing.checks.discretization import flat_ends
 from retrax.testing.numerics import ambient_size
 
 from tests.support.cases import LIFTED_MAPS, REPRESENTATIVES, RETRACTIONS, THETAS, FreeTheta, reach
-from tests.support.numerics import SEEDS, compiled, draw_bundle_tangent, flat, norm, unflat
+from tests.support.numerics import SEEDS, bundle_frame, compiled, draw_bundle_tangent, flat, norm, unflat
 
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
 
@@ -28,8 +28,12 @@ def test_is_a_cotangent_lift(name, seeds):
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)
 
 
+# Families of which another member is lifted by default; each is itself compared with closed forms elsewhere.
+OTHER_MEMBERS = ("projection-S4", "cayley-SO2", "polar-SO3", "cayley-Gr42")
+
+
 @pytest.mark.parametrize("name", RETRACTIONS)
-@pytest.mark.usual(*REPRESENTATIVES)
+@pytest.mark.usual(*(name for name in REPRESENTATIVES if name not in OTHER_MEMBERS))
 def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
     """The axioms of both at the zero vector, and symplecticity there and at two others, by one compiled function of
     theta."""
@@ -44,7 +48,8 @@ def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
 
     measure = compiled(facts)
     for seed, length in zip(seeds, (0.0, 0.5, 1.0), strict=False):
-        w, frame = draw_bundle_tangent(retraction.manifold, seed, length * min(1.0, reach(name)))
+        w = draw_bundle_tangent(retraction.manifold, seed, length * min(1.0, reach(name)))
+        frame = bundle_frame(retraction.manifold, w)
         omega = frame @ tangent_lift_of_omega(n) @ frame.T
         fibre = frame[len(frame) // 2 :, 2 * n :]
         for theta in THETAS:
@@ -87,7 +92,7 @@ def _both_inverses():
 @pytest.mark.slow
 @given(seed=SEEDS)
 def test_newtons_method_on_the_bundle_finds_the_closed_inverse(seed):
-    w, _ = draw_bundle_tangent(Sphere(2), seed, 0.5)
+    w = draw_bundle_tangent(Sphere(2), seed, 0.5)
     closed, newton = _both_inverses()(w)
     np.testing.assert_allclose(closed, w, atol=1e-12)
     np.testing.assert_allclose(newton, w, atol=1e-12)

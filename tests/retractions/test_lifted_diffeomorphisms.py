@@ -111,7 +111,7 @@ def test_phi_makes_omega_twelve_of_the_canonical_form(size):
         q0, p0, q1, p1 = jnp.split(z, 4)
         return jnp.concatenate([jnp.ravel(jnp.stack(part)) for part in Phi((q0, p0), (q1, p1))])
 
-    jacobian = np.asarray(jax.jacfwd(linear)(jnp.zeros(4 * size)))
+    jacobian = np.asarray(jax.jit(jax.jacfwd(linear))(np.zeros(4 * size)))
     half, zero = np.eye(2 * size), np.zeros((2 * size, 2 * size))
     canonical = np.block([[zero, half], [-half, zero]])
     one = np.kron(np.array([[0.0, 1.0], [-1.0, 0.0]]), np.eye(size))

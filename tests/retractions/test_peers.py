@@ -6,14 +6,21 @@ import pytest
 from retrax.manifolds import SPD, Hyperbolic, Manifold, Simplex, Sphere
 from retrax.retractions import Exponential, SPDLogEuclidean, SPDSecondOrder
 
+from tests.support.numerics import compiled
+
 KEYS = jax.random.split(jax.random.key(7), 5)
 
 
 def draws(manifold: Manifold, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Five points with a tangent vector at each, and five other points."""
-    x = jax.vmap(manifold.random_point)(KEYS)
-    v = length * jax.vmap(manifold.projection)(x, jax.random.normal(KEYS[0], x.shape))
-    return np.asarray(x), np.asarray(v), np.asarray(x[::-1])
+
+    @compiled
+    def drawn(keys):
+        x = jax.vmap(manifold.random_point)(keys)
+        return x, jax.vmap(manifold.projection)(x, jax.random.normal(keys[0], x.shape))
+
+    x, v = drawn(KEYS)
+    return x, length * v, x[::-1]
 
 
 @pytest.fixture

@@ -2,28 +2,27 @@
 
 from functools import lru_cache
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .numerics import compiled, draw_point, draw_tangent
 
 
 @lru_cache
-def kernel(retraction):
-    """Value of a retraction, what its inverse finds from there, the value of that, and the inverse of another point."""
+def programs(retraction):
+    """A retraction and its inverse: apart, as each is compiled once so however often a round trip needs it."""
+    return compiled(retraction), compiled(retraction.inverse)
 
-    def facts(x, v, other):
-        y = retraction(x, v)
-        back, inverse = jax.vmap(lambda y: retraction.inverse(x, y))(jnp.stack([y, other]))
-        return y, back, retraction(x, back), inverse
 
-    return compiled(facts)
+def inverse(retraction, x, y):
+    """What the inverse finds, compiled: NaN outside the image."""
+    return programs(retraction)[1](x, y)
 
 
 def round_trip(retraction, x, v):
     """Value of a retraction, what its inverse finds from there, and the value of that."""
-    return kernel(retraction)(x, v, x)[:3]
+    y = programs(retraction)[0](x, v)
+    back = inverse(retraction, x, y)
+    return y, back, programs(retraction)[0](x, back)
 
 
 def draw(manifold, seed, length):

@@ -3,11 +3,13 @@ kernels."""
 
 from functools import lru_cache
 
+import jax
 import numpy as np
 from hypothesis import strategies as st
-from retrax.manifolds import Manifold
+from retrax.manifolds import CotangentBundle, Manifold, TangentBundle
+from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.differences import slope
-from retrax.testing.draws import Sampler, direction
+from retrax.testing.draws import direction
 from retrax.testing.numerics import NODES, compiled, differences, flat, unflat
 from retrax.testing.numerics import largest as norm
 
@@ -15,6 +17,7 @@ __all__ = [
     "FRACTIONS",
     "NODES",
     "SEEDS",
+    "bundle_frame",
     "compiled",
     "differences",
     "draw_bundle_tangent",
@@ -29,13 +32,24 @@ __all__ = [
 SEEDS = st.integers(0, 2**31 - 1)
 FRACTIONS = st.one_of(st.just(0.0), st.floats(0.0, 1.0))
 
-_sampler = lru_cache(Sampler)
+
+@lru_cache
+def _points(manifold: Manifold):
+    """A random point, flat, by its seed, and the orthonormal basis of the tangent space there, by rows."""
+
+    def draw(seed: jax.Array) -> tuple[jax.Array, jax.Array]:
+        x = manifold.random_point(jax.random.key(seed))
+        return flat(x), vec.flatten_frame(manifold.basis(x))
+
+    return compiled(draw)
 
 
 def draw_point(manifold: Manifold, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A random point and a random tangent vector there, flat, and the orthonormal basis of the tangent space, by
     rows."""
-    return _sampler(manifold).point(seed)
+    x, basis = _points(manifold)(seed)
+    # Not the numbers of ``default_rng(seed)``, from which tests draw other vectors.
+    return x, np.random.default_rng([seed, 1]).standard_normal(len(basis)) @ basis, basis
 
 
 def draw_tangent(rng: np.random.Generator, basis: np.ndarray, length: float) -> np.ndarray:
@@ -43,13 +57,20 @@ def draw_tangent(rng: np.random.Generator, basis: np.ndarray, length: float) -> 
     return length * direction(rng, basis)
 
 
-def draw_bundle_tangent(manifold: Manifold, seed: int, length: float) -> tuple[np.ndarray, np.ndarray]:
-    """A random point of ``TT*Q``, flat ``(x, p, xdot, pdot)``, and a frame of its tangent space, by rows.
+def draw_bundle_tangent(manifold: Manifold, seed: int, length: float) -> np.ndarray:
+    """A random point of ``TT*Q``, flat ``(x, p, xdot, pdot)``; ``length`` is the Euclidean length of ``(xdot,
+    pdot)``."""
+    z, basis = _points(CotangentBundle(manifold))(seed)
+    return np.concatenate([z, draw_tangent(np.random.default_rng(seed), basis, length)])
 
-    The second half of the frame is ``(0, e_i)`` with an orthonormal basis ``e_i`` of the tangent space of ``T*Q``.
-    ``length`` is the Euclidean length of ``(xdot, pdot)``.
-    """
-    cotangent = _sampler(manifold).cotangent
-    z, _, basis = cotangent.point(seed)
-    zdot = draw_tangent(np.random.default_rng(seed), basis, length)
-    return np.concatenate([z, zdot]), cotangent.bundle_frame(z, zdot)
+
+@lru_cache
+def _bundle_frames(manifold: Manifold):
+    back = unflat(TangentBundle(CotangentBundle(manifold)))
+    return compiled(lambda w: vec.flatten_frame(TangentBundle(CotangentBundle(manifold)).spanning_frame(back(w))))
+
+
+def bundle_frame(manifold: Manifold, w: np.ndarray) -> np.ndarray:
+    """A frame of the tangent space of ``TT*Q`` at ``w``, by rows, its second half ``(0, e_i)`` with an orthonormal
+    basis ``e_i`` of the tangent space of ``T*Q``."""
+    return _bundle_frames(manifold)(w)

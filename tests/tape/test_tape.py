@@ -6,6 +6,7 @@ import shutil
 import subprocess
 import sys
 from ctypes import CDLL
+from functools import cache
 
 import casadi as ca
 import jax
@@ -19,6 +20,8 @@ from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
 from retrax.tape.machine import run_one
 from retrax.tape.program import CODES, NAMES, SUMS, assembled
+
+from tests.support.numerics import compiled
 
 REMARKABLE = {
     "exponential of SO(3)": Exponential(SO(3)),
@@ -43,22 +46,40 @@ def sample(count):
     return draw((3, count)), (1 + draw((3, count)), draw(count))
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 8, 9, 64, 255, 256, 257, 520])
+COUNTS = [1, 2, 7, 8, 9, 64, 255, 256, 257, 520]
+
+
+@cache
+def rotors():
+    """The values at the most points, by XLA."""
+    return compiled(jax.vmap(rotor, ((-1, (-1, -1)),), -1))(sample(COUNTS[-1]))
+
+
+@pytest.mark.parametrize("count", COUNTS)
 def test_any_number_of_points(count):
-    data = sample(count)
+    data, expected = (jax.tree.map(lambda a: a[..., :count].copy(), of) for of in (sample(COUNTS[-1]), rotors()))
     values = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))(data)
-    expected = jax.vmap(rotor, ((-1, (-1, -1)),), -1)(data)
     assert jax.tree.structure(values) == jax.tree.structure(expected)
     # Differences of products of numbers near one, whose rounding depends on whether a processor forms both at once.
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), values, expected)
+
+
+@cache
+def drawn(manifold):
+    """A point and a short tangent vector there."""
+
+    def draw(point, vector):
+        x = manifold.random_point(point)
+        return x, jax.tree.map(lambda a: 0.1 * a, manifold.random_tangent(vector, x))
+
+    return compiled(draw)(jax.random.key(0), jax.random.key(1))
 
 
 @pytest.mark.parametrize("name", REMARKABLE)
 def test_instructions_in_groups_compute_the_same(name):
     """As many points at once, and as one; the number of changes from one instruction to another falls."""
     retraction = REMARKABLE[name]
-    x = retraction.manifold.random_point(jax.random.key(0))
-    v = jax.tree.map(lambda a: 0.1 * a, retraction.manifold.random_tangent(jax.random.key(1), x))
+    x, v = drawn(retraction.manifold)
     tape = Tape.trace(retraction, x, v)
     column = ca.vertcat(tape.graph.unmarked([tape.outputs])[0])
     plain, grouped = (assembled(tape.inputs, column, window=w) for w in (1, None))
@@ -137,10 +158,10 @@ def test_retractions_of_closed_form(name):
     def chart(x, c):
         return retraction.chart(x, retraction.frame(x), c)
 
-    x = manifold.random_point(jax.random.key(3))
+    x, _ = drawn(manifold)
     tape = Tape.trace(chart, x, np.zeros(manifold.dimension))
     c = 0.3 * np.random.default_rng(2).standard_normal((manifold.dimension, 4))
-    expected = jax.vmap(chart, (None, -1), -1)(x, c)
+    expected = compiled(jax.vmap(chart, (None, -1), -1))(x, c)
     points = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], 4, -1), x)
     jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-14), tape(points, c), expected)
 
@@ -177,11 +198,12 @@ def test_derivatives_go_through_derivatives_of_ones_own():
         return jnp.sum(values(x))
 
     x, direction = np.array([0.3, -0.7, 1.1]), np.array([0.2, 1.0, -0.4])
+    by_xla = compiled(lambda x, v: jax.jvp(values, (x,), (v,))[1])
     found = {
-        "jacobian": (Tape.trace(values, x).jacobian()(x[:, None]), jax.jacfwd(values)(x)),
-        "push": (Tape.trace(values, x).push(0)(x[:, None], direction[:, None]), jax.jvp(values, (x,), (direction,))[1]),
-        "gradient": (Tape.trace(total, x).gradient()(x[:, None]), jax.grad(total)(x)),
-        "hessian": (Tape.trace(total, x).hessian()(x[:, None]), jax.hessian(total)(x)),
+        "jacobian": (Tape.trace(values, x).jacobian()(x[:, None]), compiled(jax.jacfwd(values))(x)),
+        "push": (Tape.trace(values, x).push(0)(x[:, None], direction[:, None]), by_xla(x, direction)),
+        "gradient": (Tape.trace(total, x).gradient()(x[:, None]), compiled(jax.grad(total))(x)),
+        "hessian": (Tape.trace(total, x).hessian()(x[:, None]), compiled(jax.hessian(total))(x)),
     }
     for name, (mine, expected) in found.items():
         np.testing.assert_allclose(mine[..., 0], expected, atol=1e-13, err_msg=name)

@@ -92,7 +92,7 @@ def test_the_dynamics_is_lagrangian_over_the_final_manifold(name):
 def test_the_necessary_conditions_are_lagrangian(name, made):
     submanifold = made(known(name).problem)
     n = known(name).problem.manifold.dimension
-    y = submanifold.source.random_point(jax.random.key(3))
+    y = jax.jit(submanifold.source.random_point)(jax.random.key(3))
     verdict = is_lagrangian(submanifold, y)
     assert verdict, verdict.reason
     assert verdict.dimension == 2 * n
