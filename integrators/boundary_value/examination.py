@@ -44,11 +44,10 @@ class Examination:
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
-        with one_reading():
-            if not (self._named or self.needed(solution.parameters, free_horizon)):
-                return solution
-            with np.errstate(all="ignore"):
+        with one_reading(), np.errstate(all="ignore"):
+            if self._named or self.needed(solution.parameters, free_horizon):
                 return self._examined(solution, free_horizon, ends)
+        return solution
 
     def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         wrong = self._wrong(solution, free_horizon, ends)
@@ -98,7 +97,8 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self._limited or any(self._examiners(free_horizon, parameters))
+        with np.errstate(all="ignore"):  # functions are read at zeros of NumPy
+            return self._limited or any(self._examiners(free_horizon, parameters))
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
         """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be
