@@ -28,12 +28,8 @@ def test_is_a_cotangent_lift(name, seeds):
     check_cotangent_lift(lift, equivariant=equivariant, reach=min(1.0, reach(name)), seeds=seeds, tolerance=1e-13)
 
 
-# Families of which another member is lifted by default; each is itself compared with closed forms elsewhere.
-OTHER_MEMBERS = ("projection-S4", "cayley-SO2", "polar-SO3", "cayley-Gr42")
-
-
 @pytest.mark.parametrize("name", RETRACTIONS)
-@pytest.mark.usual(*(name for name in REPRESENTATIVES if name not in OTHER_MEMBERS))
+@pytest.mark.usual(*REPRESENTATIVES)
 def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
     """The axioms of both at the zero vector, and symplecticity there and at two others, by one compiled function of
     theta."""
