@@ -7,6 +7,7 @@ TESTS = "tests/integrators"
 CONDENSING = f"{TESTS}/engine/test_condensing.py"
 ELIMINATION = f"{TESTS}/engine/test_elimination.py"
 BARRIERS = f"{TESTS}/engine/test_barrier.py"
+TRIAL = f"{TESTS}/engine/test_trial.py"
 ACCEPTANCE = f"{TESTS}/engine/test_acceptance.py"
 SCALING = f"{TESTS}/engine/test_scaling.py"
 LIMITS = f"{TESTS}/test_inequalities.py"
@@ -539,6 +540,25 @@ PLANTED: dict[str, Planted] = {
         "return sum((part.cost for part in self.parts), np.zeros(len(self.coupled.values)))",
         "return self.parts[0].cost + np.zeros(len(self.coupled.values))",
         (f"{PHASES}::test_bang_bang_arcs_of_a_double_integrator",),
+    ),
+    # The compiled pass of a trial.
+    "covectors of a trial are those before the step": Planted(
+        f"{ENGINE}/trial_kernels.py",
+        "f = coordinates[0, k, a] + fraction * multipliers[0, k, a]",
+        "f = coordinates[0, k, a]",
+        (TRIAL,),
+    ),
+    "a trial has the multipliers of the first inequality only": Planted(
+        f"{ENGINE}/trial_kernels.py",
+        "put(read, end, new[1], 0, new[1].size)",
+        "put(read, end, new[1], 0, 1)",
+        (TRIAL,),
+    ),
+    "ends far apart have a compiled pass": Planted(
+        f"{ENGINE}/trial_kernels.py",
+        "if _meet(meet, (begins, finishes, points, columns, far, work, met)):",
+        "if not _meet(meet, (begins, finishes, points, columns, far, work, met)) and count < 0:",
+        (TRIAL,),
     ),
     # Inequalities.
     "the barrier ends far above its last value": Planted(

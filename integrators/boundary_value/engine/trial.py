@@ -71,7 +71,7 @@ class Trial:
     def __init__(self, programs: list[Program], shapes: Shapes) -> None:
         from . import trial_kernels
 
-        self._run, self._calls = trial_kernels.trial, trial_kernels.addresses(shapes["room"][0] > 0)
+        self._run, self._addresses, self._limited = trial_kernels.trial, trial_kernels.addresses, shapes["room"][0] > 0
         arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
         table, self._memory = _table(programs)
         self._programs = *map(np.concatenate, arrays), table
@@ -102,7 +102,7 @@ class Trial:
         limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, alone.weights))
         tapes = *self._programs, *scratch(((self._memory,),)), numbers
         given = own, alone.data, alone.ends, (_units(conditions), SHARES), limits
-        if not self._run(self._calls, tapes, *given, self._out(v, numbers)):
+        if not self._run(self._addresses(self._limited), tapes, *given, self._out(v, numbers)):
             return None
         return _tried(v, iterate.slacks, alone.weights)
 

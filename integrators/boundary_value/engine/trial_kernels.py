@@ -1,5 +1,6 @@
 """A trial of Newton's method on one trajectory, from its step to what it is judged by, in one compiled pass."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -51,8 +52,9 @@ _run, _meet, _survey, _measure = called(RUN), called(MEET), called(SURVEY), call
 _held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
 
 
+@cache
 def addresses(limited: bool) -> tuple[int, ...]:
-    """Where the kernels stand that a trial calls; those of inequalities only if there are any."""
+    """Where the kernels stand in this process that a trial calls; those of inequalities only if there are any."""
     kernels: list[tuple[Any, Any]] = [
         (machine.run, RUN),
         (extent_kernels.meet, MEET),

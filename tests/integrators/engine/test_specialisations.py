@@ -9,9 +9,11 @@ from retrax.integrators.boundary_value.engine import (
     extent_kernels,
     inequality_kernels,
     scaling_kernels,
+    trial_kernels,
 )
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint
+from retrax.tape import machine
 
 KERNELS = (
     elimination_kernels.solve,
@@ -20,6 +22,10 @@ KERNELS = (
     extent_kernels.survey,
     extent_kernels.measure,
     inequality_kernels.survey,
+    inequality_kernels.raise_points,
+    inequality_kernels.move,
+    trial_kernels.trial,
+    machine.run,
     scaling_kernels.gramians,
 )
 
