@@ -94,12 +94,12 @@ def _largest(v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, r: int,
 
 @inner
 def _where(left: np.ndarray, first: int, last: int, r: int, size: float) -> int:
-    """The last place of the entry of this size in the row that was looked at."""
-    found = r
+    """The first place of the entry of this size in the row that was looked at."""
     for j in range(first & -LANES, last, LANES):
         lane = sought(vector(left, 1, j), size)
-        found = j + lane if lane < LANES else found
-    return found
+        if lane < LANES:
+            return j + lane
+    return r
 
 
 @inner

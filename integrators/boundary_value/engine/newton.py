@@ -171,7 +171,9 @@ class _Search:
         found = conditions.residuals(trial, assembled)
         before = state
         state, good, again = self.judged(conditions, state, trial, assembled, found)
-        state, wider = rewritten((self.conditions, conditions), before, state, assembled, again & ~good)
+        # What rounding refuses beside a solution tells nothing about units.
+        refused = again & ~good & ~before.isolated
+        state, wider = rewritten((self.conditions, conditions), before, state, assembled, refused)
         self.trials += 1
         state, lowered = self.lowered(conditions, state)
         again |= lowered
