@@ -43,7 +43,7 @@ class Evaluated(ABC):
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
 
-    def program(self, axes: int, shapes: list[tuple[int, ...]]) -> "Program | None":
+    def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "Placed | None":
         """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
         so long that threads share it."""
         del axes, shapes
@@ -51,7 +51,7 @@ class Evaluated(ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Program:
+class Placed:
     """A tape for arrays of fixed shapes, one after the other in what it reads and in what it writes."""
 
     code: tuple[np.ndarray, np.ndarray, np.ndarray]  # of the machine
@@ -203,11 +203,11 @@ class _OnTape(Evaluated):
         self.tape.run(plan.count, (read, plan.sources, written, plan.targets))
         return tuple(_parts(written, plan.written))
 
-    def program(self, axes: int, shapes: list[tuple[int, ...]]) -> Program | None:
+    def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)
         found, own = self.tape.alone(plan.count), self.tape.program
         code = own.codes, own.registers, own.values
-        return found and Program(code, plan.sources, plan.targets, plan.numbers, found[1])
+        return found and Placed(code, plan.sources, plan.targets, plan.numbers, found[1])
 
 
 @final

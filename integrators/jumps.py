@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from .program_keys import CALLS, outputs_of, value_of
@@ -35,7 +36,9 @@ def steps_in(function: Callable[..., Any], *arguments: Any) -> list[str]:
 
 def dependent(function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
     """The equations of the program of a function that compute something from its arguments, inner programs included."""
-    yield from _dependent(jax.make_jaxpr(function)(*arguments).jaxpr)
+    with np.errstate(all="ignore"):  # what else it reads may be zeros of NumPy
+        program = jax.make_jaxpr(function)(*arguments)
+    yield from _dependent(program.jaxpr)
 
 
 def _dependent(jaxpr: Any) -> Iterator[Any]:

@@ -50,6 +50,7 @@ class Examination:
         return solution
 
     def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
+        """The same where there may be something to say."""
         wrong = self._wrong(solution, free_horizon, ends)
         if wrong:
             how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
@@ -97,8 +98,7 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        with np.errstate(all="ignore"):  # functions are read at zeros of NumPy
-            return self._limited or any(self._examiners(free_horizon, parameters))
+        return self._limited or any(self._examiners(free_horizon, parameters))
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
         """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be

@@ -1,21 +1,14 @@
 """The machine of tapes as a compiled function with an address, by which the loops of steps call it."""
 
-from typing import Any
-
 import numba
 import numpy as np
 from numba import types
 
+from ...linked import array
 from ...tape.machine import run, run_one
 
-
-def array(kind: Any, axes: int) -> Any:
-    """The type of an array of numbers of this kind, in the order of C."""
-    return types.Array(kind, axes, "C")
-
-
-MATRIX = array(types.float64, 2)
-PROGRAMS = array(types.uint8, 1), array(types.uint32, 2), array(types.float64, 1), array(types.int64, 2)
+MATRIX = array(2)
+PROGRAMS = array(1, types.uint8), array(2, types.uint32), array(1), array(2, types.int64)
 EVALUATE = types.void(*PROGRAMS, types.int64, MATRIX, MATRIX)
 
 

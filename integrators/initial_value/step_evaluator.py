@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...collection import put_off
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
@@ -42,7 +43,6 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     reason = _obstacle(system, integrator)
     if reason:
         return reason
-    from ...collection import put_off
     from ...tape import NotTraceableError
     from ...tape.program import UnknownInstructionError
 

@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numba import types
 
+from ...linked import array
 from ...manifolds.numerics.chord_newton import (
     CURVED,
     MAX_CHORDS,
@@ -25,7 +26,7 @@ from ...manifolds.numerics.chord_newton import (
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
-from .machine_kernels import EVALUATE, MATRIX, PROGRAMS, array
+from .machine_kernels import EVALUATE, MATRIX, PROGRAMS
 from .step_programs import PLACES
 
 _compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
@@ -386,11 +387,11 @@ def _integrate(
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
 
 
-_NUMBERS, _LIST = array(types.float64, 1), array(types.int64, 1)
-_KNOWN = types.Tuple((array(types.float64, 5), MATRIX, array(types.float64, 5), MATRIX))
+_NUMBERS, _LIST = array(1), array(1, types.int64)
+_KNOWN = types.Tuple((array(5), MATRIX, array(5), MATRIX))
 _INTEGRATE = types.void(
     types.FunctionType(EVALUATE),
-    *(*PROGRAMS, _LIST, types.UniTuple(types.int64, 3), MATRIX, _LIST, array(types.float64, 3)),
+    *(*PROGRAMS, _LIST, types.UniTuple(types.int64, 3), MATRIX, _LIST, array(3)),
     *(_KNOWN, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
 )
 with warnings.catch_warnings():

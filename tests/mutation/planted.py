@@ -78,8 +78,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "gap and stationarity are exchanged": Planted(
         f"{ENGINE}/residuals.py",
-        "Residuals(*numbers[:9])",
-        "Residuals(*numbers[1::-1], *numbers[2:9])",
+        "Residuals(*numbers[:RESIDUALS])",
+        "Residuals(*numbers[1::-1], *numbers[2:RESIDUALS])",
         (f"{CLAIMS}::test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places",),
     ),
     "a step is not restored to the manifold": Planted(
@@ -556,8 +556,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "ends far apart have a compiled pass": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "if _meet(meet, (begins, finishes, points, columns, far, work, met)):",
-        "if not _meet(meet, (begins, finishes, points, columns, far, work, met)) and count < 0:",
+        "return not _meet(meet, (begins, finishes, points, columns, far, work, met))",
+        "return not _meet(meet, (begins, finishes, points, columns, far, work, met)) or count > 0",
         (TRIAL,),
     ),
     # Inequalities.

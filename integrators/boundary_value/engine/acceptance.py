@@ -31,7 +31,7 @@ class Merit(NamedTuple):
     @classmethod
     def of(cls, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Self:
         """Those at an iterate."""
-        return cls(conditions.infeasibility(iterate, assembled), *conditions.merit(iterate, assembled))
+        return cls(*conditions.merit(iterate, assembled))
 
 
 class State(NamedTuple):

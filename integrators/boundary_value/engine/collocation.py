@@ -16,6 +16,7 @@ from ...problem import OptimalControlProblem
 from .arrays import plain
 from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
+from .extent import OF_POINTS
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
 from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes
@@ -143,7 +144,7 @@ class Collocation:
         """What is largest in what the points lack, coordinate by coordinate, shape (B, 6, n)."""
         from . import extent_kernels
 
-        found, weights = np.zeros((len(steps), 6, defect.shape[3])), steps[:, :, None] * self.tableau.weights
+        found, weights = np.zeros((len(steps), OF_POINTS, defect.shape[3])), steps[:, :, None] * self.tableau.weights
         given = tuple(map(plain, (defect, multipliers, slope, weights)))
         extent_kernels.survey_points(0, len(steps), *given, found)
         return found

@@ -17,12 +17,11 @@ from .inequalities import Held, Slacks, Surveyed, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
 from .meeting import meeting
 from .residuals import Appraisal, appraisal
-from .scaling import SHARE, Units
+from .scaling import SHARE, Units, typical_curvatures
 from .share import followed
 from .transcription import Blocks, Data, Moves, Nodes, Paid
-from .trial import Alone
+from .trial import Setting
 
-SOFTEST = 1e-3  # of the largest curvature of a coordinate, in its unit: those of less are shifted by as much
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 
 
@@ -97,7 +96,7 @@ class Conditions:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
         problem."""
         begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
-        met = meeting(begins, finishes, self.points, self.at_nodes)
+        met = meeting(begins, finishes, self.both_ends, self.at_nodes)
         paid = self.paid(met.nodes) if paid is None else paid
         covectors = turned_by(iterate.costates, paid, 1)
         frames, gap, coordinates, costates = self.at_nodes.in_frames(met.nodes, self.fixed, met.gaps, covectors)
@@ -133,8 +132,8 @@ class Conditions:
         self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray
     ) -> tuple[Iterate, Assembled]:
         """The iterate moved by fractions of the steps, as by ``move``, and its system."""
-        before = iterate, assembled, step
-        found = self.alone and self.alone.tried(self, before, fraction * step.reach)
+        before, setting = (iterate, assembled, step), self.setting
+        found = setting and setting.trial(setting, self, before, fraction * step.reach)
         if found is None:
             moved = self.move(*before, fraction)
             return moved, self.assemble(moved)
@@ -144,9 +143,9 @@ class Conditions:
         return found.iterate, found.assembled
 
     @cached_property
-    def alone(self) -> Alone | None:
+    def setting(self) -> Setting | None:
         """What the compiled pass of a trial takes, if there is one."""
-        return Alone.of(self)
+        return Setting.of(self)
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
         """The first iterate with its system; takes the units from it."""
@@ -211,9 +210,6 @@ class Conditions:
 
         There the cost counts less instead: all multipliers grow with the price, and the system is to be assembled anew.
         """
-        if self.barrier is None or iterate.slacks is None:
-            none = np.zeros(len(residuals.gap), bool)
-            return iterate, none, none
         dear = self.dear(iterate, assembled)
         iterate, changed, cheap = self.less(iterate, assembled, residuals, tolerance, dear)
         return (self.dearer(iterate, cheap) if np.any(cheap) else iterate), changed, cheap
@@ -287,25 +283,22 @@ class Conditions:
             return np.zeros(len(assembled.gap), bool)
         return self._surveyed(iterate, assembled).hard > 0
 
-    def infeasibility(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
-        """Sum of what all nodes, points and inequalities lack."""
-        return self.appraised(iterate, assembled).infeasibility
-
     def is_met(self, iterate: Iterate, assembled: Assembled, tolerance: float) -> np.ndarray:
         """Whether nothing is lacking at a node, and at a point no more than the root of the tolerance, in units of
         success, shape (B,)."""
         found = self.appraised(iterate, assembled)
         # The points of a step may lack what its nodes do not: from there Newton's method moves.
-        return (found.lacking <= tolerance) & (found.shortfall <= np.sqrt(tolerance))
+        return (found.lacking <= tolerance) & (found.unmet <= np.sqrt(tolerance))
 
     def shortfall(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""
-        return self.appraised(iterate, assembled).alone
+        return self.appraised(iterate, assembled).shortfall
 
-    def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray]:
-        """The cost with its barrier, and the multipliers on what is lacking, in the unit of the cost."""
+    def merit(self, iterate: Iterate, assembled: Assembled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The sum of what all nodes, points and inequalities lack; the cost with its barrier, and the multipliers on
+        what is lacking, in the unit of the cost."""
         found = self.appraised(iterate, assembled)
-        return found.cost, found.held
+        return found.infeasibility, found.cost, found.held
 
     def promise(self, iterate: Iterate, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
         """Changes of the cost and of the multipliers on what is lacking, to first order, by all that the step may
@@ -321,7 +314,9 @@ class Conditions:
         self, iterate: Iterate, assembled: Assembled, shift: np.ndarray
     ) -> tuple[Step, np.ndarray, np.ndarray]:
         """Newton's steps with a shift of the Hessians, relative to them; and their curvatures and sizes."""
-        found = eliminate(self.system(iterate, assembled), self.measured, shift, self._scales(assembled))
+        free = assembled.blocks.held is None  # with a barrier the curvature has no bound
+        scales = typical_curvatures(assembled.extent.curvature, self.measured) if free else None
+        found = eliminate(self.system(iterate, assembled), self.measured, shift, scales)
         both, count = (found.steps[..., 0], found.multipliers[..., 0], found.largest), found.multipliers[0].size
         step = Step(*both, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
         return self.completed(iterate, assembled, step), found.curvature, found.size
@@ -344,16 +339,6 @@ class Conditions:
         share = followed(self.transcription, self.at_nodes, self.data, iterate, assembled, step, covectors)
         return step.within(share)
 
-    def _scales(self, assembled: Assembled) -> np.ndarray:
-        """Typical curvature of each coordinate in its unit, the unit of the shift; with a barrier that of all
-        coordinates."""
-        d = self.measured.unknowns
-        if assembled.blocks.held is not None:
-            return np.ones(d.shape)
-        diagonal = assembled.extent.curvature * d * d / self.measured.cost[:, None]
-        floor = SOFTEST * diagonal.max(axis=1, keepdims=True)
-        return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
-
     def length(self, step: Step) -> np.ndarray:
         """The largest entry of a step in its unit, shape (B,)."""
         return (step.largest / self.measured.unknowns).max(axis=1)
@@ -372,7 +357,7 @@ class Conditions:
         return largest.max(axis=1), (spread / units).max(axis=1)
 
     @cached_property
-    def points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    def both_ends(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """The ends as the kernels take them."""
         ends = self.ends
         start, end = (np.array(points, order="C") for points in ends[:2])  # members of one for all lie in another order
@@ -405,6 +390,7 @@ class Conditions:
 
     @cached_property
     def mean_step(self) -> np.ndarray:
+        """The mean step of each member."""
         return np.mean(self.data.steps, axis=1)
 
     def control_sizes(self, iterate: Iterate) -> np.ndarray:

@@ -11,6 +11,8 @@ from ...layout import Layout
 from .arrays import plain
 from .transcription import Blocks
 
+OF_POINTS = 6  # rows of the survey of points that are condensed
+
 
 @final
 class Extent(NamedTuple):

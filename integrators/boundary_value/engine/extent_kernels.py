@@ -138,7 +138,7 @@ def survey_points(
 
 
 @inner
-def _measures(extent: tuple, units: tuple, shares: tuple, m: int, along: np.ndarray, entries: np.ndarray) -> None:
+def _measures(extent: tuple, nodes: np.ndarray, shares: tuple, m: int, along: np.ndarray, entries: np.ndarray) -> None:
     """What gaps are measured by, in the coordinates and entry by entry."""
     (highest, lowest, support), (value, share, rounding), (n, size) = extent[:3], shares, extent[2].shape[1:]
     for a in range(n):
@@ -153,7 +153,7 @@ def _measures(extent: tuple, units: tuple, shares: tuple, m: int, along: np.ndar
             values = larger(values, 1.0)
         entries[m, e] = larger(highest[m, e] + lowest[m, e], value * values)
     for a in range(n):
-        along[m, a] = share * units[0][m, a]
+        along[m, a] = share * nodes[m, a]
         for e in range(size):
             along[m, a] = larger(along[m, a], support[m, a, e] * entries[m, e])
     for e in range(size):
@@ -225,7 +225,7 @@ def measure(
     (nodes, unknowns, least, wide, unit), (surveyed, barrier, rate), (along, entries, found) = units, limits, out
     share = shares[1]
     for m in range(nodes.shape[0]):
-        _measures((highest, lowest, support), (nodes,), shares, m, along, entries)
+        _measures((highest, lowest, support), nodes, shares, m, along, entries)
         found[1, m], scale = _stationarity(parts[m], slope[m], curvature[m], unknowns[m], (least[m], share))
         for e in range(entries.shape[1]):
             found[0, m] = larger(found[0, m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))

@@ -184,7 +184,7 @@ class JointConditions:
     ) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""
         each = self._each(iterate, assembled)
-        return np.any([phase.is_infeasible(a, b, residuals, tolerance) for phase, a, b in each], axis=0)
+        return np.any([phase.is_infeasible(part, of, residuals, tolerance) for phase, part, of in each], axis=0)
 
     def barriers(self, iterate: JointIterate) -> np.ndarray:
         """The largest barriers relative to the units of the cost rates."""
@@ -193,13 +193,6 @@ class JointConditions:
     def is_hard(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
         """Whether a member has inequalities that are not elastic."""
         return np.any([phase.is_hard(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0)
-
-    def infeasibility(self, iterate: JointIterate, assembled: JointAssembled) -> np.ndarray:
-        """Sum of what all nodes, points, inequalities and equations between the ends lack."""
-        missing = np.sum(
-            [phase.infeasibility(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0
-        )
-        return missing + np.sum(np.abs(assembled.coupled.values) / self._rows, axis=1)
 
     def is_met(self, iterate: JointIterate, assembled: JointAssembled, tolerance: float) -> np.ndarray:
         """Whether nothing is lacking at a node or between the ends, and at a point no more than the root of the
@@ -221,13 +214,13 @@ class JointConditions:
         """The units of the equations."""
         return self.measured.nodes[:, -self.coupling.rows :] if self.coupling.rows else np.ones((1, 0))
 
-    def merit(self, iterate: JointIterate, assembled: JointAssembled) -> tuple[np.ndarray, np.ndarray]:
-        """The cost with its barriers, and the multipliers on what is lacking, in the unit of the cost."""
-        cost, held = np.sum(
-            [phase.merit(part, system) for phase, part, system in self._each(iterate, assembled)], axis=0
-        )
-        coupled = assembled.coupled
-        return cost, held + np.sum(coupled.multipliers * coupled.values, axis=1) / self.measured.cost
+    def merit(self, iterate: JointIterate, assembled: JointAssembled) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The sum of what all nodes, points, inequalities and equations between the ends lack; the cost with its
+        barriers, and the multipliers on what is lacking, in the unit of the cost."""
+        each = [phase.merit(part, system) for phase, part, system in self._each(iterate, assembled)]
+        (missing, cost, held), coupled = np.sum(each, axis=0), assembled.coupled
+        missing = missing + np.sum(np.abs(coupled.values) / self._rows, axis=1)
+        return missing, cost, held + np.sum(coupled.multipliers * coupled.values, axis=1) / self.measured.cost
 
     def promise(
         self, iterate: JointIterate, assembled: JointAssembled, step: JointStep

@@ -7,12 +7,12 @@ from jaxtyping import Float
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain
+from .extent import OF_POINTS
 from .inequalities import VALUE, Surveyed
 from .kkt_system import Assembled, Residuals
 from .scaling import SHARE, Units
 
 SHARES = VALUE, SHARE, EPS**HALF
-NUMBERS = 15  # for each member
 
 
 class Appraisal(NamedTuple):
@@ -31,13 +31,17 @@ class Appraisal(NamedTuple):
     cost: Float[np.ndarray, " B"]  # with its barrier, in its unit
     held: Float[np.ndarray, " B"]  # the multipliers on what is lacking, in the unit of the cost
     lacking: Float[np.ndarray, " B"]  # the most that a node lacks in a coordinate, in units of success
-    shortfall: Float[np.ndarray, " B"]  # that a node or a point lacks
-    alone: Float[np.ndarray, " B"]  # the same in units of steps
+    unmet: Float[np.ndarray, " B"]  # that a node or a point lacks
+    shortfall: Float[np.ndarray, " B"]  # the same in units of steps
 
     @classmethod
     def of(cls, along: np.ndarray, entries: np.ndarray, numbers: np.ndarray) -> Self:
         """From what the kernel finds."""
-        return cls(along, entries, Residuals(*numbers[:9]), *numbers[9:])
+        return cls(along, entries, Residuals(*numbers[:RESIDUALS]), *numbers[RESIDUALS:])
+
+
+RESIDUALS = len(Residuals._fields)
+NUMBERS = RESIDUALS + len(Appraisal._fields) - 3  # that the kernel finds of each member
 
 
 def appraisal(
@@ -56,7 +60,7 @@ def appraisal(
     extent, inner, (batch, n) = assembled.extent, assembled.blocks.inner, assembled.extent.missing.shape
     (judging, measured), numbers = units, np.zeros((NUMBERS, batch))
     along, entries = np.empty((batch, n)), np.empty(extent.highest.shape)
-    points = np.zeros((batch, 6, n)) if inner is None else inner.extent
+    points = np.zeros((batch, OF_POINTS, n)) if inner is None else inner.extent
     # With a barrier the curvature of the Hessian has no bound.
     least = np.zeros(batch) if limits is None else judging.cost
     none = np.zeros((len(Surveyed._fields), batch)), np.zeros(batch), np.ones(batch)

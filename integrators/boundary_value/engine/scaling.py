@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from .elimination import BlockSystem
 
 SHARE = 1e-3  # of the natural unit: a coordinate that moves by less is not measured by its own size
+SOFTEST = 1e-3  # of the largest curvature of a coordinate, in its unit: those of less are shifted by as much
 
 
 @final
@@ -61,6 +62,13 @@ def natural_units(
         unknowns = _or_one(np.where(unknowns > 0, unknowns, values))
         cost = np.max(np.maximum(curvature * unknowns**2, slope * unknowns), axis=1) / count
     return Units(unknowns, unknowns[:, :n], _or_one(cost))
+
+
+def typical_curvatures(curvature: Float[np.ndarray, "B z"], units: Units) -> Float[np.ndarray, "B z"]:
+    """Typical curvatures of the coordinates in their units, in which Hessians are shifted."""
+    diagonal = curvature * units.unknowns * units.unknowns / units.cost[:, None]
+    floor = SOFTEST * diagonal.max(axis=1, keepdims=True)
+    return np.where(floor > 0, np.maximum(diagonal, floor), 1.0)
 
 
 def _or_one(size: np.ndarray) -> np.ndarray:

@@ -148,10 +148,13 @@ class OneStage:
         blocks = Blocks(hessian, left, right, slope, gradient[:, :, 0], cost[:, :, 0])
         if slacks is None:
             return blocks
-        weights = data.steps[:, :, None, None] * data.held(self.inequalities, 1)
-        held = Held(limits[:, :, None], pushes[:, :, None], weights)
+        held = Held(limits[:, :, None], pushes[:, :, None], self.weights(data))
         pushed = raised(hessian[:, :, None], slope[:, :, None], held, slacks)
         return blocks._replace(held=held, pushed=pushed[:, :, 0])
+
+    def weights(self, data: Data) -> np.ndarray:
+        """Weights of the inequalities, shape (B, N, 1, c)."""
+        return data.steps[:, :, None, None] * data.held(self.inequalities, 1)
 
     def scaled(self, unknowns: Unknowns, factor: np.ndarray) -> Unknowns:
         """The unknowns with all costates among them times factors: there are none."""

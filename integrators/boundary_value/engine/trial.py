@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
 import numpy as np
 
 from ....aligned import LINE, scratch
-from ...evaluator import Evaluated, Program
+from ...evaluator import Evaluated, Placed
 from .arrays import plain
 from .barrier import PRICES, Barrier
-from .extent import Extent
+from .extent import OF_POINTS, Extent
 from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 Shapes = dict[str, tuple[int, ...]]
 
 
-class Alone(NamedTuple):
+class Setting(NamedTuple):
     """What stays the same in the trials of one trajectory."""
 
     trial: "Trial"
@@ -44,15 +44,8 @@ class Alone(NamedTuple):
         trial = steps.trial(nodes, count) if batch == 1 and not nodes.pays else None
         if trial is None:
             return None
-        weights = data.steps[:, :, None, None] * data.held(steps.inequalities, steps.stages)
-        ends = conditions.fixed.ravel(), conditions.points, nodes.layout.columns, conditions.mean_step, FAR
-        return cls(trial, (np.array(data.steps[0]), np.array(data.parameters[0])), weights, ends)
-
-    def tried(
-        self, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
-    ) -> "Tried | None":
-        """What is ``Tried`` of a part of a step; None where ends of steps are far apart, which takes more than this."""
-        return self.trial(self, conditions, before, part)
+        ends = conditions.fixed.ravel(), conditions.both_ends, nodes.layout.columns, conditions.mean_step, FAR
+        return cls(trial, (np.array(data.steps[0]), np.array(data.parameters[0])), steps.weights(data), ends)
 
 
 class Tried(NamedTuple):
@@ -68,7 +61,7 @@ class Tried(NamedTuple):
 class Trial:
     """The pass for one trajectory of so many steps."""
 
-    def __init__(self, programs: list[Program], shapes: Shapes) -> None:
+    def __init__(self, programs: list[Placed], shapes: Shapes) -> None:
         from . import trial_kernels
 
         self._run, self._addresses, self._limited = trial_kernels.trial, trial_kernels.addresses, shapes["room"][0] > 0
@@ -85,26 +78,26 @@ class Trial:
     @classmethod
     def of(cls, steps: OneStage, nodes: Nodes, count: int) -> Self | None:
         """That of a discretization map; None where its functions do not run as tapes, or threads share them."""
-        found = [function.program(2, given) for function, given in _functions(steps, nodes, count)]
+        found = [function.placed(2, given) for function, given in _functions(steps, nodes, count)]
         programs = [program for program in found if program is not None]
         return cls(programs, _shapes(steps, count)) if len(programs) == len(found) else None
 
     def __call__(
-        self, alone: Alone, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
+        self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
-        """The trial; None where ends of steps are far apart."""
+        """The trial of a part of a step; None where ends of steps are far apart, which takes more than this."""
         (iterate, assembled, step), x = before, before[0].unknowns
         numbers = np.empty(self._structure.itemsize // 8)
         structure = np.ndarray((), self._structure, numbers)
         v = {name: structure[name] for name in self._fields}
         unknowns = np.concatenate((x.centres.ravel(), x.controls.ravel()))
         own = unknowns, assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
-        limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, alone.weights))
+        limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, setting.weights))
         tapes = *self._programs, *scratch(((self._memory,),)), numbers
-        given = own, alone.data, alone.ends, (_units(conditions), SHARES), limits
+        given = own, setting.data, setting.ends, (_units(conditions), SHARES), limits
         if not self._run(self._addresses(self._limited), tapes, *given, self._out(v, numbers)):
             return None
-        return _tried(v, iterate.slacks, alone.weights)
+        return _tried(v, iterate.slacks, setting.weights)
 
     def _limits(
         self,
@@ -165,7 +158,7 @@ def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray 
     return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), v["surveyed"])
 
 
-def _table(programs: list[Program]) -> tuple[np.ndarray, int]:
+def _table(programs: list[Placed]) -> tuple[np.ndarray, int]:
     """For each program the begin and the end of its instructions, of its sources, and of its targets; the begin and the
     size of what it reads, and of what it writes; the begin and the shape of its registers; and the size of memory."""
     ends, rows, memory, written = np.zeros(3, int), [], 0, 0
@@ -204,7 +197,7 @@ def _shapes(steps: OneStage, count: int) -> Shapes:
         "cost": (1,), "pushed": (*each, 1, z, 2), "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
         "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         # These come as zeros.
-        "points": (1, 6, n), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1), "support": (1, n, e),
-        "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,), "parts": (1, z), "slope": (1, z),
-        "curvature": (1, z),
+        "points": (1, OF_POINTS, n), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),
+        "support": (1, n, e), "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,),
+        "parts": (1, z), "slope": (1, z), "curvature": (1, z),
     }  # fmt: skip

@@ -5,12 +5,13 @@ from typing import Any
 
 import numpy as np
 from numba import types
+from numba.core.typing.templates import signature
 
 from ....inlined import AS_PART
+from ....linked import address, array, called, put, view
 from ....tape import machine
 from . import extent_kernels, inequality_kernels
-from .linked import address, array, called, put, signature, view
-from .vectors import compiled, inner, njit
+from .vectors import compiled, njit
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
@@ -48,6 +49,8 @@ HELD_SURVEY = signature(
 RAISE = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F5, F4, F5)
 MOVE = signature(types.none, WHOLE, WHOLE, FIVE, THREE, types.UniTuple(F1, 2), REAL, THREE)
 
+_pasted = njit(inline="always")  # parts of the pass take their time to compile where their types are found for each
+
 _run, _meet, _survey, _measure = called(RUN), called(MEET), called(SURVEY), called(MEASURE)
 _held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
 
@@ -80,7 +83,7 @@ def _evaluate(place: int, k: int, tapes: tuple, count: int) -> None:
     _run(place, (*program, read, sources[t[2] : t[3]], out, targets[t[4] : t[5]], w, 0, count))
 
 
-@inner
+@_pasted
 def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> None:
     """What the tape of the moved unknowns reads, and the covectors at the nodes after the step."""
     (x, coordinates, frames, steps, multipliers, part), (h, parameters) = before, data
@@ -99,7 +102,7 @@ def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> Non
                 out[k * size + e] += f * frames[0, k, a, e]
 
 
-@inner
+@_pasted
 def _read_row(read: np.ndarray, moved: np.ndarray, nodes: np.ndarray, costates: np.ndarray, data: tuple) -> int:
     """What the tape of the steps reads but for the multipliers of the inequalities: unknowns, both ends, their
     covectors, lengths, parameters."""
@@ -108,6 +111,68 @@ def _read_row(read: np.ndarray, moved: np.ndarray, nodes: np.ndarray, costates: 
     at = put(read, put(read, at, nodes, 0, count), nodes, size, count)
     at = put(read, put(read, at, costates, 0, count), costates, size, count)
     return put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
+
+
+@_pasted
+def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tuple, arrays: tuple, met: tuple) -> bool:
+    """Move the unknowns, and whether the ends of the steps are near each other; then the nodes are known."""
+    (_, points, columns, _, far), (begins, finishes, work, covectors, _, _, _, _), count = ends, arrays, data[0].size
+    table, memory = tapes[5], tapes[6]
+    _moved(view(memory, table[0, 6], (table[0, 7],)), before, data, covectors)
+    _evaluate(run, 0, tapes, count)
+    read = view(memory, table[1, 6], (table[1, 7],))
+    at = put(read, put(read, 0, tapes[7], 0, table[0, 9]), data[0], 0, count)
+    put(read, at, data[1], 0, data[1].size)
+    _evaluate(run, 1, tapes, count)
+    return not _meet(meet, (begins, finishes, points, columns, far, work, met))
+
+
+@_pasted
+def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limits: tuple, out: tuple) -> None:
+    """Frames at the nodes and blocks of the steps, with the multipliers of the inequalities after their step."""
+    run, _, _, _, _, _, move = calls
+    (_, _, _, covectors, _, _, _, costates), (nodes, gaps, _, _) = out[0], out[1]
+    (slacks, turn, parts, kept), new = limits[:4], out[6][0]
+    table, memory, moved, count = tapes[5], tapes[6], view(tapes[7], 0, (tapes[5][0, 9],)), data[0].size
+    read = view(memory, table[2, 6], (table[2, 7],))
+    at = put(read, put(read, 0, nodes, 0, nodes.size), fixed, 0, fixed.size)
+    put(read, put(read, at, gaps, 0, gaps.size), covectors, 0, covectors.size)
+    _evaluate(run, 2, tapes, count + 1)
+    read = view(memory, table[3, 6], (table[3, 7],))
+    end = _read_row(read, moved, nodes, costates, data)
+    if new[1].size > 0:
+        _move(move, (0, 1, slacks, turn, parts, kept, new))
+        put(read, end, new[1], 0, new[1].size)
+    _evaluate(run, 3, tapes, count)
+
+
+@_pasted
+def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
+    """What the trial is judged by, with the shares of the inequalities in the blocks."""
+    _, _, survey, measure, held_survey, raise_points, _ = calls
+    slacks, _, _, _, (scales, rate, room), weights, value, prices = limits
+    (arrays, (nodes, _, _, largest), blocks, raised, extent, judged, held) = out
+    (along, entries, numbers, surveyed), (new, pushed, sums, none, zeros), barrier = judged, held, slacks[4]
+    (points_hessian, points_slope, values, pushes, costs, cost), (_, _, _, _, frames, gap, coordinates, _) = (
+        raised,
+        arrays,
+    )
+    for i in range(zeros.size):
+        zeros[i] = 0.0
+    for i in range(extent[0].size):
+        extent[0][0, i], extent[1][0, i] = -np.inf, -np.inf
+    cost[0] = 0.0
+    for k in range(costs.size):
+        cost[0] += costs[0, k]
+    if scales.shape[1] > 0:
+        given, after = (values, pushes, weights), (new[0], new[1], new[2], slacks[3], barrier)
+        _raise(raise_points, (0, 1, given, after, points_hessian, points_slope, pushed))
+        _held_survey(held_survey, (0, 1, given, after, (scales, rate, room), value, prices, surveyed))
+    _survey(survey, (0, 1, (nodes, frames, coordinates, gap), blocks, (*extent, sums)))
+    highest, lowest, support, _, missing, lacking, total, parts, slopes, curvature = extent
+    of = highest, lowest, support, missing, lacking, total, parts, slopes, curvature
+    measured = (surveyed, barrier, rate), units[1], (along, entries, numbers)
+    _measure(measure, (of, none, (largest, mean, cost), units[0], *measured))
 
 
 @compiled
@@ -124,57 +189,8 @@ def trial(
     apart; ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier
     is kept within, units, weights, what measures values, prices.
     """
-    run, meet, survey, measure, held_survey, raise_points, move = calls
-    (fixed, points, columns, mean, far), (sizes, shares) = ends, units
-    slacks, turn, parts, kept, (scales, rate, room), weights, value, prices = limits
-    (arrays, met, blocks, raised, extent, judged, held), count = out, data[0].size
-    (nodes, gaps, _, largest), (begins, finishes, work), (covectors, frames, gap, coordinates, costates) = (
-        met,
-        arrays[:3],
-        arrays[3:],
-    )
-    table, memory = tapes[5], tapes[6]
-    reads = (
-        view(memory, table[0, 6], (table[0, 7],)),
-        view(memory, table[1, 6], (table[1, 7],)),
-        view(memory, table[2, 6], (table[2, 7],)),
-        view(memory, table[3, 6], (table[3, 7],)),
-    )
-    _moved(reads[0], before, data, covectors)
-    _evaluate(run, 0, tapes, count)
-    moved = view(tapes[7], 0, (table[0, 9],))
-    at = put(reads[1], put(reads[1], 0, moved, 0, moved.size), data[0], 0, count)
-    put(reads[1], at, data[1], 0, data[1].size)
-    _evaluate(run, 1, tapes, count)
-    if _meet(meet, (begins, finishes, points, columns, far, work, met)):
+    if not _met(calls[0], calls[1], tapes, before, data, ends, out[0], out[1]):
         return False
-    read = reads[2]
-    at = put(read, put(read, 0, nodes, 0, nodes.size), fixed, 0, fixed.size)
-    put(read, put(read, at, gaps, 0, gaps.size), covectors, 0, covectors.size)
-    _evaluate(run, 2, tapes, count + 1)
-    read = reads[3]
-    end = _read_row(read, moved, nodes, costates, data)
-    new, barrier = held[0], slacks[4]
-    if scales.shape[1] > 0:
-        _move(move, (0, 1, slacks, turn, parts, kept, new))
-        put(read, end, new[1], 0, new[1].size)
-    _evaluate(run, 3, tapes, count)
-    costs, cost = raised[4:]
-    cost[0] = 0.0
-    for k in range(count):
-        cost[0] += costs[0, k]
-    (along, entries, numbers, surveyed), (none, zeros) = judged, held[3:]
-    for i in range(zeros.size):
-        zeros[i] = 0.0
-    for i in range(extent[0].size):
-        extent[0][0, i], extent[1][0, i] = -np.inf, -np.inf
-    if scales.shape[1] > 0:
-        both = (raised[2], raised[3], weights), (new[0], new[1], new[2], slacks[3], barrier)
-        _raise(raise_points, (0, 1, both[0], both[1], raised[0], raised[1], held[1]))
-        _held_survey(held_survey, (0, 1, both[0], both[1], (scales, rate, room), value, prices, surveyed))
-    _survey(survey, (0, 1, (nodes, frames, coordinates, gap), blocks, (*extent, held[2])))
-    highest, lowest, support, _, missing, lacking, sums, terms, slopes, curvature = extent
-    of = highest, lowest, support, missing, lacking, sums, terms, slopes, curvature
-    trajectory = largest, mean, cost
-    _measure(measure, (of, none, trajectory, sizes, (surveyed, barrier, rate), shares, (along, entries, numbers)))
+    _evaluated(calls, tapes, data, ends[0], limits, out)
+    _judged(calls, ends[3], units, limits, out)
     return True

@@ -79,7 +79,7 @@ def test_a_trial_is_what_its_parts_are(name, monkeypatch):
 
     def checked(self: Conditions, *before: Any) -> tuple[Any, Any]:
         found = compiled(self, *before)
-        if self.alone is not None:
+        if self.setting is not None:
             calls.append(self)
             iterate = self.move(*before)
             expected = self.assemble(iterate)

@@ -7,13 +7,13 @@ from Python takes its time to compile too: those that lie in one piece of memory
 
 from typing import Any
 
-from numba import types
+from numba import extending, types
 from numba.core import cgutils
 from numba.core.errors import TypingError
-from numba.core.typing.templates import signature as typed_signature
 from numba.np import arrayobj
 
-from .vectors import intrinsic
+# Numba's own types do not know that it passes an intrinsic its first argument itself.
+intrinsic: Any = extending.intrinsic
 
 
 def array(axes: int, kind: Any = types.float64) -> Any:
@@ -30,32 +30,28 @@ def address(kernel: Any, signature: Any) -> int:
     return found.library.get_pointer_to_function(found.fndesc.llvm_func_name)
 
 
-def signature(result: Any, *arguments: Any) -> Any:
-    """The types of the arguments and of the result of a kernel."""
-    return typed_signature(result, *arguments)
-
-
-def called(kernel: Any) -> Any:
+def called(signature: Any) -> Any:
     """``call(address, (arguments...))``, to be used in a compiled function, of a kernel with this signature."""
+    result, expected = signature.return_type, signature.args
 
     def typed(context: Any, place: Any, arguments: Any) -> Any:
         given = [types.unliteral(kind) for kind in arguments.types]
-        wrong = [(k, a, b) for k, (a, b) in enumerate(zip(given, kernel.args, strict=True)) if a != b]
+        wrong = [(k, a, b) for k, (a, b) in enumerate(zip(given, expected, strict=True)) if a != b]
         if wrong:
             raise TypingError(f"arguments of other types (place, given, expected): {wrong}")
 
-        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-            kinds = [*signature.args[1].types]
+        def generate(context: Any, builder: Any, call: Any, values: Any) -> Any:
+            kinds = [*call.args[1].types]
             own = [builder.extract_value(values[1], k) for k in range(len(kinds))]
-            own = [context.cast(builder, v, a, b) for v, a, b in zip(own, kinds, kernel.args, strict=True)]
-            form = context.call_conv.get_function_type(kernel.return_type, kernel.args)
+            own = [context.cast(builder, v, a, b) for v, a, b in zip(own, kinds, expected, strict=True)]
+            form = context.call_conv.get_function_type(result, expected)
             function = builder.inttoptr(values[0], form.as_pointer())
-            status, found = context.call_conv.call_function(builder, function, kernel.return_type, kernel.args, own)
+            status, found = context.call_conv.call_function(builder, function, result, expected, own)
             with cgutils.if_unlikely(builder, status.is_error):
                 context.call_conv.return_status_propagate(builder, status)
             return found
 
-        return kernel.return_type(place, arguments), generate
+        return result(place, arguments), generate
 
     return intrinsic(typed)
 
