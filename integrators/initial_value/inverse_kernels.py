@@ -1,12 +1,11 @@
 """Inverses of matrices in lanes, shape ``(n, n, lanes)``."""
 
-import numba
 import numpy as np
 
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
+from ...kernels import kernel, part
 
 
-@_compiled
+@kernel()
 def invert(a: np.ndarray, sizes: np.ndarray) -> None:
     """The inverse of a matrix in each lane, in its place, by Gauss and Jordan with partial pivoting.
 
@@ -41,7 +40,7 @@ def invert(a: np.ndarray, sizes: np.ndarray) -> None:
                 a[i, k, j], a[i, rows[k, j], j] = a[i, rows[k, j], j], a[i, k, j]
 
 
-@_compiled
+@part()
 def _sweep(a: np.ndarray, i: int, k: int) -> None:
     """Take as much of row ``k`` from row ``i`` as stands there in column ``k``."""
     for column in range(a.shape[0]):
@@ -52,7 +51,7 @@ def _sweep(a: np.ndarray, i: int, k: int) -> None:
         a[i, k, j] *= -a[k, k, j]
 
 
-@_compiled
+@part()
 def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
     """Newton's steps in units of the unknowns; ``places``: first rows of the residual, of the steps, of the units."""
     missed, step, sizes = places
@@ -67,7 +66,7 @@ def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
             v[step + i, j] /= v[sizes + i, j]
 
 
-@_compiled
+@part()
 def copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
     """Write the matrix into all lanes."""
     for i in range(matrix.shape[0]):

@@ -107,14 +107,14 @@ class _Workspace:
     """Programs and memory of the compiled loops."""
 
     def __init__(self, traced: TracedSteps, count: int) -> None:
-        from .machine_kernels import evaluate
+        from .machine_kernels import machine
 
         kernels, programs, substeps, inverse = traced.kernels, traced.programs, traced.parts.size, traced.inverse
         lanes = 1 if count <= FEW else kernels.LANES
         blocks, m = -(-count // lanes), programs.unknowns
         lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places
         memory = programs.rows, programs.registers, lanes
-        self._integrate, self._blocks = partial(kernels.integrate, evaluate, *lists, memory), blocks
+        self._integrate, self._blocks = partial(kernels.integrate, machine(), *lists, memory), blocks
         inverses, spent = np.zeros((blocks, substeps, m, m, lanes)), np.full((blocks, substeps), np.inf)
         differences = np.zeros((blocks, substeps, kernels.ORDERS, m, lanes))
         small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(inverse)

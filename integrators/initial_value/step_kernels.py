@@ -5,14 +5,9 @@ loops read and write; ``places`` has the first row of each of its parts. There i
 ``LANES`` for many.
 """
 
-import warnings
-from typing import Any
-
-import numba
 import numpy as np
-from numba import types
 
-from ...linked import array
+from ...kernels import kernel, part
 from ...manifolds.numerics.chord_newton import (
     CURVED,
     MAX_CHORDS,
@@ -26,10 +21,8 @@ from ...manifolds.numerics.chord_newton import (
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
-from .machine_kernels import EVALUATE, MATRIX, PROGRAMS
+from .machine_kernels import Machine, evaluate
 from .step_programs import PLACES
-
-_compiled = numba.njit(cache=True, error_model="numpy", nogil=True)
 
 QUADRATIC, SMALLEST = EPS**QUADRATIC_POWER, SMALLEST_PART * EPS
 # Chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step.
@@ -44,14 +37,13 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to
 # read them: ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where
-# each program begins and ends; the machine is called by its address, because each loop around it would be compiled with
-# all of it otherwise; ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians, chord
-# steps spent on each, infinite where it is of no use, and by how much solutions differed from predictions, with the
-# differences of this from step to step, by blocks of lanes and substeps, lanes last; the inverse Jacobian of small
+# each program begins and ends; ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians,
+# chord steps spent on each, infinite where it is of no use, and by how much solutions differed from predictions, with
+# the differences of this from step to step, by blocks of lanes and substeps, lanes last; the inverse Jacobian of small
 # steps, or an empty matrix; memory and registers of as many lanes as the columns of one lane's Jacobian need.
 
 
-@_compiled
+@part()
 def _place(places: np.ndarray, v: np.ndarray) -> None:
     """Write the unknowns of all lanes, in their own units, where programs read them."""
     for i in range(places[COUNT]):
@@ -59,7 +51,7 @@ def _place(places: np.ndarray, v: np.ndarray) -> None:
             v[places[C] + i, j] = v[places[SCALED] + i, j] * v[places[SIZES] + i, j]
 
 
-@_compiled
+@part()
 def _measure(places: np.ndarray, v: np.ndarray) -> None:
     """The largest entry of the step of every lane, NaN if one is, becomes ``LENGTH``."""
     for j in range(v.shape[1]):
@@ -70,7 +62,7 @@ def _measure(places: np.ndarray, v: np.ndarray) -> None:
             v[places[LENGTH], j] = largest if size <= largest or largest != largest else size
 
 
-@_compiled
+@part()
 def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
     """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are
     any."""
@@ -98,7 +90,7 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
     return more
 
 
-@_compiled
+@part()
 def _chords(
     programs: tuple,
     places: np.ndarray,
@@ -109,20 +101,18 @@ def _chords(
 ) -> None:
     """Steps with one Jacobian for each lane, ``exact`` at the first of them, until they converge or shrink too
     slowly."""
-    machine, codes, operands, values, ranges = programs
     for n in range(MAX_CHORDS):
         _place(places, v)
-        machine(codes, operands, values, ranges, RESIDUAL, v, w)
+        evaluate(programs, RESIDUAL, v, w)
         multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)
         if not _judge(places, v, n, exact):
             return
 
 
-@_compiled
+@part()
 def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, inverse: np.ndarray) -> None:
     """Lanes whose steps do not shrink have converged where the step changes as much by the rounding of the unknowns."""
-    machine, codes, operands, values, ranges = programs
     m, some = places[COUNT], False
     for j in range(v.shape[1]):
         some = some or (v[places[CONVERGED], j] == 0 and np.isfinite(v[places[STEP], j]))
@@ -136,7 +126,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
                 unknown = v[places[SCALED] + i, j]
                 moved = turn * PROBE * EPS * max(abs(unknown), 1.0)
                 v[places[C] + i, j] = (unknown + moved) * v[places[SIZES] + i, j]
-        machine(codes, operands, values, ranges, RESIDUAL, v, w)
+        evaluate(programs, RESIDUAL, v, w)
         multiply(inverse, v, (places[MISSED], places[CHANGE], places[SIZES]))
         _measure(places, v)
         for i in range(m):
@@ -153,7 +143,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
             v[places[CONVERGED], j] = 1.0
 
 
-@_compiled
+@part()
 def _renew(
     programs: tuple,
     places: np.ndarray,
@@ -165,7 +155,6 @@ def _renew(
 ) -> None:
     """Inverse Jacobians at all lanes: columns are images of directions, all at once for a single lane."""
     m, single = places[COUNT], v.shape[1] == 1
-    machine, codes, operands, values, ranges = programs
     _place(places, v)
     inverses, _, _, _, wide, wide_registers = known
     x, y = (wide, wide_registers) if single else (v, w)
@@ -179,7 +168,7 @@ def _renew(
             for j in range(lanes):
                 here = i == (begin + j if single else begin)
                 x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
-        machine(codes, operands, values, ranges, PUSH, x, y)
+        evaluate(programs, PUSH, x, y)
         for j in range(min(lanes, m - begin) if single else lanes):
             lane, column = (0, begin + j) if single else (j, begin)
             for i in range(m):
@@ -187,7 +176,7 @@ def _renew(
     invert(inverses[block, k], v[places[SIZES] : places[SIZES] + m])
 
 
-@_compiled
+@part()
 def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool:
     """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
 
@@ -208,7 +197,7 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
     return some
 
 
-@_compiled
+@part()
 def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
     """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is
     least."""
@@ -225,7 +214,7 @@ def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> 
                 v[places[SCALED] + i, j] += differences[n, i, j] / v[places[SIZES] + i, j]
 
 
-@_compiled
+@part()
 def _compare(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
     """The differences of all orders after a step: how wrong its prediction was, and how that changed."""
     for i in range(places[COUNT]):
@@ -235,7 +224,7 @@ def _compare(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None
                 change, differences[n, i, j] = change - differences[n, i, j], change
 
 
-@_compiled
+@part()
 def _solve_step(
     programs: tuple,
     places: np.ndarray,
@@ -282,7 +271,7 @@ def _solve_step(
         spent[block, k] = 0.0
 
 
-@_compiled
+@part()
 def _step(
     programs: tuple,
     places: np.ndarray,
@@ -295,14 +284,13 @@ def _step(
     block: int,
 ) -> None:
     """One step of all good lanes, its substeps one after the other; the lanes that fail are good no more."""
-    machine, codes, operands, values, ranges = programs
     lanes = v.shape[1]
     for k in range(parts.size):
         for j in range(lanes):
             v[places[H], j] = h[min(first + j, h.size - 1)] * parts[k]
-        machine(codes, operands, values, ranges, PREPARE, v, w)
+        evaluate(programs, PREPARE, v, w)
         _solve_step(programs, places, v, w, known, block, k)
-        machine(codes, operands, values, ranges, END, v, w)
+        evaluate(programs, END, v, w)
         for j in range(lanes):
             v[places[GOOD], j] = v[places[GOOD], j] * v[places[CONVERGED], j] * (v[places[FINITE], j] != 0)
             for i in range(places[STATES]):
@@ -311,7 +299,7 @@ def _step(
                 v[places[FRESH] + k * places[CONTROLS] + i, j] = v[places[CONTROL] + i, j]
 
 
-@_compiled
+@part()
 def _advance(
     programs: tuple,
     places: np.ndarray,
@@ -351,8 +339,9 @@ def _advance(
                 record[(phase + index) // every, i, first + j] = carry[rows - record.shape[1] + i, first + j]
 
 
-def _integrate(
-    machine: Any,
+@kernel()
+def integrate(
+    machine: Machine,
     codes: np.ndarray,
     operands: np.ndarray,
     values: np.ndarray,
@@ -371,7 +360,7 @@ def _integrate(
     """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in
     its place.
 
-    ``machine`` is ``evaluate``; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
+    ``machine``: its addresses; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
     trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of
     steps; ``known``: arrays ``(inverses, spent, differences, small)``; ``parts``: those of a step that are its
     substeps; ``numbers``: steps done before, steps to do, those done of a block of steps that are kept together, and
@@ -385,15 +374,3 @@ def _integrate(
     v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
     for block in range(blocks[0], blocks[1]):
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)
-
-
-_NUMBERS, _LIST = array(1), array(1, types.int64)
-_KNOWN = types.Tuple((array(5), MATRIX, array(5), MATRIX))
-_INTEGRATE = types.void(
-    types.FunctionType(EVALUATE),
-    *(*PROGRAMS, _LIST, types.UniTuple(types.int64, 3), MATRIX, _LIST, array(3)),
-    *(_KNOWN, _NUMBERS, _NUMBERS, types.UniTuple(types.int64, 4), types.UniTuple(types.int64, 2)),
-)
-with warnings.catch_warnings():
-    warnings.simplefilter("ignore", numba.NumbaExperimentalFeatureWarning)  # of functions that are arguments
-    integrate = numba.njit(_INTEGRATE, cache=True, error_model="numpy", nogil=True)(_integrate)

@@ -58,22 +58,69 @@ def called(signature: Any) -> Any:
 
 @intrinsic
 def view(typing: Any, numbers: Any, first: Any, shape: Any) -> Any:
-    """``numbers[first : first + size].reshape(shape)``, where that is known to fit."""
-    kind = array(len(shape.types))
+    """``numbers.ravel()[first : first + size].reshape(shape)``, where that is known to fit."""
+    kind = array(len(shape.types), numbers.dtype)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        source, own = (context.make_array(form) for form in (signature.args[0], kind))
-        found, size = own(context, builder), context.get_constant(types.intp, 8)
+        source = context.make_array(signature.args[0])(context, builder, values[0]).data
         lengths = [builder.extract_value(values[2], k) for k in range(kind.ndim)]
-        strides, step = [], size
-        for length in reversed(lengths):
-            strides.insert(0, step)
-            step = builder.mul(step, length)
-        data = builder.gep(source(context, builder, values[0]).data, [values[1]])
-        arrayobj.populate_array(found, data=data, shape=lengths, strides=strides, itemsize=size, meminfo=None)
-        return found._getvalue()
+        return _filled(context, builder, kind, builder.gep(source, [values[1]]), lengths)
 
     return kind(numbers, types.intp, types.UniTuple(types.intp, kind.ndim)), generate
+
+
+def _filled(context: Any, builder: Any, kind: Any, data: Any, lengths: list[Any]) -> Any:
+    """An array of this type with data that lie somewhere."""
+    found, size = context.make_array(kind)(context, builder), context.get_abi_sizeof(context.get_data_type(kind.dtype))
+    strides, step = [], context.get_constant(types.intp, size)
+    for length in reversed(lengths):
+        strides.insert(0, step)
+        step = builder.mul(step, length)
+    itemsize = context.get_constant(types.intp, size)
+    arrayobj.populate_array(found, data=data, shape=lengths, strides=strides, itemsize=itemsize, meminfo=None)
+    return found._getvalue()
+
+
+LONGEST = 6  # numbers in a row of places
+
+
+def laid(form: Any) -> Any:
+    """``arrays(numbers, places)``, to be used in a compiled function: arrays that lie in a vector.
+
+    ``form``: their types, in tuples of tuples, as which they come; row k of ``places``, shape (arrays, ``LONGEST``):
+    where the k-th begins, then its lengths.
+    """
+
+    def kind_of(form: Any) -> Any:
+        return types.Tuple([kind_of(part) for part in form]) if isinstance(form, tuple) else form
+
+    def typed(context: Any, numbers: Any, places: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            data, rows = (
+                context.make_array(t)(context, builder, value).data
+                for t, value in zip(signature.args, values, strict=True)
+            )
+            entries = iter(range(len(_leaves(form)) * LONGEST))
+
+            def entry() -> Any:
+                return builder.load(builder.gep(rows, [context.get_constant(types.intp, next(entries))]))
+
+            def made(form: Any) -> Any:
+                if isinstance(form, tuple):
+                    return context.make_tuple(builder, kind_of(form), [made(part) for part in form])
+                first, *lengths = [entry() for _ in range(LONGEST)]
+                place = builder.bitcast(builder.gep(data, [first]), context.get_data_type(form.dtype).as_pointer())
+                return _filled(context, builder, form, place, lengths[: form.ndim])
+
+            return made(form)
+
+        return kind_of(form)(numbers, places), generate
+
+    return intrinsic(typed)
+
+
+def _leaves(form: Any) -> list[Any]:
+    return [leaf for part in form for leaf in _leaves(part)] if isinstance(form, tuple) else [form]
 
 
 @intrinsic

@@ -26,6 +26,13 @@ if TYPE_CHECKING:
     from .conditions import Conditions
 
 Shapes = dict[str, tuple[int, ...]]
+# What the kernel writes, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point.
+OUT = (
+    *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
+    *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
+    *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
+    *("along", "entries", "numbers", "surveyed", "s", "nu", "t", "pushed", "sums", "points", "zeros"),
+)
 
 
 class Setting(NamedTuple):
@@ -70,10 +77,8 @@ class Trial:
         self._programs = *map(np.concatenate, arrays), table
         self._fields = list(shapes)
         self._structure = np.dtype([(name, float, shape) for name, shape in shapes.items()])
-        begins = dict(zip(shapes, np.cumsum([0, *map(math.prod, shapes.values())]).tolist(), strict=False))
-        self._zeros = slice(begins["points"], None)
+        self._places = _places(shapes)
         self._none = np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
-        self._apart = shapes["nodes"][:2]
 
     @classmethod
     def of(cls, steps: OneStage, nodes: Nodes, count: int) -> Self | None:
@@ -95,7 +100,7 @@ class Trial:
         limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, setting.weights))
         tapes = *self._programs, *scratch(((self._memory,),)), numbers
         given = own, setting.data, setting.ends, (_units(conditions), SHARES), limits
-        if not self._run(self._addresses(self._limited), tapes, *given, self._out(v, numbers)):
+        if not self._run(self._addresses(self._limited), tapes, *given, self._places):
             return None
         return _tried(v, iterate.slacks, setting.weights)
 
@@ -117,21 +122,6 @@ class Trial:
         units = plain(barrier.limits), plain(barrier.rate), v["room"]
         given = tuple(map(plain, slacks)), (turn.slacks, turn.multipliers, turn.excess), (part, plain(turn.dual))
         return (*given, KEPT, units, weights, VALUE, PRICES)
-
-    def _out(self, v: dict[str, np.ndarray], numbers: np.ndarray) -> tuple[Any, ...]:
-        """Where the kernel writes."""
-        apart, points = np.empty(self._apart, bool), v["hessian"][:, :, None]
-        arrays = v["begins"], v["finishes"], v["work"], v["covectors"], v["frames"], v["gap"]
-        raised = points, v["slopes"][:, :, None], v["limits"], v["pushes"], v["costs"], v["cost"]
-        return (
-            (*arrays, v["coordinates"], v["costates"]),
-            (v["nodes"], v["gaps"], apart, v["largest"]),
-            (v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"]),
-            raised,
-            tuple([v[name] for name in Extent._fields]),
-            (v["along"], v["entries"], v["numbers"], v["surveyed"]),
-            ((v["s"], v["nu"], v["t"]), v["pushed"], v["sums"], v["points"], numbers[self._zeros]),
-        )
 
 
 def _units(conditions: "Conditions") -> tuple[np.ndarray, ...]:
@@ -171,6 +161,18 @@ def _table(programs: list[Placed]) -> tuple[np.ndarray, int]:
     return np.array(rows), memory
 
 
+def _places(shapes: Shapes) -> np.ndarray:
+    """Where each of ``OUT`` begins in what is written, and its lengths."""
+    from ....linked import LONGEST
+
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    begins = dict(zip(shapes, np.cumsum([0, *sizes]).tolist(), strict=False))
+    rows = {name: (begins[name], *shape) for name, shape in shapes.items()}
+    rows |= {f"{name}.": (*row[:3], 1, *row[3:]) for name, row in rows.items()}
+    rows["zeros"] = begins["points"], sum(sizes) - begins["points"]
+    return np.array([rows[name] + (0,) * (LONGEST - len(rows[name])) for name in OUT])
+
+
 def _functions(steps: OneStage, nodes: Nodes, count: int) -> Iterator[tuple[Evaluated, list[tuple[int, ...]]]]:
     """The functions of a trial, with the shapes of what they are evaluated for."""
     e, u, k = steps.state.size, steps.control.size, steps.parameter.size
@@ -193,8 +195,9 @@ def _shapes(steps: OneStage, count: int) -> Shapes:
         "hessian": (*each, z, z), "slopes": (*each, z), "left": (*each, n, z), "right": (*each, n, z),
         "gradient": (*each, z), "pushes": (*each, 1, c, z), "starts": (*each, n), "arrives": (*each, n),
         "costs": each, "limits": (*each, 1, c),
-        "nodes": (*at, e), "gaps": (*at, e), "largest": (1, e), "work": (2, e), "covectors": ((count + 1) * e,),
-        "cost": (1,), "pushed": (*each, 1, z, 2), "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
+        "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
+        "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
+        "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
         "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         # These come as zeros.
         "points": (1, OF_POINTS, n), "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),

@@ -7,21 +7,28 @@ import numpy as np
 from numba import types
 from numba.core.typing.templates import signature
 
-from ....inlined import AS_PART
-from ....linked import address, array, called, put, view
+from ....kernels import part, pasted
+from ....linked import address, array, called, laid, put, view
 from ....tape import machine
 from . import extent_kernels, inequality_kernels
-from .vectors import compiled, njit
+from .vectors import compiled
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
-PLACES = array(2, WHOLE)
 
 FIVE, THREE = types.Tuple((F4, F4, F4, F4, F1)), types.Tuple((F4, F4, F4))
 HELD, TRAJECTORY, BLOCKS = types.Tuple((F4, F5, F4)), types.Tuple((F3, F4, F3, F3)), types.Tuple((F4, F4, F4, F3, F3))
 EXTENT = F2, F2, F3, F2, F2, F2, F1, F2, F2, F2  # the fields of ``Extent``
+OUT = (
+    (F3, F3, F2, F1, F4, F3, F3, F3),
+    (F3, F3, array(2, TRUTH), F2),
+    (F4, F4, F4, F3, F3),
+    (F5, F4, F4, F5, F2, F1),
+    EXTENT,
+    (F2, F2, F2, F2),
+    ((F4, F4, F4), F5, F2, F3, F1),
+)
 
-RUN = signature(types.none, array(1, types.uint8), array(2, types.uint32), F1, F1, PLACES, F1, PLACES, F2, WHOLE, WHOLE)
 MEET = signature(
     TRUTH,
     F3,
@@ -49,9 +56,9 @@ HELD_SURVEY = signature(
 RAISE = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F5, F4, F5)
 MOVE = signature(types.none, WHOLE, WHOLE, FIVE, THREE, types.UniTuple(F1, 2), REAL, THREE)
 
-_pasted = njit(inline="always")  # parts of the pass take their time to compile where their types are found for each
+_out = laid(OUT)
 
-_run, _meet, _survey, _measure = called(RUN), called(MEET), called(SURVEY), called(MEASURE)
+_run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
 _held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
 
 
@@ -59,7 +66,7 @@ _held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
 def addresses(limited: bool) -> tuple[int, ...]:
     """Where the kernels stand in this process that a trial calls; those of inequalities only if there are any."""
     kernels: list[tuple[Any, Any]] = [
-        (machine.run, RUN),
+        (machine.run, machine.RUN),
         (extent_kernels.meet, MEET),
         (extent_kernels.survey, SURVEY),
         (extent_kernels.measure, MEASURE),
@@ -73,17 +80,26 @@ def addresses(limited: bool) -> tuple[int, ...]:
     return *(address(*kernel) for kernel in kernels), *own
 
 
-@njit(error_model="numpy", nogil=True, _nrt=False, **AS_PART)
+@pasted
+def _rows(table: np.ndarray, first: int, count: int) -> np.ndarray:
+    """Some rows of a table."""
+    return view(table, first * table.shape[1], (count, table.shape[1]))
+
+
+@part(_nrt=False)
 def _evaluate(place: int, k: int, tapes: tuple, count: int) -> None:
     """Run the tape ``k`` on what it reads."""
     codes, registers, values, sources, targets, table, memory, written = tapes
-    t = table[k]
-    program = codes[t[0] : t[1]], registers[t[0] : t[1]], values[t[0] : t[1]]
-    read, out, w = view(memory, t[6], (t[7],)), view(written, t[8], (t[9],)), view(memory, t[10], (t[11], t[12]))
-    _run(place, (*program, read, sources[t[2] : t[3]], out, targets[t[4] : t[5]], w, 0, count))
+    first, size = table[k, 0], table[k, 1] - table[k, 0]
+    own = view(codes, first, (size,)), _rows(registers, first, size), view(values, first, (size,))
+    reads = _rows(sources, table[k, 2], table[k, 3] - table[k, 2])
+    writes = _rows(targets, table[k, 4], table[k, 5] - table[k, 4])
+    read, out = view(memory, table[k, 6], (table[k, 7],)), view(written, table[k, 8], (table[k, 9],))
+    w = view(memory, table[k, 10], (table[k, 11], table[k, 12]))
+    _run(place, (*own, read, reads, out, writes, w, 0, count))
 
 
-@_pasted
+@pasted
 def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> None:
     """What the tape of the moved unknowns reads, and the covectors at the nodes after the step."""
     (x, coordinates, frames, steps, multipliers, part), (h, parameters) = before, data
@@ -102,7 +118,7 @@ def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> Non
                 out[k * size + e] += f * frames[0, k, a, e]
 
 
-@_pasted
+@pasted
 def _read_row(read: np.ndarray, moved: np.ndarray, nodes: np.ndarray, costates: np.ndarray, data: tuple) -> int:
     """What the tape of the steps reads but for the multipliers of the inequalities: unknowns, both ends, their
     covectors, lengths, parameters."""
@@ -113,7 +129,7 @@ def _read_row(read: np.ndarray, moved: np.ndarray, nodes: np.ndarray, costates: 
     return put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
 
 
-@_pasted
+@pasted
 def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tuple, arrays: tuple, met: tuple) -> bool:
     """Move the unknowns, and whether the ends of the steps are near each other; then the nodes are known."""
     (_, points, columns, _, far), (begins, finishes, work, covectors, _, _, _, _), count = ends, arrays, data[0].size
@@ -127,7 +143,7 @@ def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tu
     return not _meet(meet, (begins, finishes, points, columns, far, work, met))
 
 
-@_pasted
+@pasted
 def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limits: tuple, out: tuple) -> None:
     """Frames at the nodes and blocks of the steps, with the multipliers of the inequalities after their step."""
     run, _, _, _, _, _, move = calls
@@ -146,7 +162,7 @@ def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limit
     _evaluate(run, 3, tapes, count)
 
 
-@_pasted
+@pasted
 def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
     """What the trial is judged by, with the shares of the inequalities in the blocks."""
     _, _, survey, measure, held_survey, raise_points, _ = calls
@@ -177,18 +193,26 @@ def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tu
 
 @compiled
 def trial(
-    calls: tuple, tapes: tuple, before: tuple, data: tuple, ends: tuple, units: tuple, limits: tuple, out: tuple
+    calls: tuple,
+    tapes: tuple,
+    before: tuple,
+    data: tuple,
+    ends: tuple,
+    units: tuple,
+    limits: tuple,
+    places: np.ndarray,
 ) -> bool:
-    """Whether all ends of steps are near each other where a step leads; then ``out`` has the system there.
+    """Whether all ends of steps are near each other where a step leads; then the system there is written.
 
     ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
-    one after the other, a table of where each stands, reads and writes, memory, and what they write; ``before``:
+    one after the other, a table of where each stands, reads and writes, memory, and where all is written; ``before``:
     centres and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them
     that is made; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates of the nodes that count;
     the points and which of their entries are prescribed; columns; the mean step; from which share on ends are far
     apart; ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier
-    is kept within, units, weights, what measures values, prices.
+    is kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``.
     """
+    out = _out(tapes[7], places)
     if not _met(calls[0], calls[1], tapes, before, data, ends, out[0], out[1]):
         return False
     _evaluated(calls, tapes, data, ends[0], limits, out)

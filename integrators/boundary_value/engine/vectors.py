@@ -3,22 +3,20 @@
 from collections.abc import Callable
 from typing import Any, final
 
-import numba
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ....inlined import AS_PART
+from ....kernels import kernel, part
 from .arrays import LANES
 
-# Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
-njit: Any = numba.njit
+# Numba's own types do not know that it passes an intrinsic its first argument itself.
 intrinsic: Any = extending.intrinsic
 
 # None of these functions allocates: without counts of references they are a third shorter. A part that LLVM does not
 # inline gets each field of its arrays on the stack, which takes longer than what it computes on a small one.
-compiled = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False)
-inner = njit(forceinline=True, error_model="numpy", nogil=True, fastmath={"contract"}, _nrt=False, **AS_PART)
+compiled = kernel(fastmath={"contract"}, _nrt=False)
+inner = part(forceinline=True, fastmath={"contract"}, _nrt=False)
 
 VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 PLACES = ir.VectorType(ir.IntType(64), LANES)

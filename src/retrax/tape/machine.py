@@ -7,13 +7,13 @@ import math
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numba
 import numpy as np
 from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ..inlined import AS_PART
+from ..kernels import kernel, part, pasted
+from ..linked import array
 from .emitted import EMITTED, operands_of
 from .program import CODES, FOUR, NAMES, OPERANDS
 
@@ -31,11 +31,12 @@ VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
-# Numba's own types know neither all of its options nor that it passes an intrinsic its first argument itself.
-_njit: Any = numba.njit
-_compiled = _njit(cache=True, error_model="numpy", nogil=True)
-_inner = _njit(error_model="numpy", nogil=True, **AS_PART)
-_pasted = _njit(inline="always")  # a call with arrays counts references to them, which takes longer than it
+# What ``run`` and ``run_one`` are compiled for.
+_PROGRAM, _NUMBERS, _PLACES = (array(1, types.uint8), array(2, types.uint32), array(1)), array(1), array(2, types.int64)
+RUN = types.void(*_PROGRAM, _NUMBERS, _PLACES, _NUMBERS, _PLACES, array(2), types.int64, types.int64)
+RUN_ONE = types.void(*_PROGRAM, _NUMBERS, _NUMBERS)
+
+# Numba's own types do not know that it passes an intrinsic its first argument itself.
 _intrinsic: Any = extending.intrinsic
 
 
@@ -192,7 +193,7 @@ def _columns(builder: Any, rows: list[Any]) -> list[Any]:
 _read_four, _write_four = _turning(write=False), _turning(write=True)
 
 
-@_inner
+@part()
 def _elementary(c: int, x: float) -> float:
     """Functions of one number that take longer than the choice among them."""
     if c == SIN:
@@ -226,7 +227,7 @@ def _elementary(c: int, x: float) -> float:
     return math.erf(x) if c == ERF else (np.log1p(x) if c == LOG1P else np.expm1(x))
 
 
-@_inner
+@part()
 def _of_one(c: int, x: float) -> float:
     if c == SIGN:
         return 1.0 if x > 0 else (-1.0 if x < 0 else x)
@@ -237,7 +238,7 @@ def _of_one(c: int, x: float) -> float:
     return x if c == ASSIGN else _elementary(c, x)
 
 
-@_inner
+@part()
 def _of_two(c: int, x: float, y: float) -> float:
     if c == EQ:
         return 1.0 if x == y else 0.0
@@ -260,12 +261,12 @@ def _of_two(c: int, x: float, y: float) -> float:
     return math.hypot(x, y) if c == HYPOT else np.power(x, y)
 
 
-@_inner
+@part()
 def _other(c: int, x: float, y: float) -> float:
     return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
 
 
-@_pasted
+@pasted
 def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: Any, s: int, m: int, k: int) -> int:
     """Read inputs, or write outputs, of ``m`` points from ``s`` on; the number of instructions that this was."""
     code, place = codes[k], int(values[k])
@@ -299,7 +300,7 @@ def lanes_for(count: int, size: int) -> int:
     return -(-count // (blocks * VECTOR)) * VECTOR
 
 
-@_compiled
+@kernel()
 def run(
     codes: np.ndarray,
     registers: np.ndarray,
@@ -335,7 +336,7 @@ def run(
                 k += 1
 
 
-@_compiled
+@kernel()
 def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
     """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``:
     registers.

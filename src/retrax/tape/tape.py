@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
+from ..collection import put_off
 from ..threads import in_threads, worth_threads
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
@@ -291,7 +292,8 @@ def _rows(count: int, points: int) -> np.ndarray:
 def _machine() -> ModuleType | None:
     """The compiled machine; None, after a warning, where Numba cannot make it."""
     try:
-        from . import machine
+        with put_off():
+            from . import machine
     except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for its cache
         warnings.warn(f"tapes run slowly, on CasADi's machine, because Numba's is not available: {error}", stacklevel=2)
         return None

@@ -1,16 +1,21 @@
-"""A compiler of Numba for functions that are nothing but parts of others: LLVM optimises them there, and only there.
+"""What Numba compiles: kernels, which Python calls, and functions that are nothing but parts of them.
 
 Numba optimises the code of a function, and again wherever it is called, with all that it calls in turn: of kernels that
-are made of small functions the most time goes into code that never runs by itself.
+are made of small functions the most time goes into code that never runs by itself. So LLVM optimises parts in kernels,
+and only there.
 """
 
+from collections.abc import Callable
 from typing import Any, Literal, final
 
+import numba
 from numba._dynfunc import make_function
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
+
+from .collection import put_off
 
 
 @final
@@ -58,5 +63,26 @@ class InlinedCompiler(CompilerBase):
         return [passes]
 
 
-# Of ``numba.njit``, for functions that nothing but other compiled functions calls.
-AS_PART: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
+# Numba's own types do not know all of its options.
+_njit: Any = numba.njit
+pasted: Callable[[Any], Any] = _njit(inline="always")  # where a call takes longer than what it computes
+
+
+def kernel(**options: Any) -> Callable[[Any], Any]:
+    """For functions that Python calls: compiled once on a computer, or read from its disk.
+
+    A sixth of the time would go into looking for garbage among all that Numba makes and keeps.
+    """
+
+    def made(function: Any) -> Any:
+        found = _njit(cache=True, error_model="numpy", nogil=True, **options)(function)
+        found.compile = put_off()(found.compile)
+        return found
+
+    return made
+
+
+def part(**options: Any) -> Callable[[Any], Any]:
+    """For functions that nothing but other compiled functions calls."""
+    alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
+    return _njit(error_model="numpy", nogil=True, **options, **alone)
