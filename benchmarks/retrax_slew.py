@@ -19,7 +19,7 @@ def slew_problem(inertia=INERTIA, torque_limit=None, cost=lambda q, u: u @ u / 2
     """``R' = R hat(w)``, ``J w' = u - w x J w``, cost ``int |u|^2 / 2``, as functions made anew; limits of each torque,
     N m."""
     bounds = None if torque_limit is None else (-torque_limit, torque_limit)
-    inertia = jnp.asarray(inertia)
+    inertia = np.asarray(inertia)
 
     def dynamics(q, u):
         attitude, rate = q

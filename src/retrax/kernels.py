@@ -2,11 +2,11 @@
 
 Numba optimises the code of a function, and again wherever it is called, with all that it calls in turn: of kernels that
 are made of small functions the most time goes into code that never runs by itself. So LLVM optimises parts in kernels,
-and only there.
+and only there, and kernels once.
 """
 
 from collections.abc import Callable
-from typing import Any, Literal, final
+from typing import Any, ClassVar, Literal, final
 
 import numba
 from numba._dynfunc import make_function
@@ -18,8 +18,25 @@ from numba.core.typed_passes import NativeLowering
 from .collection import put_off
 
 
+class _Code(JITCodeLibrary):
+    """Code whose functions are not optimised one by one before the whole is."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Leave them as they are, for this machine."""
+        ll_module.data_layout = self._codegen._data_layout
+
+
 @final
-class _Part(JITCodeLibrary):
+class _Kernel(_Code):
+    """Code that LLVM optimises once: Numba does it before and after it looks for counts of references."""
+
+    def _optimize_final_module(self) -> None:
+        passes, builder = self._codegen._module_pass_manager()
+        passes.run(self._final_module, builder)
+
+
+@final
+class _Part(_Code):
     """Code to link into that of others, which the machine never sees by itself."""
 
     def _optimize_final_module(self) -> None:
@@ -33,10 +50,24 @@ class _Part(JITCodeLibrary):
 
 @final
 @register_pass(mutates_CFG=True, analysis_only=False)
-class _PlainLowering(NativeLowering):
+class _KernelLowering(NativeLowering):
+    """Lowers to code that is optimised once."""
+
+    _name = "kernel_lowering"
+
+    def run_pass(self, state: Any) -> Literal[True]:
+        state.library = _Kernel(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library.enable_object_caching()
+        super().run_pass(state)
+        return True
+
+
+@final
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _PartLowering(NativeLowering):
     """Lowers to code that is left as it is."""
 
-    _name = "plain_lowering"
+    _name = "part_lowering"
 
     def run_pass(self, state: Any) -> Literal[True]:
         state.library = _Part(state.targetctx.codegen(), state.func_id.func_qualname)
@@ -49,18 +80,27 @@ class _PlainLowering(NativeLowering):
         return True
 
 
-@final
-class InlinedCompiler(CompilerBase):
-    """The passes of Numba, with a plain one to lower."""
+class _Compiler(CompilerBase):
+    """The passes of ``numba.njit``, with another one to lower."""
+
+    lowering: ClassVar[type[NativeLowering]]
 
     def define_pipelines(self) -> list[PassManager]:
-        """The one pipeline of ``numba.njit``."""
+        """The one pipeline."""
         passes = DefaultPassBuilder.define_nopython_pipeline(self.state)
-        passes.passes = [
-            (_PlainLowering if pass_ is NativeLowering else pass_, words) for pass_, words in passes.passes
-        ]
+        passes.passes = [(self.lowering if own is NativeLowering else own, words) for own, words in passes.passes]
         passes.finalize()
         return [passes]
+
+
+@final
+class _KernelCompiler(_Compiler):
+    lowering = _KernelLowering
+
+
+@final
+class _PartCompiler(_Compiler):
+    lowering = _PartLowering
 
 
 # Numba's own types do not know all of its options.
@@ -75,7 +115,8 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
     """
 
     def made(function: Any) -> Any:
-        found = _njit(cache=True, error_model="numpy", nogil=True, **options)(function)
+        own = {"no_cfunc_wrapper": True, "pipeline_class": _KernelCompiler}
+        found = _njit(cache=True, error_model="numpy", nogil=True, **options, **own)(function)
         found.compile = put_off()(found.compile)
         return found
 
@@ -84,5 +125,5 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
 
 def part(**options: Any) -> Callable[[Any], Any]:
     """For functions that nothing but other compiled functions calls."""
-    alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": InlinedCompiler}
+    alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     return _njit(error_model="numpy", nogil=True, **options, **alone)
