@@ -26,13 +26,21 @@ class _Code(JITCodeLibrary):
         ll_module.data_layout = self._codegen._data_layout
 
 
-@final
 class _Kernel(_Code):
     """Code that LLVM optimises once: Numba does it before and after it looks for counts of references."""
 
+    loops_to_vectors: ClassVar[bool] = True
+
     def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager()
+        passes, builder = self._codegen._module_pass_manager(loop_vectorize=self.loops_to_vectors)
         passes.run(self._final_module, builder)
+
+
+@final
+class _KernelOfVectors(_Kernel):
+    """Code whose vectors are its own: LLVM would make more, of loops that are too short for them."""
+
+    loops_to_vectors = False
 
 
 @final
@@ -48,18 +56,28 @@ class _Part(_Code):
         self._finalized = True
 
 
-@final
-@register_pass(mutates_CFG=True, analysis_only=False)
 class _KernelLowering(NativeLowering):
-    """Lowers to code that is optimised once."""
+    """Lowers to code of this kind."""
 
-    _name = "kernel_lowering"
+    kind: ClassVar[type[_Kernel]]
 
     def run_pass(self, state: Any) -> Literal[True]:
-        state.library = _Kernel(state.targetctx.codegen(), state.func_id.func_qualname)
+        state.library = self.kind(state.targetctx.codegen(), state.func_id.func_qualname)
         state.library.enable_object_caching()
         super().run_pass(state)
         return True
+
+
+@final
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _LoopsLowering(_KernelLowering):
+    _name, kind = "lowering_of_loops", _Kernel
+
+
+@final
+@register_pass(mutates_CFG=True, analysis_only=False)
+class _VectorsLowering(_KernelLowering):
+    _name, kind = "lowering_of_vectors", _KernelOfVectors
 
 
 @final
@@ -94,8 +112,13 @@ class _Compiler(CompilerBase):
 
 
 @final
-class _KernelCompiler(_Compiler):
-    lowering = _KernelLowering
+class _LoopsCompiler(_Compiler):
+    lowering = _LoopsLowering
+
+
+@final
+class _VectorsCompiler(_Compiler):
+    lowering = _VectorsLowering
 
 
 @final
@@ -108,15 +131,17 @@ _njit: Any = numba.njit
 pasted: Callable[[Any], Any] = _njit(inline="always")  # where a call takes longer than what it computes
 
 
-def kernel(**options: Any) -> Callable[[Any], Any]:
-    """For functions that Python calls: compiled once on a computer, or read from its disk.
+def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
+    """For functions that Python calls: compiled once on a computer, or read from its disk; ``vectors``: they make
+    their own, so that loops are left as they are.
 
     A sixth of the time would go into looking for garbage among all that Numba makes and keeps.
     """
 
     def made(function: Any) -> Any:
-        own = {"no_cfunc_wrapper": True, "pipeline_class": _KernelCompiler}
-        found = _njit(cache=True, error_model="numpy", nogil=True, **options, **own)(function)
+        passes = _VectorsCompiler if vectors else _LoopsCompiler
+        own = {"cache": True, "no_cfunc_wrapper": True, "pipeline_class": passes}
+        found = _njit(error_model="numpy", nogil=True, **own, **options)(function)
         found.compile = put_off()(found.compile)
         return found
 
