@@ -22,9 +22,10 @@ ENERGY_TIME = (
 HORIZON = "for a free one give horizon=Free(guess), or Free(guess, lower=..., upper=...)"
 BOUNDS = (
     'bounds belong to OptimalControlProblem: control_bounds=(lower, upper), or constraints={"name": function} of '
-    "(q, u) that is "
-    "is not positive where a state and a control are admissible"
+    "(q, u) that is not positive where a state and a control are admissible"
 )
+ACCURACY = "for steps that are refined until the error is small give accuracy=1e-8"
+REFINED = "_error", "error_", "refin", "mesh", "adapt"  # parts of names of what accuracy does
 # Parts of names, in the order in which they are looked for.
 ASKED_FOR = {
     BOUNDS: (
@@ -75,6 +76,8 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
             return function(*arguments, **options)
         near = get_close_matches(unknown, names, 1, CLOSE)
         hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
+        if "accuracy" in names and any(part in unknown.lower() for part in REFINED):
+            hint = ACCURACY
         raise InvalidInputError(
             f"{what} has no option {unknown!r}, expected one of {', '.join(names)}" + (f"; {hint}" if hint else "")
         )

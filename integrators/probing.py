@@ -238,8 +238,9 @@ def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 SMOOTH = (
-    "jnp.sqrt(u**2 + d**2) in place of |u|, at first with d as large as the controls, then with smaller ones and the "
-    "last solution as guess",
+    "u = a - b with the cost a + b in place of |u|, for controls a and b with control_bounds=(0, jnp.inf), which is "
+    "exact; or jnp.sqrt(u**2 + d**2), at first with d as large as the controls, then with smaller ones and the last "
+    "solution as guess",
     "a * jnp.tanh(u / a) in place of jnp.clip(u, -a, a)",
 )
 

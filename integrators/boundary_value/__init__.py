@@ -12,6 +12,7 @@ from .phases import Phase, solve_phases
 from .posed_phase import PhaseEnds
 from .propagation import DiscretizationError, discretization_error
 from .sensitivity import Derivative, Sensitivity
+from .singular_arcs import ClassifiedArc, singular_arcs
 from .solution import SingularArc, Solution, Statistics, load_solution
 from .solutions import Solutions
 from .solve import solve
@@ -21,6 +22,7 @@ from .structure import ControlStructure, control_structure
 
 __all__ = [
     "Checks",
+    "ClassifiedArc",
     "Continuation",
     "ControlStructure",
     "Derivative",
@@ -46,6 +48,7 @@ __all__ = [
     "load_solution",
     "load_solutions",
     "multistart",
+    "singular_arcs",
     "solve",
     "solve_phases",
     "step_errors",

@@ -80,7 +80,8 @@ def continuation(
     ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and
     ``parameters`` of ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and
     with the problem that is wanted at 1. Each step predicts the next extremal by the tangent, from
-    ``solver.sensitivity``, and corrects it by Newton's method. Steps become longer where the correction is small beside
+    ``solver.sensitivity``, and corrects it by Newton's method, or the last one where that fails, as where a limit
+    begins to hold. Steps become longer where the correction is small beside
     what was predicted [den Heijer, Rheinboldt, On steplength algorithms for a class of continuation methods, SIAM J.
     Numer. Anal. 18, 1981], and shorter where it is large, leads to another extremal, takes more than
     ``max_iterations``, or loses the strict minimum.
@@ -136,14 +137,18 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
 
 def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, options: dict[str, Any]) -> _Trial:
     """The solution at the end of a step, corrected from what is predicted."""
-    guess, solver = predictor(last, *way), predictor.solver
-    found = solver.solve(**way[1].near(last)._asdict(), guess=last if guess is None else guess, throw=False, **options)
+    given, predicted = way[1].near(last)._asdict(), predictor(last, *way)
+    guess = last if predicted is None else predicted
+    found = predictor.solver.solve(**given, guess=guess, throw=False, **options)
+    if not (found.success or guess is last or found.result == Result[Result.stopped]):
+        guess = last  # of limits that begin to hold, or cease to, its derivatives tell nothing
+        found = predictor.solver.solve(**given, guess=guess, throw=False, **options)
     if not found.success:
         return _Trial(found, np.inf, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
         return _Trial(found, np.inf, "The extremals there are not strict minima any more, as behind a conjugate point.")
     old, new = _parts(last.guess()), _parts(found.guess())
-    expected, correction = old if guess is None else _parts(guess), 0.0
+    expected, correction = old if isinstance(guess, Solution) else _parts(guess), 0.0
     for before, aim, after in zip(old, expected, new, strict=True):
         change, missed, size = (np.max(np.abs(a), initial=0.0) for a in (aim - before, after - aim, after))
         allowed = max(change, NEAR * size)

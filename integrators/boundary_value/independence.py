@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.tolerances import EPS, HALF
-from ..boundary_conditions import boundary_words
+from ..boundary_conditions import PERIODIC, boundary_words
 from ..layout import Layout
 from ..text import many
 from .coupled import Own
@@ -35,7 +35,8 @@ def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[
     power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := _independent(_scaled(rows), power)) == len(rows):
         return ""
-    left = ", ".join(name for place, name in enumerate(_all(joint, names)) if place not in independent)
+    every = enumerate(_all(joint, names))
+    left = ", ".join(dict.fromkeys(name for place, name in every if place not in independent))
     return (
         " At the ends that were reached the boundary conditions depend on each other, and their multipliers are not "
         f"determined: {left}; try to leave out what follows from the others, or periodic=True for q(T) = q(0) on a "
@@ -45,7 +46,8 @@ def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[
 
 def _all(joint: JointConditions, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
-    return [*names, *("a link" for _ in range(joint.coupling.rows - len(names)))]
+    link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
+    return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
 
 
 def _scaled(rows: np.ndarray) -> np.ndarray:
@@ -70,7 +72,7 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
             return
         best = independent if best is None or len(independent) > len(best) else best
     if best is not None:
-        left = [name for k, name in enumerate(names) if k not in best]
+        left = list(dict.fromkeys(name for k, name in enumerate(names) if k not in best))
         count, verb = len(best), "depends" if len(left) == 1 else "depend"
         raise InvalidInputError(
             f"the boundary conditions are {many(len(names), 'equation')}, of which {count} "

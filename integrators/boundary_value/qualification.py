@@ -19,6 +19,7 @@ from .solution import Solution
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
 FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
 OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
+FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
 
@@ -38,17 +39,20 @@ class Qualification:
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         layouts = (self.state, solution.stage_states), (self.control, solution.controls)
         rows = (layout.rows(points, 1) for layout, points in layouts)
+        rows = [np.asarray(part) for part in rows]
         values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
         bound = self.problem.with_parameters(parameters).at_time(0.0)
         own = self._multipliers(solution)
         if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
+        pulling = (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
         felt = np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * solution.checks.hamiltonian_size
-        active = felt & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
+        active = felt & pulling
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         lengths = np.linalg.norm(slopes, axis=2)
         flat = active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
+        flat |= pulling & self._flat_within(solution, rows, given, own)
         names = bound.inequality_names
         if np.any(flat):
             k, i = np.argwhere(flat)[0]
@@ -59,6 +63,16 @@ class Qualification:
                 "its square or cube."
             )
         return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+
+    def _flat_within(
+        self, solution: Solution, rows: list[np.ndarray], given: np.ndarray, own: np.ndarray
+    ) -> np.ndarray:
+        """Where the derivatives of inequalities with a force are next to nothing beside what they change by over the
+        extent of the trajectory, as that of a square that is flat on one side, shape ``(N s, k)``."""
+        extent = np.concatenate([np.ptp(part, axis=0) for part in rows])
+        lengths, bends = self._bends(*rows, solution.stage_times[:, None], extent[None], given[None])
+        felt = np.max(own * lengths, axis=0) > FELT * solution.checks.hamiltonian_size
+        return felt & (lengths < FLAT_BEND * np.abs(bends))
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
@@ -125,6 +139,12 @@ class Qualification:
 
     def _limits_of(self, x: Array, control: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
         """The inequalities, and their derivatives by coordinates of state and control."""
+        values, rest, _ = self._near(x, control, time, parameters)
+        return values(rest), jax.jacfwd(values)(rest)
+
+    def _near(self, x: Array, control: Array, time: Array, parameters: Array) -> tuple[Any, Array, Any]:
+        """The inequalities as a function of coordinates of state and control, those of the point, and the step in the
+        ambient space that coordinates are, flat."""
         problem = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         q, u, n = self.state.point(x), self.control.point(control), problem.manifold.dimension
         frame, directions = problem.manifold.basis(q), problem.controls.basis(u)
@@ -133,5 +153,31 @@ class Qualification:
             near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
             return problem.inequalities(*near)
 
-        rest = jnp.zeros(n + problem.controls.dimension)
-        return values(rest), jax.jacfwd(values)(rest)
+        def step(d: Array) -> Array:
+            parts = vec.combine(frame, d[:n]), vec.combine(directions, d[n:])
+            return jnp.concatenate([self.state.flat(parts[0]), self.control.flat(parts[1])])
+
+        return values, jnp.zeros(n + problem.controls.dimension), step
+
+    @cached_property
+    def _bends(self) -> Evaluated:
+        state, control = self.state.size, self.control.size
+        return Automatic().values(self._bends_of, state, control, 1, state + control, self.parameter.size)
+
+    def _bends_of(self, x: Array, control: Array, time: Array, extent: Array, parameters: Array) -> tuple[Array, Array]:
+        """Lengths of the derivatives of the inequalities, in coordinates of the extent of the trajectory, and second
+        derivatives along them."""
+        values, rest, step = self._near(x, control, time, parameters)
+        units = jnp.abs(jax.jacfwd(step)(rest)).T @ extent
+        slopes = jax.jacfwd(values)(rest) * units
+        lengths = jnp.sqrt(jnp.sum(slopes**2, axis=1))
+
+        def bend(i: int) -> Array:
+            along = units * slopes[i] / jnp.where(lengths[i] > 0, lengths[i], 1.0)
+
+            def rate(d: Array) -> Array:
+                return jax.jvp(lambda d: values(d)[i], (d,), (along,))[1]
+
+            return jax.jvp(rate, (rest,), (along,))[1]
+
+        return lengths, jnp.stack([bend(i) for i in range(len(slopes))])

@@ -60,7 +60,7 @@ def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: 
     solution. Raises ``InvalidInputError`` for missing parameters, or a record that is not known between its nodes.
     """
     check_parameters(problem, parameters)
-    if solution.interpolant is None or solution.singular is not None:
+    if not isinstance(solution, Solution) or solution.interpolant is None or solution.singular is not None:
         raise InvalidInputError(
             "step_errors takes the solution of a regular problem that is known between its nodes, got "
             f"{solution!r:.80}; try what solve returns, or load_solution(path, retraction)"

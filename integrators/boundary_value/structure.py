@@ -68,6 +68,8 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
     Arcs end where an entry leaves a bound by a jump; where it leaves it without, it counts as free on both sides. An
     arc is longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
     """
+    if not isinstance(solution, Solution):
+        raise InvalidInputError(f"control_structure takes a Solution, got {solution!r:.80}; try what solve returns")
     if not any(problem.limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"

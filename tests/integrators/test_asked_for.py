@@ -31,6 +31,7 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
         *((name, BOUNDS) for name in ("bounds", "control_bounds", "u_max", "umin", "upper", "path_constraints")),
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
+        *((name, "refined until the error is small give accuracy=1e-8") for name in ("tolerance_error", "mesh")),
         ("toleranse", r"did you mean tolerance\?"),
         ("quiet", "callback, verbose, accuracy$"),
     ],

@@ -221,6 +221,12 @@ def test_equations_that_depend_on_each_other_where_they_hold():
     assert re.search(r"depend on each other, .*\['same'\]\[2\]; try .* periodic=True", solution.result)
 
 
+def test_periodic_ends_that_are_prescribed_are_named():
+    problem = OptimalControlProblem(PLANE, direct, effort, 2, periodic=True)
+    with pytest.raises(InvalidInputError, match=r"2 equations, of which 0 are .* free: periodic depends on"):
+        solve(problem, Midpoint(Addition(PLANE)), np.zeros(2), np.ones(2), 1.0, 3)
+
+
 @pytest.mark.slow
 def test_what_is_not_periodic_is_named():
     with pytest.raises(InvalidInputError, match=r"periodic must be True, .* or a function g .*, got 'yes'"):

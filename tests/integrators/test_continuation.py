@@ -177,3 +177,23 @@ def test_a_free_horizon_is_followed():
     assert found.success
     for place, solution in zip(found.places, found.solutions, strict=True):
         assert solution.horizon == pytest.approx((18 * (1 + 30 * place) ** 2) ** 0.25, rel=1e-9)
+
+
+def test_limits_that_begin_to_hold_are_passed():
+    """A pendulum swings up within bounds, which hold it for ever longer: from where derivatives lead astray the last
+    solution is the guess."""
+
+    def swung(q, u, t, weight):
+        return jnp.stack([q[1], u[0] - weight * jnp.sin(q[0]) + 0.1 * jnp.sin(t)])
+
+    bounded = OptimalControlProblem(
+        PLANE, swung, lambda q, u, t, weight: u @ u / 2, 1, control_bounds=(-1.5, 1.5), time_dependent=True
+    )
+    solver = Solver(bounded, Gauss(2, Exponential(PLANE)), 30)
+
+    def heavier(place):
+        return {"start": np.zeros(2), "end": np.array([2 + 1.1 * place, 0.0]), "horizon": 4.0, "parameters": 2 * place}
+
+    found = continuation(solver, heavier)
+    assert found.success, found.result
+    assert found.solution.cost == pytest.approx(solver.solve(**heavier(1.0)).cost, rel=1e-8)

@@ -72,6 +72,20 @@ def test_a_limit_without_slope_is_named():
         assert ("The derivative of speed vanishes where it holds the trajectory" in found.result) == (slope == 0)
 
 
+def test_a_limit_that_is_flat_on_one_side_is_named():
+    """``max(v - a, 0)^2`` holds by multipliers without bound, at a speed that is too high by the root of what counts as
+    zero."""
+
+    def squared(q: Array, u: Array, share: Array) -> Array:
+        over = q[1] - 1.3
+        return share * over + (1 - share) * jnp.maximum(over, 0.0) ** 2
+
+    solver = solver_of({"speed": squared})
+    for share in (1.0, 0.5, 1e-2, 0.0):
+        found = solved(solver, share)
+        assert ("The derivative of speed vanishes where it holds the trajectory" in found.result) == (share == 0)
+
+
 def test_limits_that_are_independent_say_nothing():
     """Active bounds of force and speed at once, and limits that do not hold it."""
     limits = {"speed": lambda q, u: q[1] - 1.3, "low": lambda q, u: jnp.stack([-9 - q[1], -9 - 2 * q[1]])}

@@ -274,6 +274,9 @@ def test_what_accuracy_cannot_be():
             solve(*given, accuracy=wrong)
     with pytest.raises(InvalidInputError, match="without control_bounds"):
         control_structure(REGULATOR, solve(*given))
+    for looks in (control_structure, step_errors):
+        with pytest.raises(InvalidInputError, match=f"{looks.__name__} takes .* got 3; try what solve returns"):
+            looks(REGULATOR, 3)
 
 
 @pytest.mark.slow

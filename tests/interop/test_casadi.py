@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, solve
+from retrax.integrators import Free, OptimalControlProblem, solve
 from retrax.interop import to_casadi
 from retrax.interop.equations import equations
 from retrax.manifolds import (
@@ -32,7 +32,13 @@ from ..support.cases import Ellipsoid
 
 pytestmark = pytest.mark.usefixtures("traced_once")
 
-QUIET = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-11}
+QUIET = {
+    "ipopt.print_level": 0,
+    "print_time": False,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-11,
+    "ipopt.bound_relax_factor": 0.0,
+}
 SPHERE, MOTIONS = Sphere(2), SE(3)
 TARGET = np.array([0.0, 0.6, 0.8])
 SPUN = OptimalControlProblem(
@@ -47,6 +53,15 @@ LANDED = OptimalControlProblem(
 DOCKED = OptimalControlProblem(
     MOTIONS * Euclidean(6), lambda q, u: (q[0] @ MOTIONS.hat(q[1]), u - 0.3 * q[1] * jnp.roll(q[1], 1)), half_square, 6
 )
+PLANE = Euclidean(2)
+HELD = OptimalControlProblem(
+    PLANE,
+    lambda q, u: jnp.stack([q[1], u[0]]),
+    half_square,
+    1,
+    control_bounds=(-6.0, 6.0),
+    constraints={"speed": lambda q, u: q[1] - 1.35},
+)
 POSE = np.block([[SLEW_END, np.array([[1.0], [2.0], [3.0]])], [np.zeros((1, 3)), np.ones((1, 1))]])
 CASES = {
     "slew": (SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, 20),
@@ -60,6 +75,7 @@ CASES = {
     ),
     "slew by collocation": (SLEW, Gauss(2, default_retraction(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, 6),
     "pendulum": (SPUN, Midpoint(default_retraction(SPUN.manifold)), (-TARGET, REST), (np.eye(3)[0], REST), 2.0, 20),
+    "within limits": (HELD, Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 10),
     "free end": (LANDED, Midpoint(default_retraction(SPHERE)), np.eye(3)[0], None, 1.0, 10),
     "docking": (
         DOCKED,
@@ -135,5 +151,7 @@ def test_what_cannot_be_written_is_said():
         to_casadi(problem, Midpoint(default_retraction(rank)), x, 2 * x, 1.0, 4)
     with pytest.raises(InvalidInputError, match="horizon must be"):
         to_casadi(*CASES["free end"][:4], -1.0, 10)
+    with pytest.raises(InvalidInputError, match=r"horizon must be .* try that of a solution, solution.horizon"):
+        to_casadi(*CASES["free end"][:4], Free(1.0), 10)
     with pytest.raises(NotOnManifoldError, match="start"):
         to_casadi(LANDED, CASES["free end"][1], 2 * np.eye(3)[0], None, 1.0, 10)

@@ -1,5 +1,7 @@
 """The generalised Legendre-Clebsch condition along a singular arc."""
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,6 +13,7 @@ from ...compilation import compiled
 from ...problem import OptimalControlProblem
 from ...singular import ControlAffineSplitting
 from ...singular.strategies.affine import brackets, regular_places
+from ...singular.strategies.leaves import ambient_field
 from .segments import Pair
 
 AFFINE = 1e-8  # a control's row of d2H/du2 below this fraction of the largest entry is zero
@@ -19,12 +22,14 @@ VANISHING = 1e-7
 NOT_DECIDED = "generalised Legendre-Clebsch condition not decided: "
 
 
-def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
+def second_order(problem: OptimalControlProblem, z: Pair, u: Array, order: int = 1) -> str:
     """What the generalised Legendre-Clebsch condition says at nodes ``z`` of an extremal with controls ``u``, in words.
 
     ``H = H_0 + s . phi`` is to be largest: ``d2H/dw2 < 0`` in the regular controls, ``{phi_a, phi_b} = 0`` [Goh 1966]
     and ``-d/ds (d2/dt2) phi = {phi_a, psi_b}``, ``psi = {phi, H_0}``, negative definite [Kelley, Kopp, Moyer 1967]. It
     is necessary for a minimum, and strictly met it is sufficient on short arcs: conjugate points are not looked for.
+    A single control may be singular of a higher ``order`` k, where ``(-1)^k d/du (d/dt)^(2k) dH/du`` is to be negative
+    [Kelley, Kopp, Moyer 1967].
     """
     if not isinstance(problem.controls, Euclidean) or np.ndim(u[0]) != 1:
         return NOT_DECIDED + "it is implemented for controls in R^m"
@@ -33,6 +38,8 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
     singular = tuple(int(i) for i in np.flatnonzero(rows <= AFFINE * size))
     if not singular:
         return NOT_DECIDED + "H is affine in none of the controls"
+    if order > 1 and curvature.shape[1] == 1:
+        return _words(np.asarray(_kelley(problem, z, order))[:, None], f"Kelley's condition of order {order}")
     regular = np.delete(np.delete(curvature, singular, axis=1), singular, axis=2)
     among, across, *bounds = (np.asarray(part) for part in _brackets(ControlAffineSplitting(problem, singular), z, u))
     scale, (bound, mixed_bound) = np.max(np.abs(across), initial=0.0), (np.max(part) for part in bounds)
@@ -47,18 +54,39 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array) -> str:
     values = np.linalg.eigvalsh((across + np.swapaxes(across, 1, 2)) / 2)
     if not scale or np.max(np.abs(values)) <= VANISHING * mixed_bound:
         return NOT_DECIDED + "the arc is of higher order, or a control is gauge"
+    return _words(values, "generalised Legendre-Clebsch condition", scale)
+
+
+def _words(values: np.ndarray, condition: str, scale: float | None = None) -> str:
+    """What eigenvalues that are to be negative say of a condition."""
     worst = float(np.max(values))
-    if worst > VANISHING * scale:
-        return (
-            f"generalised Legendre-Clebsch condition fails (largest eigenvalue {worst:.3g}, expected < 0): not "
-            "a minimum"
-        )
-    if worst > -VANISHING * scale:
-        return f"generalised Legendre-Clebsch condition met, not strictly (largest eigenvalue {worst:.3g})"
-    return (
-        f"strict generalised Legendre-Clebsch condition met (largest eigenvalue {worst:.3g}); conjugate points "
-        "not looked for"
-    )
+    clear = VANISHING * (float(np.max(np.abs(values))) if scale is None else scale)
+    if worst > clear:
+        return f"{condition} fails (largest eigenvalue {worst:.3g}, expected < 0): not a minimum"
+    if worst >= -clear:
+        return f"{condition} met, not strictly (largest eigenvalue {worst:.3g})"
+    return f"strict {condition} met (largest eigenvalue {worst:.3g}); conjugate points not looked for"
+
+
+@compiled
+def _kelley(problem: OptimalControlProblem, z: Pair, order: int) -> Array:
+    """``(-1)^k d/du (d/dt)^(2k) dH/du`` at nodes, of one control in which H is affine, along an arc of order k.
+
+    It is ``(-1)^k {f, phi}`` with ``f = {...{phi, H_0}..., H_0}`` of 2k - 1 brackets: brackets of fewer with ``phi``
+    vanish along the arc.
+    """
+    rest = jnp.zeros(1)
+
+    def primary(q: Any, p: Any) -> Array:
+        return jax.grad(lambda u: problem.hamiltonian(q, p, u))(rest)[0]
+
+    def rate(f: Any, energy: Any) -> Any:
+        return lambda q, p: jax.jvp(f, (q, p), ambient_field(energy, (q, p)))[1]
+
+    f = primary
+    for _ in range(2 * order - 1):
+        f = rate(f, lambda q, p: problem.hamiltonian(q, p, rest))
+    return (-1) ** order * jax.vmap(rate(f, primary))(*jax.tree.map(jnp.asarray, z))
 
 
 @compiled

@@ -13,6 +13,7 @@ from ..integrators import Guess, OptimalControlProblem, default_guess
 from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
 from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescribed
 from ..integrators.boundary_value.given_guess import GuessReader
+from ..integrators.free import is_free
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -74,7 +75,8 @@ def posed(
     problem.require_treated("to_casadi", "control bounds", "constraints")
     check_parameters(problem, parameters)
     if not (is_finite_number(horizon) and horizon > 0):
-        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
+        hint = "; a program has a given one: try that of a solution, solution.horizon" if is_free(horizon) else ""
+        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
     fractions, bound = fractions_of(steps), problem.with_parameters(parameters)
     reader = EndReader(problem.manifold)
     points = reader.ends(*ends, batched=False)

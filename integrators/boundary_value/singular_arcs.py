@@ -1,0 +1,160 @@
+"""Singular arcs of controls with bounds: what the classification of the problem along them says."""
+
+from dataclasses import dataclass
+from typing import Any, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...manifolds import Euclidean, InvalidInputError
+from ...manifolds.numerics import ambient as vec
+from ..problem import OptimalControlProblem
+from ..singular import Classification, classify
+from .control_curvature import ControlCurvature
+from .shooting.legendre import second_order
+from .solution import Solution
+from .structure import CONTROL_AT_BOUND, control_structure
+
+HELD = 1e-6  # of its largest multiplier: a constraint with less does not hold the trajectory
+LONGEST = 200  # stages of an arc that are looked at
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class ClassifiedArc:
+    """A singular arc from ``begin`` to ``end``, along which the entries ``controls`` of the control lie between their
+    bounds while ``dH/du = 0`` does not determine them, and all others stay at a bound or are regular.
+
+    ``order``: the arc is of order k where the 2k-th derivative of ``dH/du`` by time is the first that contains a
+    singular control; None if some of them are gauge. ``classification``: that of the problem in the controls that are
+    not at a bound, without bounds; its ``control(q, p)`` is the feedback. ``feedback_error``: the largest distance of
+    the controls of the solution from that, as a share of the room between their bounds; NaN where it is not defined.
+    ``second_order``: what the generalised Legendre-Clebsch condition, for one control Kelley's, says, in words.
+    """
+
+    begin: float
+    end: float
+    controls: tuple[int, ...]
+    order: int | None
+    classification: Classification
+    feedback_error: float
+    second_order: str
+
+    def __str__(self) -> str:
+        """A few lines."""
+        named = ", ".join(f"u[{i}]" for i in self.controls)
+        order = "with gauge controls" if self.order is None else f"of order {self.order}"
+        away = (
+            "not defined there"
+            if np.isnan(self.feedback_error)
+            else f"met to {self.feedback_error:.1e} of the room between the bounds"
+        )
+        return (
+            f"{self.begin:.10g} to {self.end:.10g}: {named} singular, {order}; P_f of dimension "
+            f"{self.classification.dimension}\n  feedback {away}\n  {self.second_order}"
+        )
+
+
+def singular_arcs(problem: OptimalControlProblem, solution: Solution) -> list[ClassifiedArc]:
+    """The singular arcs of a solution with control bounds, each with its classification.
+
+    Along an arc of ``control_structure`` the controls at bounds are constants, and the problem in the others is treated
+    by ``classify``, near the middle of the arc. Arcs along which a constraint holds the trajectory are left out: it
+    determines controls. The controls of a solution with ``accuracy`` are nearest to the feedback.
+
+    Raises ``InvalidInputError`` for a problem without control bounds, one with an explicit time, and anything but a
+    solution of it.
+    """
+    if not isinstance(solution, Solution):
+        raise InvalidInputError(f"singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
+    problem = problem.with_parameters(solution.parameters) if problem.takes_parameters else problem
+    if problem.time_dependent:
+        raise InvalidInputError(
+            "singular arcs are classified for functions of (q, u), got a problem with time_dependent=True; try the "
+            "time as a state, t' = 1"
+        )
+    structure = control_structure(problem, solution)
+    linear = ControlCurvature(problem, None)(solution, None) == 0
+    found = list[ClassifiedArc]()
+    for k, sides in enumerate(structure.sides):
+        begin, end = structure.times[k : k + 2]
+        stages = np.flatnonzero((solution.stage_times > begin) & (solution.stage_times < end))
+        singular = np.flatnonzero((sides == 0) & np.all(linear[stages], axis=0))
+        if len(stages) and len(singular) and _interior(problem, solution, stages, singular):
+            found.append(_classified(problem, solution, sides, stages, (float(begin), float(end), singular)))
+    return found
+
+
+def _interior(problem: OptimalControlProblem, solution: Solution, stages: np.ndarray, singular: np.ndarray) -> bool:
+    """Whether controls lie between their bounds at these stages, and no constraint holds the trajectory there."""
+    lower, upper = (np.array(side)[singular] for side in (problem.limits.lower, problem.limits.upper))
+    u = _controls(solution, stages, singular)
+    if np.any(np.minimum(u - lower, upper - u) < CONTROL_AT_BOUND * _room(problem, u, singular)):
+        return False
+    rows = (solution.stage_multipliers.get(name, np.zeros((0, 0))) for name in problem.limits.names)
+    return not any(np.any(own[stages] > HELD * np.max(own)) for own in rows if np.max(own, initial=0.0) > 0)
+
+
+def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np.ndarray:
+    """Entries of the control at stages."""
+    return np.asarray(solution.controls).reshape(len(solution.stage_times), -1)[stages][:, entries]
+
+
+def _room(problem: OptimalControlProblem, u: np.ndarray, entries: np.ndarray) -> np.ndarray:
+    """Between the bounds of entries of the control; where it is infinite what they vary by, or their size."""
+    room = np.array(problem.limits.upper)[entries] - np.array(problem.limits.lower)[entries]
+    size = np.max(np.abs(u), axis=0, initial=np.finfo(float).tiny)
+    return np.where(np.isfinite(room), room, size)
+
+
+def _without_bounds(problem: OptimalControlProblem, sides: np.ndarray) -> OptimalControlProblem:
+    """The problem in the controls that are not at a bound; its ends and their costs play no part along an arc."""
+    lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+    held, free = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0)), np.flatnonzero(sides == 0)
+    shape = problem.controls.shape if isinstance(problem.controls, Euclidean) else held.shape
+
+    def control(v: Any) -> Any:
+        return jnp.asarray(held, jnp.result_type(v)).at[free].set(v).reshape(shape)
+
+    return OptimalControlProblem(
+        problem.manifold,
+        lambda q, v: problem.dynamics(q, control(v)),
+        lambda q, v: problem.running_cost(q, control(v)),
+        len(free),
+        abnormal=problem.abnormal,
+    )
+
+
+def _classified(
+    problem: OptimalControlProblem,
+    solution: Solution,
+    sides: np.ndarray,
+    stages: np.ndarray,
+    arc: tuple[float, float, np.ndarray],
+) -> ClassifiedArc:
+    """An arc with what its classification says of some of its stages."""
+    begin, end, singular = arc
+    some = stages[np.unique(np.linspace(0, len(stages) - 1, LONGEST).round().astype(int))]
+    z = vec.taken((solution.stage_states, solution.stage_costates), some)
+    own, free = _without_bounds(problem, sides), np.flatnonzero(sides == 0)
+    u = _controls(solution, some, free)
+    middle = vec.taken(z, len(some) // 2)
+    found = _nearest(classify(own, near=middle, exclude_zero_costate=False), middle)
+    places = np.searchsorted(free, singular)
+    levels = [None if found.empty else found.stratum.determined_at[i] for i in places]
+    order = None if None in levels else max(int(level or 0) for level in levels) // 2
+    error = np.nan
+    if not (found.empty or found.gauge_controls):
+        feedback = np.asarray(jax.jit(jax.vmap(found.control))(*z))
+        error = float(np.max(np.abs(feedback - u)[:, places] / _room(problem, u[:, places], singular)))
+    words = second_order(own, z, jnp.asarray(u), order or 1)
+    return ClassifiedArc(begin, end, tuple(map(int, singular)), order, found, error, words)
+
+
+def _nearest(found: Classification, z: Any) -> Classification:
+    """The classification with the piece of ``P_f`` alone whose equations a state violates least."""
+    if len(found.strata) < 2:
+        return found
+    missed = [float(np.max(np.abs(stratum.equations(z)), initial=0.0)) for stratum in found.strata]
+    return found.choose(int(np.argmin(np.nan_to_num(missed, nan=np.inf))))
