@@ -24,7 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 MEMORY_MAPS = Path("/proc/self/maps")
 # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit.
-MOST_MEMORY_MAPS = 40_000
+MOST_MEMORY_MAPS = 30_000
 
 
 # Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache.
