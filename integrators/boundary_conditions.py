@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
 from .constraints import TAKEN
-from .functions import in_precision, real_vector
+from .functions import in_precision, real_vector, shapes_in
 
 PERIODIC = "periodic"
 BoundaryConstraint = Callable[..., Any]
@@ -85,7 +85,7 @@ def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambie
     """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its
     structure."""
     image = function(q)
-    wrong = manifold.describe_mismatch(jax.eval_shape(lambda: image), f"the value of {name}, a point")
+    wrong = manifold.describe_mismatch(shapes_in(image), f"the value of {name}, a point")
     if wrong:
         raise InvalidInputError(wrong)
     return jax.tree.map(lambda s, a: in_precision(name, a, s.dtype), manifold.ambient, image)

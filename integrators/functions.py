@@ -61,6 +61,14 @@ def _real(name: str, value: Any, axes: int) -> Array:
     return in_precision(name, value, working_precision())
 
 
+def shapes_in(value: Any) -> Any:
+    """Shapes and kinds of the arrays and numbers of a value. Of arrays they are known: a trace would take far longer,
+    and this is asked at each call of a user's function."""
+    if all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
+        return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), value)
+    return jax.eval_shape(lambda: value)
+
+
 def in_precision(name: str, value: Any, dtype: Any) -> Array:
     """A number or an array from a user's function in a precision; with a warning if it was computed in a lower one."""
     kind = getattr(value, "dtype", np.dtype(float))

@@ -21,7 +21,7 @@ from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words
 from .controls import resting_control
 from .costs import is_steep, require_cost
-from .functions import Bound, in_precision, real_number
+from .functions import Bound, in_precision, real_number, shapes_in
 from .inspection import Inspection, probes
 from .options import known_options, require_arguments, takes_more
 from .probing import FAILURES, failure_words
@@ -234,7 +234,7 @@ class OptimalControlProblem(eqx.Module):
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a
         point."""
         v = self.dynamics(q, u)
-        wrong = self.manifold.describe_mismatch(jax.eval_shape(lambda: v), "the value of dynamics, a tangent vector")
+        wrong = self.manifold.describe_mismatch(shapes_in(v), "the value of dynamics, a tangent vector")
         if wrong:
             raise InvalidInputError(wrong)
         return jax.tree.map(lambda s, a: in_precision("dynamics", a, s.dtype), self.manifold.ambient, v)

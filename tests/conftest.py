@@ -17,10 +17,14 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_disable_most_optimizations", True)
 FASTER = "--xla_cpu_parallel_codegen_split_count=1 --xla_cpu_use_fusion_emitters=false"
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FASTER}"
+# Kernels that run a few times need no places in the code for a profiler.
+jax.config.update("jax_traceback_in_locations_limit", 0)
+# Workers, which fill the processors, begin with this: threads of BLAS would wait for small matrices in a busy loop.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 MEMORY_MAPS = Path("/proc/self/maps")
 # Linux allows a process 65 530, compiled kernels take several each, and XLA aborts at the limit.
-MOST_MEMORY_MAPS = 20_000
+MOST_MEMORY_MAPS = 30_000
 
 
 # Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache.
@@ -70,7 +74,7 @@ def pytest_collection_finish():
     """What is there before the first test is not looked through for garbage again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(100_000, 20, 50)
 
 
 # Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting. And

@@ -90,7 +90,7 @@ def facts_at(name: str, seed: int) -> dict:
     return {"coordinates": coordinates, **_kernel(name)(x, y, v, p, coordinates)}
 
 
-@pytest.mark.long("SU2", "SL2")
+@pytest.mark.long("SU2", "SL2", "SE3")
 @every_group
 @given(seed=SEEDS)
 def test_ad_is_the_derivative_of_the_homomorphism_Ad(name, seed):

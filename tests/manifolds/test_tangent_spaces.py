@@ -51,8 +51,6 @@ def test_dimension(name: str, dimension: int) -> None:
 @pytest.mark.parametrize("name", MANIFOLDS)
 @pytest.mark.usual(
     "R2x3",
-    "S2",
-    "SO3",
     "SE2",
     "SU2",
     "ellipsoid",

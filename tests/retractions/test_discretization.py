@@ -18,7 +18,7 @@ NORTH = jnp.array([0.0, 0.0, 1.0])
 
 
 @pytest.mark.parametrize("name", MAPS)
-@pytest.mark.usual("theta=0.3, exponential-S2", "theta=0.3, softmax-simplex3")
+@pytest.mark.usual("theta=0.3, exponential-S2")
 def test_is_a_discretization_map(name, seeds):
     discretization = MAPS[name]
     symmetric = isinstance(discretization, Theta) and discretization.theta == 0.5 and discretization.other is None
