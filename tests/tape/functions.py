@@ -92,6 +92,11 @@ SMOOTH = {
     "products of what is known": lambda x: (
         jnp.tensordot(jnp.arange(12.0).reshape(2, 2, 3), jnp.arange(12.0).reshape(3, 2, 2), ((2, 1), (0, 2)))[0, 0] * x
     ),
+    "sums of what is known": lambda x: (
+        x * jnp.sum(jnp.arange(6.0).reshape(2, 3), axis=0) / jnp.max(jnp.arange(4.0))
+        + jnp.where(jnp.any(jnp.arange(3) > 1), jnp.min(jnp.arange(1.0, 5.0)) / 3.0, 0.0) * x**2
+        + jnp.where(jnp.all(jnp.arange(3) > 1), 1.0, 2.0) * x**3
+    ),
     "own rule of what is known": lambda x: (
         x * jax.lax.fori_loop(0, 3, lambda i, c: c + _squared(i + 1.0) / (i + 2.0) ** 2, 0.0)
     ),
