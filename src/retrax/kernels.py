@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, Literal, final
 
 import numba
+from llvmlite import binding
 from numba._dynfunc import make_function
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
@@ -29,18 +30,25 @@ class _Code(JITCodeLibrary):
 class _Kernel(_Code):
     """Code that LLVM optimises once: Numba does it before and after it looks for counts of references."""
 
-    loops_to_vectors: ClassVar[bool] = True
-
     def _optimize_final_module(self) -> None:
-        passes, builder = self._codegen._module_pass_manager(loop_vectorize=self.loops_to_vectors)
+        passes, builder = self._passes()
         passes.run(self._final_module, builder)
+
+    def _passes(self) -> tuple[Any, Any]:
+        """Those of Numba."""
+        return self._codegen._module_pass_manager()
 
 
 @final
 class _KernelOfVectors(_Kernel):
-    """Code whose vectors are its own: LLVM would make more, of loops that are too short for them."""
+    """Code whose vectors are its own: its loops are short, and to write them out takes longer than it gains."""
 
-    loops_to_vectors = False
+    def _passes(self) -> tuple[Any, Any]:
+        options = binding.create_pipeline_tuning_options(speed_level=2)
+        options.loop_vectorization = options.slp_vectorization = False
+        options.loop_interleaving = options.loop_unrolling = False
+        builder = binding.create_pass_builder(self._codegen._tm, options)
+        return builder.getModulePassManager(), builder
 
 
 @final
