@@ -26,6 +26,7 @@ from .solver import Solver
 FIRST = 0.1  # of the path
 LONGER, SHORTER = 2.0, 0.3
 CORRECTED = 0.4  # of the predicted change: a correction by that much leaves a step as long as it is
+NO_MINIMA = "The extremals there are not strict minima any more, as behind a conjugate point."
 NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no other extremal, however small the change
 
 
@@ -146,7 +147,8 @@ def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, opt
     if not found.success:
         return _Trial(found, np.inf, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
-        return _Trial(found, np.inf, "The extremals there are not strict minima any more, as behind a conjugate point.")
+        why = found.result.removeprefix(Result[Result.successful]).strip()
+        return _Trial(found, np.inf, why or NO_MINIMA)
     old, new = _parts(last.guess()), _parts(found.guess())
     expected, correction = old if isinstance(guess, Solution) else _parts(guess), 0.0
     for before, aim, after in zip(old, expected, new, strict=True):

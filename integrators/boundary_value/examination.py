@@ -37,7 +37,8 @@ class Examination:
         self._limited, self._named = problem.limits.along, bool(problem.limits.functions)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
-        """The solution, the same one if there is nothing to say of it; no success where it passes a jump.
+        """The solution, the same one if there is nothing to say of it; no success where it passes a jump, and no strict
+        minimum where constraints that hold it do not determine their multipliers.
 
         With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is
         prescribed of the ends violates a constraint of the states, of which the conditions at the stages know nothing.
@@ -58,7 +59,9 @@ class Examination:
         outside = self._outside(solution, ends)
         if outside and solution.success:
             return _failed(solution, outside)
-        notes = [outside, self._unqualified(solution), self.undetermined(solution) if solution.success else ""]
+        unqualified = self._unqualified(solution)
+        solution = _without_minimum(solution) if unqualified else solution
+        notes = [outside, unqualified, self.undetermined(solution) if solution.success else ""]
         said = " ".join(filter(None, notes))
         return replace(solution, result=f"{solution.result} {said}") if said else solution
 
@@ -164,9 +167,15 @@ def _fixed(ends: tuple[Prescribed, Prescribed]) -> np.ndarray:
 
 def _failed(solution: Solution, words: str) -> Solution:
     """The solution without success, and without what is claimed of one."""
+    return replace(_without_minimum(solution), success=False, result=words)
+
+
+def _without_minimum(solution: Solution) -> Solution:
+    """The solution, which is not claimed to be a strict minimum: the inertia of its KKT matrix shows that only where
+    its multipliers exist and are the only ones."""
     checks = solution.checks
     checks = replace(checks, strict_minimum=False) if isinstance(checks, RegularChecks) else checks
-    return replace(solution, success=False, result=words, checks=checks)
+    return replace(solution, checks=checks)
 
 
 def _longest(flat: np.ndarray) -> tuple[int, int]:

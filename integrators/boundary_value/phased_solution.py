@@ -6,6 +6,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
+from ..results import sentence
 from ..text import table
 from .interpolation import Sample, checked_times
 from .solution import Solution, Statistics
@@ -34,8 +35,7 @@ class PhasedSolution:
         begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
         moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
         success = all(phase.success for phase in phases)
-        failed = next((k for k, phase in enumerate(phases) if not phase.success), 0)
-        result = phases[failed].result
+        result = _told(phases) if success else next(phase.result for phase in phases if not phase.success)
         return cls(moved, sum(phase.cost for phase in phases), success, result, multipliers, phases[0].statistics)
 
     def renewed(self, **changes: Any) -> Self:
@@ -60,7 +60,7 @@ class PhasedSolution:
     @property
     def strict_minimum(self) -> bool:
         """Whether the extremal is shown to be a strict local minimum of the discrete problem of all phases together."""
-        return all(phase.checks.strict_minimum for phase in self.phases)
+        return self.success and all(phase.checks.strict_minimum for phase in self.phases)
 
     def __call__(self, t: float) -> Sample:
         """States, controls and costates at a time, of the phase that it is in; where one ends, of the next."""
@@ -93,6 +93,15 @@ class PhasedSolution:
         ]
         parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
         return "\n\n".join([table(rows), *parts])
+
+
+def _told(phases: Sequence[Solution]) -> str:
+    """What is said of phases with success: that, and what is said of each of them besides, or of all."""
+    solved = sentence("successful")
+    more = [phase.result.removeprefix(solved).strip() for phase in phases]
+    alike = len(set(more)) == 1
+    notes = more[:1] if alike else [f"Phase {k}: {words}" for k, words in enumerate(more) if words]
+    return " ".join(filter(None, [solved, *notes]))
 
 
 def _at(phase: Solution, begin: float) -> Solution:

@@ -14,12 +14,14 @@ from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
 from ..evaluator import Automatic, Evaluated
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
+from .checks import RegularChecks
 from .solution import Solution
 
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
 FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
 OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
 FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
+BEYOND = 0.25  # of the derivative squared, ``g g''``: ``max(x, 0)^p`` has ``1 - 1 / p``, and one with a slope nothing
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
 
@@ -42,37 +44,34 @@ class Qualification:
         rows = [np.asarray(part) for part in rows]
         values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        own = self._multipliers(solution)
+        own, counted = self._multipliers(solution)
         if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
-        pulling = (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
-        felt = np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * solution.checks.hamiltonian_size
-        active = felt & pulling
+        extent, size = np.concatenate([np.ptp(part, axis=0) for part in rows]), solution.checks.hamiltonian_size
+        lengths, bends = self._bends(*rows, solution.stage_times[:, None], extent[None], given[None])
+        reach = np.max(lengths, axis=0)
+        held = counted & (own * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
+        pulling = held & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
+        flat = (
+            pulling
+            & (np.max(own * lengths, axis=0) > FELT * size)
+            & _is_flat(solution.success * values, lengths, bends)
+        )
+        active = pulling & (np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         lengths = np.linalg.norm(slopes, axis=2)
-        flat = active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
-        flat |= pulling & self._flat_within(solution, rows, given, own)
+        flat |= active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
         names = bound.inequality_names
         if np.any(flat):
             k, i = np.argwhere(flat)[0]
             place = f"near t = {solution.stage_times[k]:.6g}"
             return (
                 f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can "
-                "hold it there; try a function that passes through zero with a slope, as q[0] - a in place of "
-                "its square or cube."
+                "hold it there: it may be passed by far more than the tolerance, and no strict minimum is shown; try a "
+                "function that passes through zero with a slope, as q[0] - a in place of its square or cube."
             )
         return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
-
-    def _flat_within(
-        self, solution: Solution, rows: list[np.ndarray], given: np.ndarray, own: np.ndarray
-    ) -> np.ndarray:
-        """Where the derivatives of inequalities with a force are next to nothing beside what they change by over the
-        extent of the trajectory, as that of a square that is flat on one side, shape ``(N s, k)``."""
-        extent = np.concatenate([np.ptp(part, axis=0) for part in rows])
-        lengths, bends = self._bends(*rows, solution.stage_times[:, None], extent[None], given[None])
-        felt = np.max(own * lengths, axis=0) > FELT * solution.checks.hamiltonian_size
-        return felt & (lengths < FLAT_BEND * np.abs(bends))
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
@@ -126,12 +125,18 @@ class Qualification:
                 )
         return ""
 
-    def _multipliers(self, solution: Solution) -> np.ndarray:
-        """Those of the inequalities in their order, shape ``(N s, k)``."""
-        limits, own = self.problem.limits, solution.stage_multipliers
-        sides = [own[name][:, side] for name, side in limits.bounded.items() if side]
+    def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """Those of the inequalities in their order, shape ``(N s, k)``, and which are among the largest, as many as the
+        stages at which the inequality is active: what a barrier leaves at the others holds nothing."""
+        limits, own, checks = self.problem.limits, solution.stage_multipliers, solution.checks
+        active = checks.active if isinstance(checks, RegularChecks) else {}
         none = np.zeros((len(solution.stage_times), 0))  # of a constraint without entries
-        return np.concatenate([none, *sides, *(own.get(name, none) for name in limits.names)], axis=1)
+        sides = [(name, own[name][:, side]) for name, side in limits.bounded.items() if side]
+        named = [*sides, *((name, own.get(name, none)) for name in limits.names)]
+        rows = np.concatenate([none, *(part for _, part in named)], axis=1)
+        counts = [np.full(part.shape[1], active.get(name, 0)) for name, part in named]
+        ranks = np.argsort(np.argsort(-rows, axis=0), axis=0)
+        return rows, ranks < np.concatenate([np.zeros(0), *counts])
 
     @cached_property
     def _limits(self) -> Evaluated:
@@ -181,3 +186,11 @@ class Qualification:
             return jax.jvp(rate, (rest,), (along,))[1]
 
         return lengths, jnp.stack([bend(i) for i in range(len(slopes))])
+
+
+def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:
+    """Where the derivatives of inequalities are next to nothing beside what they change by over the extent of the
+    trajectory, as that of a square that is flat on one side, or by the way back to where a violated one holds, shape
+    ``(N s, k)``."""
+    bends = np.abs(bends)
+    return (lengths < FLAT_BEND * bends) | (values * bends > BEYOND * lengths**2)

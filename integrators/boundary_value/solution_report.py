@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ..results import sentence
 from ..text import many, table
 from .checks import RegularChecks
 from .solution import SingularArc, Solution
@@ -30,7 +31,7 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
         return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
-    if solution.success and not checks.strict_minimum:
+    if solution.result == sentence("successful") and not checks.strict_minimum:  # else the result says why
         yield "", NO_MINIMUM
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
