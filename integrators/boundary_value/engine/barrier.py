@@ -6,7 +6,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS
-from .inequalities import Held, Slacks, Surveyed, central, surveyed
+from .inequalities import VALUE, Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; known multipliers that leave more do not fit
@@ -32,8 +32,10 @@ class Barrier(NamedTuple):
 
     @classmethod
     def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray) -> "Barrier":
-        """The units where the unknowns of the points have these sizes: what these change an inequality by."""
+        """The units where the unknowns of the points have these sizes: what these change an inequality by, to first
+        order, or a share of its value if that is more, as where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
+        size = np.maximum(size, VALUE * np.abs(held.values).max(axis=(1, 2)))
         return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
 
     @property

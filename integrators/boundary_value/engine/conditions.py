@@ -13,7 +13,7 @@ from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .first_units import first_units
-from .inequalities import Held, Slacks, Surveyed, moved, turned
+from .inequalities import Held, Slacks, Surveyed, met, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
 from .meeting import meeting
 from .residuals import Appraisal, appraisal
@@ -69,10 +69,8 @@ class Conditions:
 
     @property
     def judging(self) -> Units:
-        """The units that tell whether the conditions are met, once they are measured: not wider ones.
-
-        By those a trajectory that solves nothing may lack next to nothing.
-        """
+        """The units that tell whether the conditions are met, once they are measured: not wider ones, by which what
+        solves nothing may lack next to nothing."""
         if self.units is None:
             raise RuntimeError("the conditions have no units yet; call begin with a guess")
         return self.units
@@ -244,6 +242,11 @@ class Conditions:
             return iterate
         return iterate._replace(slacks=self.barrier.softened(assembled.blocks.inequalities, iterate.slacks, where))
 
+    def met(self, iterate: Iterate, assembled: Assembled) -> Iterate:
+        """The iterate with slacks that meet the inequalities where these hold; itself if they do."""
+        slacks = iterate.slacks and met(assembled.blocks.inequalities, iterate.slacks)
+        return iterate if slacks is iterate.slacks else iterate._replace(slacks=slacks)
+
     def is_infeasible(
         self, iterate: Iterate, assembled: Assembled, residuals: Residuals, tolerance: float
     ) -> np.ndarray:
@@ -365,8 +368,7 @@ class Conditions:
 
     @cached_property
     def fixed(self) -> np.ndarray:
-        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of the ends that are
-        free."""
+        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of free ends."""
         fixed = np.ones((len(self.data.steps), self.data.steps.shape[1] + 1, len(self.ends.start_coordinates)))
         fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
         return fixed

@@ -16,10 +16,13 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ....threads import in_threads
 from .arrays import plain
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
+LEFT = 0.01  # of a slack: one that would be less stays as its step made it
+ROUNDED = EPS**HALF  # of a slack: what it misses of its inequality is rounding
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
 # Of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less.
 VALUE = 1e-2
@@ -179,6 +182,14 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
 
     in_threads(run, len(fraction), turn.slacks[0].size)
     return Slacks(*out, slacks.price, slacks.barrier)
+
+
+def met(held: Held, slacks: Slacks) -> Slacks:
+    """The slacks with ``s = t - g`` where an inequality holds, if a step misses that, as it does where ``g`` is
+    curved."""
+    own, made = slacks.excess - held.values, slacks.slacks
+    missed = held.asked & (own >= LEFT * made) & (np.abs(own - made) > ROUNDED * made)
+    return slacks._replace(slacks=np.where(missed, own, slacks.slacks)) if missed.any() else slacks
 
 
 def surveyed(

@@ -179,6 +179,12 @@ class JointConditions:
             parts=tuple(phase.softened(part, system, where) for phase, part, system in self._each(iterate, assembled))
         )
 
+    def met(self, iterate: JointIterate, assembled: JointAssembled) -> JointIterate:
+        """The iterate with slacks that meet the inequalities where these hold; itself if they do."""
+        parts = tuple(phase.met(part, of) for phase, part, of in self._each(iterate, assembled))
+        changed = any(a is not b for a, b in zip(parts, iterate.parts, strict=True))
+        return iterate._replace(parts=parts) if changed else iterate
+
     def is_infeasible(
         self, iterate: JointIterate, assembled: JointAssembled, residuals: Residuals, tolerance: float
     ) -> np.ndarray:

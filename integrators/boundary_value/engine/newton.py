@@ -170,7 +170,13 @@ class _Search:
         trial, assembled = conditions.tried(state.iterate, state.assembled, state.step, state.fraction)
         found = conditions.residuals(trial, assembled)
         before = state
-        state, good, again = self.judged(conditions, state, trial, assembled, found)
+        state, good, again = self.judged(conditions, before, trial, assembled, found)
+        # Slacks went by the slopes of the inequalities: with those of their values the step may be a good one.
+        other = trial if trial.slacks is None or good.all() else conditions.met(trial, assembled)
+        if other is not trial:
+            system = conditions.assemble(other)
+            own = merged(good, (trial, assembled, found), (other, system, conditions.residuals(other, system)))
+            state, good, again = self.judged(conditions, before, *own)
         # What rounding refuses beside a solution tells nothing about units.
         refused = again & ~good & ~before.isolated
         state, wider = rewritten((self.conditions, conditions), before, state, assembled, refused)
