@@ -32,10 +32,11 @@ class Barrier(NamedTuple):
 
     @classmethod
     def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray) -> "Barrier":
-        """The units where the unknowns of the points have these sizes: what these change an inequality by, to first
-        order, or a share of its value if that is more, as where its derivative vanishes."""
+        """The units where the unknowns of the points have these sizes: what these change an inequality by to first
+        order, or its value where that is next to nothing, as that of a ball where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
-        size = np.maximum(size, VALUE * np.abs(held.values).max(axis=(1, 2)))
+        value = np.abs(held.values).max(axis=(1, 2))
+        size = np.where(size > VALUE * value, size, value)
         return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
 
     @property
