@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...kernels import kernel, part
+from ...kernels import kernel, kernel_part
 
 
 @kernel()
@@ -40,7 +40,7 @@ def invert(a: np.ndarray, sizes: np.ndarray) -> None:
                 a[i, k, j], a[i, rows[k, j], j] = a[i, rows[k, j], j], a[i, k, j]
 
 
-@part()
+@kernel_part()
 def _sweep(a: np.ndarray, i: int, k: int) -> None:
     """Take as much of row ``k`` from row ``i`` as stands there in column ``k``."""
     for column in range(a.shape[0]):
@@ -51,7 +51,7 @@ def _sweep(a: np.ndarray, i: int, k: int) -> None:
         a[i, k, j] *= -a[k, k, j]
 
 
-@part()
+@kernel_part()
 def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
     """Newton's steps in units of the unknowns; ``places``: first rows of the residual, of the steps, of the units."""
     missed, step, sizes = places
@@ -66,7 +66,7 @@ def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
             v[step + i, j] /= v[sizes + i, j]
 
 
-@part()
+@kernel_part()
 def copy_to_lanes(matrix: np.ndarray, a: np.ndarray) -> None:
     """Write the matrix into all lanes."""
     for i in range(matrix.shape[0]):

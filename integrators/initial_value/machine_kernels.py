@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...kernels import part
+from ...kernels import kernel_part
 from ...linked import address, called
 from ...tape.machine import RUN, RUN_ONE, run, run_one
 
@@ -15,7 +15,7 @@ def machine() -> Machine:
     return address(run, RUN), address(run_one, RUN_ONE)
 
 
-@part()
+@kernel_part()
 def evaluate(programs: tuple, which: int, v: np.ndarray, w: np.ndarray) -> None:
     """Run one of the programs on a memory with these registers."""
     (run, run_one), codes, operands, values, ranges = programs

@@ -7,7 +7,7 @@ loops read and write; ``places`` has the first row of each of its parts. There i
 
 import numpy as np
 
-from ...kernels import kernel, part
+from ...kernels import kernel, kernel_part
 from ...manifolds.numerics.chord_newton import (
     CURVED,
     MAX_CHORDS,
@@ -43,7 +43,7 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 # steps, or an empty matrix; memory and registers of as many lanes as the columns of one lane's Jacobian need.
 
 
-@part()
+@kernel_part()
 def _place(places: np.ndarray, v: np.ndarray) -> None:
     """Write the unknowns of all lanes, in their own units, where programs read them."""
     for i in range(places[COUNT]):
@@ -51,7 +51,7 @@ def _place(places: np.ndarray, v: np.ndarray) -> None:
             v[places[C] + i, j] = v[places[SCALED] + i, j] * v[places[SIZES] + i, j]
 
 
-@part()
+@kernel_part()
 def _measure(places: np.ndarray, v: np.ndarray) -> None:
     """The largest entry of the step of every lane, NaN if one is, becomes ``LENGTH``."""
     for j in range(v.shape[1]):
@@ -62,7 +62,7 @@ def _measure(places: np.ndarray, v: np.ndarray) -> None:
             v[places[LENGTH], j] = largest if size <= largest or largest != largest else size
 
 
-@part()
+@kernel_part()
 def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
     """Take the step of each lane that goes on, or leave it, and decide whether more are to come; whether there are
     any."""
@@ -90,7 +90,7 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
     return more
 
 
-@part()
+@kernel_part()
 def _chords(
     programs: tuple,
     places: np.ndarray,
@@ -110,7 +110,7 @@ def _chords(
             return
 
 
-@part()
+@kernel_part()
 def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, inverse: np.ndarray) -> None:
     """Lanes whose steps do not shrink have converged where the step changes as much by the rounding of the unknowns."""
     m, some = places[COUNT], False
@@ -143,7 +143,7 @@ def _probe(programs: tuple, places: np.ndarray, v: np.ndarray, w: np.ndarray, in
             v[places[CONVERGED], j] = 1.0
 
 
-@part()
+@kernel_part()
 def _renew(
     programs: tuple,
     places: np.ndarray,
@@ -176,7 +176,7 @@ def _renew(
     invert(inverses[block, k], v[places[SIZES] : places[SIZES] + m])
 
 
-@part()
+@kernel_part()
 def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool:
     """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
 
@@ -197,7 +197,7 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
     return some
 
 
-@part()
+@kernel_part()
 def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
     """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is
     least."""
@@ -214,7 +214,7 @@ def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> 
                 v[places[SCALED] + i, j] += differences[n, i, j] / v[places[SIZES] + i, j]
 
 
-@part()
+@kernel_part()
 def _compare(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
     """The differences of all orders after a step: how wrong its prediction was, and how that changed."""
     for i in range(places[COUNT]):
@@ -224,7 +224,7 @@ def _compare(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None
                 change, differences[n, i, j] = change - differences[n, i, j], change
 
 
-@part()
+@kernel_part()
 def _solve_step(
     programs: tuple,
     places: np.ndarray,
@@ -271,7 +271,7 @@ def _solve_step(
         spent[block, k] = 0.0
 
 
-@part()
+@kernel_part()
 def _step(
     programs: tuple,
     places: np.ndarray,
@@ -299,7 +299,7 @@ def _step(
                 v[places[FRESH] + k * places[CONTROLS] + i, j] = v[places[CONTROL] + i, j]
 
 
-@part()
+@kernel_part()
 def _advance(
     programs: tuple,
     places: np.ndarray,

@@ -156,7 +156,7 @@ def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
     return made
 
 
-def part(**options: Any) -> Callable[[Any], Any]:
+def kernel_part(**options: Any) -> Callable[[Any], Any]:
     """For functions that nothing but other compiled functions calls."""
     alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     return _njit(error_model="numpy", nogil=True, **options, **alone)

@@ -7,7 +7,7 @@ import numpy as np
 from numba import types
 from numba.core.typing.templates import signature
 
-from ....kernels import part, pasted
+from ....kernels import kernel_part, pasted
 from ....linked import address, array, called, laid, put, view
 from ....tape import machine
 from . import extent_kernels, inequality_kernels
@@ -86,7 +86,7 @@ def _rows(table: np.ndarray, first: int, count: int) -> np.ndarray:
     return view(table, first * table.shape[1], (count, table.shape[1]))
 
 
-@part(_nrt=False)
+@kernel_part(_nrt=False)
 def _evaluate(place: int, k: int, tapes: tuple, count: int) -> None:
     """Run the tape ``k`` on what it reads."""
     codes, registers, values, sources, targets, table, memory, written = tapes

@@ -7,7 +7,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ....kernels import kernel, part
+from ....kernels import kernel, kernel_part
 from .arrays import LANES
 
 # Numba's own types do not know that it passes an intrinsic its first argument itself.
@@ -16,7 +16,7 @@ intrinsic: Any = extending.intrinsic
 # None of these functions allocates: without counts of references they are a third shorter. A part that LLVM does not
 # inline gets each field of its arrays on the stack, which takes longer than what it computes on a small one.
 compiled = kernel(vectors=True, fastmath={"contract"}, _nrt=False)
-inner = part(forceinline=True, fastmath={"contract"}, _nrt=False)
+inner = kernel_part(forceinline=True, fastmath={"contract"}, _nrt=False)
 
 VECTOR = ir.VectorType(ir.DoubleType(), LANES)
 PLACES = ir.VectorType(ir.IntType(64), LANES)

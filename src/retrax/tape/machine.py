@@ -12,7 +12,7 @@ from llvmlite import ir
 from numba import extending, types
 from numba.core import cgutils
 
-from ..kernels import kernel, part, pasted
+from ..kernels import kernel, kernel_part, pasted
 from ..linked import array
 from .emitted import EMITTED, operands_of
 from .program import CODES, FOUR, NAMES, OPERANDS
@@ -193,7 +193,7 @@ def _columns(builder: Any, rows: list[Any]) -> list[Any]:
 _read_four, _write_four = _turning(write=False), _turning(write=True)
 
 
-@part()
+@kernel_part()
 def _elementary(c: int, x: float) -> float:
     """Functions of one number that take longer than the choice among them."""
     if c == SIN:
@@ -227,7 +227,7 @@ def _elementary(c: int, x: float) -> float:
     return math.erf(x) if c == ERF else (np.log1p(x) if c == LOG1P else np.expm1(x))
 
 
-@part()
+@kernel_part()
 def _of_one(c: int, x: float) -> float:
     if c == SIGN:
         return 1.0 if x > 0 else (-1.0 if x < 0 else x)
@@ -238,7 +238,7 @@ def _of_one(c: int, x: float) -> float:
     return x if c == ASSIGN else _elementary(c, x)
 
 
-@part()
+@kernel_part()
 def _of_two(c: int, x: float, y: float) -> float:
     if c == EQ:
         return 1.0 if x == y else 0.0
@@ -261,7 +261,7 @@ def _of_two(c: int, x: float, y: float) -> float:
     return math.hypot(x, y) if c == HYPOT else np.power(x, y)
 
 
-@part()
+@kernel_part()
 def _other(c: int, x: float, y: float) -> float:
     return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
 
