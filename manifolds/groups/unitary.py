@@ -9,6 +9,7 @@ from jaxtyping import Array
 
 from ..numerics import ambient as vec
 from ..numerics.frames import qr_factor
+from ..numerics.matrices import determinant
 from ..numerics.precision import complex_entries
 from ..numerics.sizes import plain, require_size
 from .matrix_lie_group import MatrixLieGroup
@@ -49,7 +50,7 @@ def _random_unitary(key: Array, n: int) -> Array:
 
 def _without_phase(x: Array) -> Array:
     """A unitary matrix times the phase that makes its determinant one."""
-    return x * jnp.exp(-1j * jnp.angle(jnp.linalg.det(x)) / x.shape[0])
+    return x * jnp.exp(-1j * jnp.angle(determinant(x)) / x.shape[0])
 
 
 @final
@@ -120,7 +121,7 @@ class SU(MatrixLieGroup):
         return _without_phase(nearly_orthogonal(x))
 
     def violations(self, x: Array) -> dict[str, Array]:
-        return {**_gram_violation(x), "|det x - 1|": jnp.abs(jnp.linalg.det(x) - 1)}
+        return {**_gram_violation(x), "|det x - 1|": jnp.abs(determinant(x) - 1)}
 
     def random_point(self, key: Array) -> Array:
         return _without_phase(_random_unitary(key, self.n))

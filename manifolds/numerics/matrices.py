@@ -156,6 +156,21 @@ def _lyapunov_by_sign(a: Matrix, c: Matrix) -> Matrix:
     return jnp.where(jnp.linalg.norm(sign - eye) < 1, double / 2, jnp.nan)
 
 
+def determinant(a: Matrix) -> Array:
+    """Determinant of a complex matrix by elimination with interchanges of rows, in operations that the tape has."""
+    rows = jnp.arange(a.shape[0])
+
+    def eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
+        a, product = state
+        column = jnp.where(rows >= k, a[:, k].real ** 2 + a[:, k].imag ** 2, -1)
+        here, there = rows == k, rows == jnp.argmax(column)
+        a = a + jnp.outer(1.0 * here - there, jnp.where(there, 1, 0) @ a - a[k])
+        factors = jnp.where(rows > k, a[:, k] / a[k, k], 0)
+        return a - jnp.outer(factors, a[k]), product * jnp.where(jnp.any(here & there), a[k, k], -a[k, k])
+
+    return jax.lax.fori_loop(0, a.shape[0], eliminate, (a, jnp.ones((), a.dtype)))[1]
+
+
 def triangular_factor(a: Matrix, c: Matrix) -> Matrix:
     """Upper triangular ``t``, its diagonal real, with ``a t + t'a' = c`` for a symmetric (Hermitian) ``c``.
 

@@ -89,6 +89,13 @@ class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
     def square_root(self, b: Matrix) -> Matrix:
         """The group element near the identity whose square is ``b``."""
 
+    def both_ways(self, x: Array, v: Array) -> tuple[Array, Array]:
+        # Elsewhere the inverse of g(A) has more rounding than g(-A).
+        if not self.manifold.lie_algebra.acts_unitarily:
+            return super().both_ways(x, v)
+        g = self.group_map(self.manifold.left_trivialise(x, v))
+        return x @ self.manifold.inverse(g), x @ g
+
     def midpoint(self, x0: Array, x1: Array) -> Array:
         return x0 @ self.square_root(self.manifold.inverse(x0) @ x1)
 

@@ -46,7 +46,15 @@ _RIGID = _MatrixFunctions(
     rigid_motions.cayley,
     rigid_motions.cayley_inverse,
 )
-_CLOSED_FORMS = {SO: _ROTATIONS, U: _UNITARY, SU: _UNITARY._replace(logarithm=unitary.special_logarithm), SE: _RIGID}
+_SPECIAL_UNITARY = _MatrixFunctions(
+    unitary.exponential,
+    unitary.special_logarithm,
+    unitary.special_square_root,
+    unitary.injective,
+    unitary.special_cayley,
+    unitary.special_cayley_inverse,
+)
+_CLOSED_FORMS = {SO: _ROTATIONS, U: _UNITARY, SU: _SPECIAL_UNITARY, SE: _RIGID}
 
 
 def _functions(group: MatrixLieGroup) -> _MatrixFunctions:
@@ -85,13 +93,18 @@ class GroupExponential(SymmetricGroupRetraction):
 
 @final
 class GroupCayley(SymmetricGroupRetraction):
-    """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``.
+    """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``, and SU(n).
 
-    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SU(n) and SL(n) for n >
-    2: there it leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b =
-    x^-1 y``; its image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the
-    algebra of SO, SE, U, SU(2) and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half
-    of the digits of ``A`` come back. NaN where rounding leads off the group.
+    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SL(n) for n > 2: there it
+    leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``; its
+    image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE,
+    U, SU(n) and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half of the digits of
+    ``A`` come back. NaN where rounding leads off the group.
+
+    On SU(n), n > 2, the transform ``c`` times the phase that makes its determinant one, ``c det(c)^(-1/n) = exp(A +
+    (A^3 - tr(A^3)/n I)/12 + ...)``: of second order and symmetric as without it. It leads to all matrices but those
+    with two angles that are a full turn apart, where the angles have the sum 0; its inverse leaves out those with the
+    eigenvalue -1.
 
     >>> Cayley(SE(3))
     GroupCayley(manifold=SE(n=3))
@@ -109,7 +122,7 @@ class GroupCayley(SymmetricGroupRetraction):
     @staticmethod
     def applies(group: MatrixLieGroup) -> bool:
         """Whether the Cayley transform takes the algebra to the group."""
-        return group.lie_algebra.closed_under_cubes
+        return isinstance(group, SU) or group.lie_algebra.closed_under_cubes
 
     def group_map(self, a: Matrix) -> Matrix:
         return on_group(self.manifold, _functions(self.manifold).cayley(a))

@@ -21,10 +21,6 @@ class _SymmetricRotation(SymmetricGroupRetraction):
 
     manifold: SO
 
-    def both_ways(self, x: Array, v: Array) -> tuple[Array, Array]:
-        g = self.group_map(self.manifold.left_trivialise(x, v))
-        return x @ g.T, x @ g
-
     def square_root(self, b: Array) -> Array:
         return rotations.rotation_sqrt(b)
 

@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from retrax.manifolds.numerics.matrices import exponential, spd_log, sym_exp, symmetric
+from retrax.manifolds.numerics.matrices import determinant, exponential, spd_log, sym_exp, symmetric
 
 from tests.support.numerics import NODES, SEEDS, compiled, differences
 
@@ -74,3 +74,14 @@ def test_the_exponential_of_large_matrices(seed, size):
     np.testing.assert_allclose(
         KERNELS["general exp"](a, a, a, a)["value"], scipy.linalg.expm(a), atol=1e-14 * (10 + size)
     )
+
+
+DETERMINANT = compiled(determinant)
+
+
+@given(seed=SEEDS, first=st.sampled_from([1.0, 1e-12, 0.0]))
+def test_the_determinant_is_that_of_lapack_whichever_rows_are_interchanged(seed, first):
+    rng = np.random.default_rng(seed)
+    a = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
+    a[0, 0], a[1, 1] = first * a[0, 0], first * a[1, 1]
+    np.testing.assert_allclose(DETERMINANT(a), np.linalg.det(a), rtol=0, atol=1e-12)

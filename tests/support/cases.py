@@ -209,6 +209,7 @@ RETRACTIONS: dict[str, Retraction] = {
     "exponential-heisenberg": Exponential(Heisenberg()),
     "exponential-oblique32": Exponential(Oblique(3, 2)),
     "cayley-U2": Cayley(U(2)),
+    "cayley-SU3": Cayley(SU(3)),
     "cayley-SE2": Cayley(SE(2)),
     "cayley-SE3": Cayley(SE(3)),
     "cayley-SL2": Cayley(SL(2)),

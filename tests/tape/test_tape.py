@@ -26,6 +26,7 @@ from tests.support.numerics import compiled
 REMARKABLE = {
     "exponential of SO(3)": Exponential(SO(3)),
     "Cayley of SE(3)": Cayley(SE(3)),
+    "Cayley of SU(4)": Cayley(SU(4)),
     "projection of S2": Projection(Sphere(2)),
     "exponential of H2": Exponential(Hyperbolic(2)),
     "exponential of SU(2)": Exponential(SU(2)),

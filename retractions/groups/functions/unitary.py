@@ -7,18 +7,21 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Shaped
 
+from ....manifolds import SU
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics import frames, series
 from ....manifolds.numerics.matrices import exponential as matrix_exponential
 from ....manifolds.numerics.matrices import triangular_factor
+from ....manifolds.numerics.root import known_root
 from ....manifolds.numerics.tolerances import tolerance
-from ...rounding import EDGE, keeps_half_the_digits
+from ...rounding import EDGE, keeps_half_the_digits, length
 from . import general
 
 Matrix = Shaped[Array, "n n"]
 
 _HALVINGS = 3
 _SCHULZ_STEPS = 3  # from an error of 0.2, that at EDGE, to rounding
+_BISECTIONS = 60  # of an interval at most two full turns long
 _UNITARITY = 0.45  # power of eps: what long products lose of it is far below
 
 
@@ -52,6 +55,11 @@ def special_logarithm(a: Matrix) -> Matrix:
 def square_root(a: Matrix) -> Matrix:
     """Square root of a unitary matrix without the eigenvalue -1."""
     return exponential(unitary_logarithm(a) / 2)
+
+
+def special_square_root(a: Matrix) -> Matrix:
+    """Square root of a matrix in SU(n) by ``special_logarithm``."""
+    return exponential(special_logarithm(a) / 2)
 
 
 def injective(a: Matrix) -> Bool[Array, ""]:
@@ -136,6 +144,84 @@ def logarithm_by_roots(a: Matrix) -> Matrix:
 def cayley(a: Matrix) -> Matrix:
     """Cayley transform of a skew-Hermitian matrix, unitary to rounding where the matrix is large and singular too."""
     return frames.made_orthonormal(general.cayley(a))
+
+
+def special_cayley(a: Matrix) -> Matrix:
+    """``cay(A) det(cay A)^(-1/n)`` of a traceless skew-Hermitian ``A``, with ``det(cay A)^(1/n) = exp(2i/n sum
+    arctan(t_k/2))``.
+
+    ``i t_k`` are the eigenvalues; ``-sum arctan(t_k/2)`` is the sum of the arguments of the pivots of ``I - A/2``. What
+    rounding loses of the group is restored at last, without derivatives: it is zero. NaN where half of the digits are
+    lost.
+    """
+    n = a.shape[0]
+    if n == 2:
+        return cayley(a)
+    eye = jnp.eye(n, dtype=a.dtype)
+    inverse, pivots = accretive_inverse(eye - a / 2)
+    y = (2 * inverse - eye) * jnp.exp(2j / n * jnp.sum(jnp.angle(pivots)))
+    lost = jnp.where(keeps_half_the_digits(length(a)), SU(n).restore(y) - y, jnp.nan)
+    return y + jax.lax.stop_gradient(lost)
+
+
+def accretive_inverse(a: Matrix) -> tuple[Matrix, Shaped[Array, " n"]]:
+    """Inverse and pivots of a matrix with a positive definite Hermitian part, by Gauss and Jordan's elimination.
+
+    Its Schur complements have such a part too: interchanges are not needed, and the argument of each pivot is below
+    pi/2.
+    """
+    rows = jnp.arange(a.shape[0])
+
+    def eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
+        a, pivots = state
+        row = jnp.where(rows == k, 1, a[k]) / a[k, k]
+        rest = jnp.where(rows == k, 0, a) - jnp.outer(a[:, k], row)
+        return jnp.where((rows == k)[:, None], row, rest), jnp.where(rows == k, a[k, k], pivots)
+
+    return jax.lax.fori_loop(0, a.shape[0], eliminate, (a, jnp.diagonal(a)))
+
+
+def special_cayley_inverse(a: Matrix) -> Matrix:
+    """The traceless ``A`` with ``special_cayley(A) = a``, NaN where two angles of ``a`` are a full turn apart.
+
+    Choose the angles ``s_k`` of ``a`` with the sum 0 and less than a full turn apart. Then ``A = 2 (b - I)(b + I)^-1``
+    with ``b = e^(i p) a``, its eigenvalues are ``2i tan((s_k + p)/2)``, and their sum increases with ``p`` through zero
+    once between its poles ``-pi - min s`` and ``pi - max s``.
+    """
+    if a.shape[0] == 2:
+        return general.cayley_inverse(a)
+
+    def trace(p: Float[Array, "1"]) -> Float[Array, "1"]:
+        return jnp.trace(general.cayley_inverse(jnp.exp(1j * p[0]) * a)).imag[None]
+
+    phase = known_root(trace, _phase(jax.lax.stop_gradient(a))[None])[0]
+    log = general.cayley_inverse(jnp.exp(1j * phase) * a)
+    return log - jnp.trace(log) / a.shape[0] * jnp.eye(a.shape[0], dtype=a.dtype)
+
+
+def _phase(a: Matrix) -> Array:
+    """The ``p`` of ``special_cayley_inverse``, by bisection."""
+    angles = special_angles(a)
+
+    def halved(_: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        low, high = ends
+        middle = (low + high) / 2
+        above = jnp.sum(jnp.tan((angles + middle) / 2)) > 0
+        return jnp.where(above, low, middle), jnp.where(above, middle, high)
+
+    ends = -jnp.pi - jnp.min(angles), jnp.pi - jnp.max(angles)
+    apart = ends[1] - ends[0] > EDGE * a.shape[0] * jnp.finfo(angles.dtype).eps
+    low, high = jax.lax.fori_loop(0, _BISECTIONS, halved, ends)
+    return jnp.where(apart, (low + high) / 2, jnp.nan)
+
+
+def special_angles(a: Matrix) -> Float[Array, " n"]:
+    """Angles of the eigenvalues of a matrix in SU(n) with the sum 0 and at most a full turn apart: principal ones, but
+    for a full turn less of the largest, or more of the smallest, as many as their sum has."""
+    angles = jnp.linalg.eigvalsh(-1j * unitary_logarithm(a))
+    turns, order = jnp.round(jnp.sum(angles) / (2 * jnp.pi)), jnp.arange(angles.size)
+    less, more = order >= angles.size - turns, order < -turns
+    return angles + 2 * jnp.pi * (1.0 * more - less)
 
 
 def polar(a: Matrix) -> Matrix:
