@@ -160,7 +160,7 @@ def cold(repeats):
     and ours on a computer's very first use, once."""
     rows = {}
     with tempfile.TemporaryDirectory() as cache:
-        cached = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_COMPILATION_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+        cached = {"JAX_COMPILATION_CACHE_DIR": cache, "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
         uncached = {"JAX_ENABLE_COMPILATION_CACHE": "false"}
         cold_process("retrax", cached)
         cases = (

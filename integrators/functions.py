@@ -62,8 +62,8 @@ def _real(name: str, value: Any, axes: int) -> Array:
 
 
 def shapes_in(value: Any) -> Any:
-    """Shapes and kinds of the arrays and numbers of a value. Of arrays they are known: a trace would take far longer,
-    and this is asked at each call of a user's function."""
+    """Shapes and kinds of the arrays and numbers of a value. Those of arrays are read without a trace, which would take
+    far longer: each call of a user's function asks for them."""
     if all(isinstance(leaf, jax.Array) for leaf in jax.tree.leaves(value)):
         return jax.tree.map(lambda leaf: jax.ShapeDtypeStruct(leaf.shape, leaf.dtype), value)
     return jax.eval_shape(lambda: value)

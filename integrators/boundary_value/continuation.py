@@ -81,11 +81,11 @@ def continuation(
     ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and
     ``parameters`` of ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and
     with the problem that is wanted at 1. Each step predicts the next extremal by the tangent, from
-    ``solver.sensitivity``, and corrects it by Newton's method, or the last one where that fails, as where a limit
-    begins to hold. Steps become longer where the correction is small beside
-    what was predicted [den Heijer, Rheinboldt, On steplength algorithms for a class of continuation methods, SIAM J.
-    Numer. Anal. 18, 1981], and shorter where it is large, leads to another extremal, takes more than
-    ``max_iterations``, or loses the strict minimum.
+    ``solver.sensitivity``, and corrects it by Newton's method; where that fails, as where a limit begins to hold, the
+    last solution is corrected instead. Steps become longer where the correction is small beside what was predicted
+    [den Heijer, Rheinboldt, On steplength algorithms for a class of continuation methods, SIAM J. Numer. Anal. 18,
+    1981], and shorter where it is large, leads to another extremal, takes more than ``max_iterations``, or loses the
+    strict minimum.
 
     Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``:
     called with each place and solution; the way ends where it returns something true. Regular problems only. Raises

@@ -40,8 +40,9 @@ class Examination:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump, and no strict
         minimum where constraints that hold it do not determine their multipliers.
 
-        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. Nor where what is
-        prescribed of the ends violates a constraint of the states, of which the conditions at the stages know nothing.
+        With a free horizon a jump in an explicit time counts too, because the horizon shifts it. There is no success
+        either where what is prescribed of the ends violates a constraint of the states, of which the conditions at the
+        stages know nothing.
         """
         if solution.singular is not None or solution.result == sentence("stopped"):
             return solution
@@ -150,10 +151,7 @@ class Examination:
         for name in (LOWER, UPPER):
             pull += own.get(name, 0.0)
         flat = pull * room <= NO_PULL * solution.checks.hamiltonian_size
-        for name in limits.names:  # one that holds the trajectory may determine controls
-            rows = own.get(name, np.zeros((count, 0)))
-            largest = np.max(rows, initial=0.0)
-            flat &= ~np.any(rows > NO_PULL * largest, axis=1)[:, None] if largest > 0 else True
+        flat &= ~solution.held_by(limits.names)[:, None]  # one that holds the trajectory may determine controls
         if np.any(flat):
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative

@@ -40,8 +40,7 @@ class Qualification:
         parameters = solution.parameters
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         layouts = (self.state, solution.stage_states), (self.control, solution.controls)
-        rows = (layout.rows(points, 1) for layout, points in layouts)
-        rows = [np.asarray(part) for part in rows]
+        rows = [np.asarray(layout.rows(points, 1)) for layout, points in layouts]
         values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
         bound = self.problem.with_parameters(parameters).at_time(0.0)
         own, counted = self._multipliers(solution)

@@ -16,7 +16,6 @@ from .shooting.legendre import second_order
 from .solution import Solution
 from .structure import CONTROL_AT_BOUND, control_structure
 
-HELD = 1e-6  # of its largest multiplier: a constraint with less does not hold the trajectory
 LONGEST = 200  # stages of an arc that are looked at
 
 
@@ -64,7 +63,7 @@ def singular_arcs(problem: OptimalControlProblem, solution: Solution) -> list[Cl
     determines controls. The controls of a solution with ``accuracy`` are nearest to the feedback.
 
     Raises ``InvalidInputError`` for a problem without control bounds, one with an explicit time, and anything but a
-    solution of it.
+    ``Solution``.
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
@@ -92,8 +91,7 @@ def _interior(problem: OptimalControlProblem, solution: Solution, stages: np.nda
     u = _controls(solution, stages, singular)
     if np.any(np.minimum(u - lower, upper - u) < CONTROL_AT_BOUND * _room(problem, u, singular)):
         return False
-    rows = (solution.stage_multipliers.get(name, np.zeros((0, 0))) for name in problem.limits.names)
-    return not any(np.any(own[stages] > HELD * np.max(own)) for own in rows if np.max(own, initial=0.0) > 0)
+    return not np.any(solution.held_by(problem.limits.names)[stages])
 
 
 def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np.ndarray:
@@ -102,7 +100,7 @@ def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np
 
 
 def _room(problem: OptimalControlProblem, u: np.ndarray, entries: np.ndarray) -> np.ndarray:
-    """Between the bounds of entries of the control; where it is infinite what they vary by, or their size."""
+    """Between the bounds of entries of the control; where it is infinite their size."""
     room = np.array(problem.limits.upper)[entries] - np.array(problem.limits.lower)[entries]
     size = np.max(np.abs(u), axis=0, initial=np.finfo(float).tiny)
     return np.where(np.isfinite(room), room, size)

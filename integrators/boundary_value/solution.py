@@ -1,5 +1,6 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
@@ -7,6 +8,7 @@ from typing import Annotated, Any, get_type_hints
 import numpy as np
 
 from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
+from ...manifolds.numerics.tolerances import ACTIVE
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
@@ -170,6 +172,15 @@ class Solution:
     def stage_multipliers(self) -> dict[str, np.ndarray]:
         """The multipliers of the inequalities, of shape ``(N s, k)``: all but those of the boundary constraints."""
         return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
+
+    def held_by(self, names: Collection[str]) -> np.ndarray:
+        """At which stages one of these inequalities holds the trajectory, shape ``(N s,)``; the barrier leaves others
+        multipliers too."""
+        held = np.zeros(len(self.stage_times), bool)
+        for name, rows in self.stage_multipliers.items():
+            if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
+                held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
+        return held
 
     def to_xarray(self) -> Any:
         """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""

@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from ...kernels import kernel, kernel_part
+from ...kernels import kernel_part
 
 
-@kernel()
+@kernel_part()
 def invert(a: np.ndarray, sizes: np.ndarray) -> None:
     """The inverse of a matrix in each lane, in its place, by Gauss and Jordan with partial pivoting.
 

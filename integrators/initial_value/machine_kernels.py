@@ -18,12 +18,12 @@ def machine() -> Machine:
 @kernel_part()
 def evaluate(programs: tuple, which: int, v: np.ndarray, w: np.ndarray) -> None:
     """Run one of the programs on a memory with these registers."""
-    (run, run_one), codes, operands, values, ranges = programs
+    (many, one), codes, operands, values, ranges = programs
     a, b = ranges[which, 0], ranges[which, 1]
     if v.shape[1] == 1:
-        _run_one(run_one, (codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size)))
+        _run_one(one, (codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size)))
     else:
         flat, rows = v.reshape(v.size), np.empty((v.shape[0], 2), np.int64)
         for i in range(v.shape[0]):
             rows[i, 0], rows[i, 1] = i * v.shape[1], 1
-        _run(run, (codes[a:b], operands[a:b], values[a:b], flat, rows, flat, rows, w, 0, v.shape[1]))
+        _run(many, (codes[a:b], operands[a:b], values[a:b], flat, rows, flat, rows, w, 0, v.shape[1]))

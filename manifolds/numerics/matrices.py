@@ -165,7 +165,7 @@ def determinant(a: Matrix) -> Array:
         column = jnp.where(rows >= k, a[:, k].real ** 2 + a[:, k].imag ** 2, -1)
         here, there = rows == k, rows == jnp.argmax(column)
         a = a + jnp.outer(1.0 * here - there, jnp.where(there, 1, 0) @ a - a[k])
-        factors = jnp.where(rows > k, a[:, k] / a[k, k], 0)
+        factors = jnp.where(rows > k, a[:, k] / jnp.where(a[k, k] == 0, 1, a[k, k]), 0)
         return a - jnp.outer(factors, a[k]), product * jnp.where(jnp.any(here & there), a[k, k], -a[k, k])
 
     return jax.lax.fori_loop(0, a.shape[0], eliminate, (a, jnp.ones((), a.dtype)))[1]

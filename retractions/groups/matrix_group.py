@@ -103,7 +103,7 @@ class GroupCayley(SymmetricGroupRetraction):
 
     On SU(n), n > 2, the transform ``c`` times the phase that makes its determinant one, ``c det(c)^(-1/n) = exp(A +
     (A^3 - tr(A^3)/n I)/12 + ...)``: of second order and symmetric as without it. It leads to all matrices but those
-    with two angles that are a full turn apart, where the angles have the sum 0; its inverse leaves out those with the
+    whose angles, chosen with the sum 0, have two a full turn apart; its inverse leaves out those with the
     eigenvalue -1.
 
     >>> Cayley(SE(3))

@@ -141,14 +141,14 @@ pasted: Callable[[Any], Any] = _njit(inline="always")  # where a call takes long
 
 def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
     """For functions that Python calls: compiled once on a computer, or read from its disk; ``vectors``: they make
-    their own, so that loops are left as they are.
+    their own, so that loops are left as they are, and allocate nothing.
 
     A sixth of the time would go into looking for garbage among all that Numba makes and keeps.
     """
 
     def made(function: Any) -> Any:
-        passes = _VectorsCompiler if vectors else _LoopsCompiler
-        own = {"cache": True, "no_cfunc_wrapper": True, "pipeline_class": passes}
+        passes = {"pipeline_class": _VectorsCompiler, "_nrt": False} if vectors else {"pipeline_class": _LoopsCompiler}
+        own = {"cache": True, "no_cfunc_wrapper": True, **passes}
         found = _njit(error_model="numpy", nogil=True, **own, **options)(function)
         found.compile = put_off()(found.compile)
         return found

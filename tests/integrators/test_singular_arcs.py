@@ -22,8 +22,10 @@ def at_rest(dimension: int, stages: int) -> Guess:
 
 def test_an_arc_between_bangs_has_order_one_and_its_feedback():
     """``q^2`` is driven to zero by a bounded rate and stays there while there is time: ``u = 0`` on ``q = p = 0``."""
-    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, **BOUNDS)
-    for width in (0.0, 1.0):
+    idle = {"far": lambda q, u: q - 10}  # holds nowhere
+    for width, constraints in ((0.0, None), (1.0, None), (1.0, idle)):
+        given = {**BOUNDS, "constraints": constraints}
+        problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, **given)
         found = solve(problem, Gauss(2, Addition(LINE)), np.ones(1), np.ones(1), 2.0 + width, 24, accuracy=1e-9)
         arcs = singular_arcs(problem, found)
         assert len(arcs) == (width > 0)

@@ -85,3 +85,8 @@ def test_the_determinant_is_that_of_lapack_whichever_rows_are_interchanged(seed,
     a = rng.standard_normal((4, 4)) + 1j * rng.standard_normal((4, 4))
     a[0, 0], a[1, 1] = first * a[0, 0], first * a[1, 1]
     np.testing.assert_allclose(DETERMINANT(a), np.linalg.det(a), rtol=0, atol=1e-12)
+
+
+def test_the_determinant_of_a_singular_matrix_is_zero():
+    for a in (np.zeros((4, 4)), np.ones((4, 4)), np.diag([0.0, 1.0, 2.0, 3.0])):
+        assert DETERMINANT(a.astype(complex)) == 0

@@ -49,7 +49,7 @@ def test_the_controls_of_the_record_lead_to_the_gate():
 
 
 @pytest.mark.slow
-def test_no_extremal_that_newtons_method_finds_is_cheaper():
+def test_no_extremal_that_least_squares_find_is_cheaper():
     entry, rng = problems.get("two-qubit-gate"), np.random.default_rng(0)
     costs = []
     for _ in range(STARTS):

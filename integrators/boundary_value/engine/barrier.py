@@ -36,7 +36,7 @@ class Barrier(NamedTuple):
         order, or its value where that is next to nothing, as that of a ball where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
         value = np.abs(held.values).max(axis=(1, 2))
-        size = np.where(size > VALUE * value, size, value)
+        size = np.where(size > VALUE * value, size, value)  # what is next to nothing tells nothing of how it bends
         return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
 
     @property

@@ -171,12 +171,9 @@ class _Search:
         found = conditions.residuals(trial, assembled)
         before = state
         state, good, again = self.judged(conditions, before, trial, assembled, found)
-        # Slacks went by the slopes of the inequalities: with those of their values the step may be a good one.
-        other = trial if trial.slacks is None or good.all() else conditions.met(trial, assembled)
-        if other is not trial:
-            system = conditions.assemble(other)
-            own = merged(good, (trial, assembled, found), (other, system, conditions.residuals(other, system)))
-            state, good, again = self.judged(conditions, before, *own)
+        if trial.slacks is not None and not good.all():
+            met = self.met(conditions, good, (trial, assembled, found))
+            state, good, again = self.judged(conditions, before, *met) if met else (state, good, again)
         # What rounding refuses beside a solution tells nothing about units.
         refused = again & ~good & ~before.isolated
         state, wider = rewritten((self.conditions, conditions), before, state, assembled, refused)
@@ -208,6 +205,20 @@ class _Search:
         promise, turned = conditions.promise(state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
+
+    def met(
+        self, conditions: Conditions, good: np.ndarray, tried: tuple[Iterate, Assembled, Residuals]
+    ) -> tuple[Iterate, Assembled, Residuals] | None:
+        """The trials, those that are not good with slacks that meet their inequalities; None if they do.
+
+        Slacks went by the slopes of the inequalities: with those of their values the step may be a good one.
+        """
+        iterate, assembled, _ = tried
+        other = conditions.met(iterate, assembled)
+        if other is iterate:
+            return None
+        system = conditions.assemble(other)
+        return merged(good, tried, (other, system, conditions.residuals(other, system)))
 
     def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
         """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are

@@ -15,7 +15,7 @@ intrinsic: Any = extending.intrinsic
 
 # None of these functions allocates: without counts of references they are a third shorter. A part that LLVM does not
 # inline gets each field of its arrays on the stack, which takes longer than what it computes on a small one.
-compiled = kernel(vectors=True, fastmath={"contract"}, _nrt=False)
+compiled = kernel(vectors=True, fastmath={"contract"})
 inner = kernel_part(forceinline=True, fastmath={"contract"}, _nrt=False)
 
 VECTOR = ir.VectorType(ir.DoubleType(), LANES)

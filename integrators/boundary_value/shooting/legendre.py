@@ -60,6 +60,8 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array, order: int =
 def _words(values: np.ndarray, condition: str, scale: float | None = None) -> str:
     """What eigenvalues that are to be negative say of a condition."""
     worst = float(np.max(values))
+    if not np.isfinite(worst):
+        return NOT_DECIDED + "the derivatives are not finite"
     clear = VANISHING * (float(np.max(np.abs(values))) if scale is None else scale)
     if worst > clear:
         return f"{condition} fails (largest eigenvalue {worst:.3g}, expected < 0): not a minimum"

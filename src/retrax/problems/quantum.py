@@ -105,6 +105,6 @@ def two_qubit_gate() -> KnownProblem:
         "optimality implies resonance, J. Dyn. Control Syst. 8, 2002, 547-572",
         optimum=7.0,
         digits=12,
-        origin="closed form; the least of all extremals that Newton's method finds from 600 starts",
+        origin="closed form; the least of all extremals that least squares find from 600 starts",
         formula="|P|^2 / (2 T)",
     )

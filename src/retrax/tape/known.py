@@ -38,7 +38,7 @@ _UFUNCS: dict[str, Any] = {
     "tanh": np.tanh,
     "stop_gradient": np.asarray,
 }
-_LOGICAL = {"and", "or", "not"}
+_LOGICAL = {"and", "or", "not", "reduce_and", "reduce_or"}
 _REDUCTIONS: dict[str, Any] = {
     "reduce_and": np.all,
     "reduce_max": np.max,
@@ -68,8 +68,9 @@ def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
         return [np.asarray(np.tensordot(left, right, params["dimension_numbers"][0]), out.dtype)]
     if name == "select_n":
         return [np.asarray(np.choose(arrays[0].astype(int), arrays[1:]), out.dtype)]
-    if name in _REDUCTIONS and arrays[0].size and (name not in ("reduce_and", "reduce_or") or out.dtype == np.bool_):
-        return [np.asarray(_REDUCTIONS[name](arrays[0], axis=tuple(params["axes"])), out.dtype)]
+    if name in _REDUCTIONS and arrays[0].size and (name not in _LOGICAL or out.dtype == np.bool_):
+        with np.errstate(all="ignore"):
+            return [np.asarray(_REDUCTIONS[name](arrays[0], axis=tuple(params["axes"])), out.dtype)]
     if name == "div" and np.dtype(out.dtype).kind in "fc":
         with np.errstate(all="ignore"):
             return [np.asarray(np.divide(*arrays), out.dtype)]
