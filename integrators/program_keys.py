@@ -4,7 +4,7 @@ computes."""
 import itertools
 from enum import Enum
 from hashlib import blake2b
-from typing import Any, get_args
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,6 @@ UNUSED = {
 # Of a program each.
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 PLAIN = bool | int | float | complex | str | bytes | None
-PLAIN_TYPES = frozenset(get_args(PLAIN))  # of most parameters: a look at the type is faster than all questions below
 # No device is asked for.
 NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"
 _serial = itertools.count()
@@ -105,8 +104,6 @@ class _Writer:
 
     def value(self, value: Any) -> Any:
         """A parameter of an equation."""
-        if type(value) in PLAIN_TYPES:
-            return type(value).__name__, repr(value)
         if isinstance(value, ClosedJaxpr):
             return "closed", self.jaxpr(value.jaxpr), [_content(c) for c in value.consts]
         if isinstance(value, Jaxpr):

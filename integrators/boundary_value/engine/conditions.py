@@ -13,7 +13,7 @@ from .batches import merged
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
 from .first_units import first_units
-from .inequalities import Held, Slacks, Surveyed, met, moved, turned
+from .inequalities import Held, Slacks, Surveyed, fitted, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
 from .meeting import meeting
 from .residuals import Appraisal, appraisal
@@ -244,7 +244,7 @@ class Conditions:
 
     def met(self, iterate: Iterate, assembled: Assembled) -> Iterate:
         """The iterate with slacks that meet the inequalities where these hold; itself if they do."""
-        slacks = iterate.slacks and met(assembled.blocks.inequalities, iterate.slacks)
+        slacks = iterate.slacks and fitted(assembled.blocks.inequalities, iterate.slacks)
         return iterate if slacks is iterate.slacks else iterate._replace(slacks=slacks)
 
     def is_infeasible(

@@ -184,7 +184,7 @@ def moved(slacks: Slacks, turn: Turn, fraction: np.ndarray) -> Slacks:
     return Slacks(*out, slacks.price, slacks.barrier)
 
 
-def met(held: Held, slacks: Slacks) -> Slacks:
+def fitted(held: Held, slacks: Slacks) -> Slacks:
     """The slacks with ``s = t - g`` where an inequality holds, if a step misses that, as it does where ``g`` is
     curved."""
     own, made = slacks.excess - held.values, slacks.slacks

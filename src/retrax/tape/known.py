@@ -50,32 +50,35 @@ _REDUCTIONS: dict[str, Any] = {
 
 def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
     """The values of one equation of a jaxpr."""
-    name, params, out = eqn.primitive.name, eqn.params, eqn.outvars[0].aval
+    out = eqn.outvars[0].aval
+    with np.errstate(all="ignore"):
+        found = _by_numpy(eqn.primitive.name, eqn.params, np.dtype(out.dtype), arrays)
+    if found is not None:
+        return [np.asarray(found, out.dtype)]
+    value = eqn.primitive.bind(*arrays, **eqn.params)
+    return [np.asarray(v) for v in (value if eqn.primitive.multiple_results else [value])]
+
+
+def _by_numpy(name: str, params: dict[str, Any], kind: np.dtype, arrays: list[np.ndarray]) -> Any:
+    """The value of a primitive, which has this kind; None where that is not simple."""
     if name == "iota":
-        axis = params["dimension"]
         shape = [1] * len(params["shape"])
-        shape[axis] = -1
-        return [np.broadcast_to(np.arange(params["shape"][axis]).reshape(shape), params["shape"]).astype(out.dtype)]
-    if name == "convert_element_type" and (np.dtype(out.dtype).kind == "c" or arrays[0].dtype.kind != "c"):
-        return [arrays[0].astype(out.dtype)]
+        shape[params["dimension"]] = -1
+        rows = np.arange(params["shape"][params["dimension"]]).reshape(shape)
+        return np.broadcast_to(rows, params["shape"]).astype(kind)
+    if name == "convert_element_type" and (kind.kind == "c" or arrays[0].dtype.kind != "c"):
+        return arrays[0].astype(kind)
     if name == "integer_pow":
-        with np.errstate(all="ignore"):
-            return [
-                np.asarray(arrays[0] ** params["y"] if params["y"] >= 0 else 1 / arrays[0] ** -params["y"], out.dtype)
-            ]
+        return arrays[0] ** params["y"] if params["y"] >= 0 else 1 / arrays[0] ** -params["y"]
     if name == "dot_general" and not any(params["dimension_numbers"][1]):  # no axes that both have
         left, right = arrays
-        return [np.asarray(np.tensordot(left, right, params["dimension_numbers"][0]), out.dtype)]
+        return np.tensordot(left, right, params["dimension_numbers"][0])
     if name == "select_n":
-        return [np.asarray(np.choose(arrays[0].astype(int), arrays[1:]), out.dtype)]
-    if name in _REDUCTIONS and arrays[0].size and (name not in _LOGICAL or out.dtype == np.bool_):
-        with np.errstate(all="ignore"):
-            return [np.asarray(_REDUCTIONS[name](arrays[0], axis=tuple(params["axes"])), out.dtype)]
-    if name == "div" and np.dtype(out.dtype).kind in "fc":
-        with np.errstate(all="ignore"):
-            return [np.asarray(np.divide(*arrays), out.dtype)]
-    if name in _UFUNCS and (name not in _LOGICAL or out.dtype == np.bool_):
-        with np.errstate(all="ignore"):
-            return [np.asarray(_UFUNCS[name](*arrays), out.dtype)]
-    value = eqn.primitive.bind(*arrays, **params)
-    return [np.asarray(v) for v in (value if eqn.primitive.multiple_results else [value])]
+        return np.choose(arrays[0].astype(int), arrays[1:])
+    if name == "div" and kind.kind in "fc":
+        return np.divide(*arrays)
+    if name in _LOGICAL and kind != np.bool_:
+        return None
+    if name in _REDUCTIONS and arrays[0].size:
+        return _REDUCTIONS[name](arrays[0], axis=tuple(params["axes"]))
+    return _UFUNCS[name](*arrays) if name in _UFUNCS else None
