@@ -24,10 +24,11 @@ Constraint = Callable[..., Any]
 
 @final
 class Inequalities(eqx.Module):
-    """``lower <= u <= upper``, and the entries of functions of ``(q, u)``, each ``<= 0``.
+    """``lower <= u <= upper``, and the entries of functions of ``(q, u)``, and of others of ``q``, each ``<= 0``.
 
     ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none
-    at all. ``names`` of the ``functions``; ``at_first`` are those that hold at the first point of a trajectory only.
+    at all. ``names`` of the ``functions``, which hold at the points of a trajectory; ``at_first`` are those that hold
+    at the first of them only. ``node_functions`` hold at its nodes.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, default=())
@@ -35,15 +36,23 @@ class Inequalities(eqx.Module):
     names: tuple[str, ...] = eqx.field(static=True, default=())
     functions: tuple[Constraint, ...] = ()
     at_first: frozenset[str] = eqx.field(static=True, default=frozenset())
+    node_names: tuple[str, ...] = eqx.field(static=True, default=())
+    node_functions: tuple[Constraint, ...] = ()
 
     @classmethod
-    def of(
-        cls, bounds: Any, constraints: Any, controls: Manifold, at_first: frozenset[str] = frozenset()
-    ) -> "Inequalities":
+    def of(cls, bounds: Any, constraints: Any, node_constraints: Any, controls: Manifold) -> "Inequalities":
         """Those of a user, checked; the arguments of the functions are not looked at."""
         lower, upper = _checked_bounds(bounds, controls)
-        given = _checked_constraints(constraints)
-        return cls(lower, upper, tuple(given), tuple(given.values()), at_first)
+        given = _checked_constraints("constraints", constraints, "a state and a control")
+        at_nodes = _checked_constraints("node_constraints", node_constraints, "a state")
+        for name in at_nodes:
+            if name in given:
+                raise InvalidInputError(
+                    f"{node_words(name)} has the name of one of the constraints; expected another one, under which its "
+                    f"multipliers are found; try {name + ' at the nodes'!r}"
+                )
+        functions = {"functions": tuple(given.values()), "node_functions": tuple(at_nodes.values())}
+        return cls(lower, upper, names=tuple(given), node_names=tuple(at_nodes), **functions)
 
     @property
     def bounded(self) -> dict[str, list[int]]:
@@ -54,42 +63,66 @@ class Inequalities(eqx.Module):
     @property
     def any(self) -> bool:
         """Whether there is one."""
-        return bool(self.functions) or any(self.bounded.values())
+        return bool(self.functions or self.node_functions) or any(self.bounded.values())
 
     @property
     def along(self) -> bool:
         """Whether there is one that holds along the whole trajectory."""
-        return any(self.bounded.values()) or not self.at_first.issuperset(self.names)
+        return bool(self.node_names) or any(self.bounded.values()) or not self.at_first.issuperset(self.names)
+
+    @property
+    def every_name(self) -> tuple[str, ...]:
+        """The names of all functions."""
+        return *self.names, *self.node_names
+
+    @property
+    def function_words(self) -> tuple[str, ...]:
+        """What all functions are called in messages."""
+        return *map(constraint_words, self.names), *map(node_words, self.node_names)
 
     def values(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
-        """All of them at a state and a control: bounds from below, from above, then the functions in their order."""
+        """Those at a point, of a state and a control: bounds from below, from above, then the functions in order."""
         rows, sides = [jnp.zeros(0)], self.bounded
         if any(sides.values()):
             flat = jnp.ravel(u)
             below, above = (np.array(side, int) for side in sides.values())
             rows += [np.array(self.lower)[below] - flat[below], flat[above] - np.array(self.upper)[above]]
-        return jnp.concatenate([*rows, *self.of_functions(q, u)])
+        return jnp.concatenate([*rows, *(jnp.ravel(value) for value in self._each(q, u))])
+
+    def at_node(self, q: Ambient) -> Float[Array, " k"]:
+        """Those at a node, in order."""
+        return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(value) for value in self._each_at_node(q))])
 
     def of_functions(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
-        """The values of each function, in a row."""
+        """The values of each function, those at the nodes last, in a row."""
+        return tuple(jnp.ravel(value) for value in (*self._each(q, u), *self._each_at_node(q)))
+
+    def _each(self, q: Ambient, u: Ambient) -> list[Array]:
         named = zip(self.names, self.functions, strict=True)
-        return tuple(jnp.ravel(real_vector(constraint_words(name), function(q, u))) for name, function in named)
+        return [real_vector(constraint_words(name), function(q, u)) for name, function in named]
+
+    def _each_at_node(self, q: Ambient) -> list[Array]:
+        named = zip(self.node_names, self.node_functions, strict=True)
+        return [real_vector(node_words(name), function(q)) for name, function in named]
 
     def sizes(self, q: Ambient, u: Ambient) -> dict[str, int | None]:
-        """How many entries each function has at states and controls of this structure, None for a number."""
-        found = {}
-        for name, function in zip(self.names, self.functions, strict=True):
-            value = jax.eval_shape(lambda q, u, n=name, f=function: real_vector(constraint_words(n), f(q, u)), q, u)
-            found[name] = value.shape[0] if value.shape else None
-        return found
+        """How many entries each function at the points has at states and controls of this structure, None for a
+        number."""
+        return dict(zip(self.names, map(_size, jax.eval_shape(self._each, q, u)), strict=True))
+
+    def node_sizes(self, q: Ambient) -> dict[str, int | None]:
+        """The same of the functions at the nodes."""
+        return dict(zip(self.node_names, map(_size, jax.eval_shape(self._each_at_node, q)), strict=True))
+
+    def words_of_entries(self, q: Ambient, u: Ambient) -> list[str]:
+        """Of each entry of ``of_functions`` what its function is called in messages."""
+        sizes = (*self.sizes(q, u).values(), *self.node_sizes(q).values())
+        return [words for words, size in zip(self.function_words, sizes, strict=True) for _ in range(count(size))]
 
     def words(self, sizes: dict[str, int | None], shape: tuple[int, ...]) -> tuple[str, ...]:
-        """A name for each entry, where ``u`` has this shape: ``cone[1]``."""
+        """A name for each entry at a point, where ``u`` has this shape: ``cone[1]``."""
         of_bounds = (_entry(name, np.unravel_index(i, shape)) for name, side in self.bounded.items() for i in side)
-        of_functions = (
-            _entry(n, () if size is None else (i,)) for n, size in sizes.items() for i in range(_count(size))
-        )
-        return (*of_bounds, *of_functions)
+        return (*of_bounds, *entry_words(sizes))
 
     def by_name(self, values: np.ndarray, sizes: dict[str, int | None]) -> dict[str, np.ndarray]:
         """Numbers that belong to the entries, along the last axis, under the names; zero where there is no bound."""
@@ -99,34 +132,7 @@ class Inequalities(eqx.Module):
                 found[name] = np.zeros((*values.shape[:-1], len(self.lower)))
                 found[name][..., side] = values[..., begin : begin + len(side)]
             begin += len(side)
-        for name, size in sizes.items():
-            found[name] = values[..., begin : begin + _count(size)]
-            begin += _count(size)
-        return found
-
-    def flat(self, named: Mapping[str, np.ndarray], shape: tuple[int, ...], sizes: dict[str, int | None]) -> np.ndarray:
-        """The inverse of ``by_name``, of shape ``(*shape, k)``, zero for missing names; raises for wrong widths."""
-        widths = {name: (len(self.lower), side) for name, side in self.bounded.items() if side}
-        widths |= {name: (_count(size), list(range(_count(size)))) for name, size in sizes.items()}
-        columns = []
-        for name, (width, kept) in widths.items():
-            given = named.get(name, np.zeros((1, width)))
-            if given.shape[-1] != width:
-                raise InvalidInputError(
-                    f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a stage, expected {width}; try "
-                    "guess._replace(multipliers=None), of a solution solution.guess()._replace(multipliers=None)"
-                )
-            columns.append(np.broadcast_to(given[..., kept], (int(np.prod(shape)), len(kept))))
-        return np.concatenate(columns, axis=1).reshape(*shape, -1)
-
-    def mask(self, sizes: dict[str, int | None], steps: int, stages: int) -> np.ndarray:
-        """At which points each entry holds, shape ``(steps, stages, k)``."""
-        once = [False for side in self.bounded.values() for _ in side]
-        once += [name in self.at_first for name, size in sizes.items() for _ in range(_count(size))]
-        holds = np.ones((steps, stages, len(once)), bool)
-        holds[:, :, once] = False
-        holds[0, 0] = True
-        return holds
+        return found | entries_of(values[..., begin:], sizes)
 
 
 def constraint_words(name: str) -> str:
@@ -134,12 +140,33 @@ def constraint_words(name: str) -> str:
     return f"constraints[{name!r}]"
 
 
+def node_words(name: str) -> str:
+    """What the function of a constraint at the nodes is called in a message."""
+    return f"node_constraints[{name!r}]"
+
+
+def entry_words(sizes: Mapping[str, int | None]) -> tuple[str, ...]:
+    """A name for each entry of functions of these sizes."""
+    return tuple(_entry(name, () if size is None else (i,)) for name, size in sizes.items() for i in range(count(size)))
+
+
+def entries_of(values: np.ndarray, sizes: Mapping[str, int | None]) -> dict[str, np.ndarray]:
+    """Numbers that belong to the entries of functions of these sizes, along the last axis, under their names."""
+    cuts = np.cumsum([0, *map(count, sizes.values())])
+    return {name: values[..., a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
+
+
+def count(size: int | None) -> int:
+    """How many entries a function of a size has."""
+    return 1 if size is None else size
+
+
+def _size(value: Any) -> int | None:
+    return value.shape[0] if value.shape else None
+
+
 def _entry(name: str, place: tuple[Any, ...]) -> str:
     return f"{name}[{', '.join(str(int(i)) for i in place)}]" if place else name
-
-
-def _count(size: int | None) -> int:
-    return 1 if size is None else size
 
 
 def _checked_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -192,23 +219,19 @@ def _checked_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float,
     return tuple(map(float, np.broadcast_to(array, shape).ravel()))
 
 
-def _checked_constraints(given: Any) -> dict[str, Constraint]:
-    """The constraints by their names; raises where something is wrong."""
+def _checked_constraints(kind: str, given: Any, of: str) -> dict[str, Constraint]:
+    """The constraints of a kind, functions ``of`` something, by their names; raises where something is wrong."""
     if given is None:
         return {}
     if not isinstance(given, Mapping):
         raise InvalidInputError(
-            f'constraints must be a dictionary of functions by their names, got {given!r:.80}; try {{"name": function}}'
+            f'{kind} must be a dictionary of functions by their names, got {given!r:.80}; try {{"name": function}}'
         )
     for name, function in given.items():
         if not isinstance(name, str) or not name.strip():
-            raise InvalidInputError(
-                f'constraints must have names that are words, got {name!r}; try {{"name": function}}'
-            )
+            raise InvalidInputError(f'{kind} must have names that are words, got {name!r}; try {{"name": function}}')
         if name in TAKEN:
-            raise InvalidInputError(f"constraints have the name {name!r}, which bounds have; try another one")
+            raise InvalidInputError(f"{kind} have the name {name!r}, which bounds have; try another one")
         if not callable(function):
-            raise InvalidInputError(
-                f"{constraint_words(name)} must be a function of a state and a control, got {function!r:.80}"
-            )
+            raise InvalidInputError(f"{kind}[{name!r}] must be a function of {of}, got {function!r:.80}")
     return dict(given)

@@ -15,7 +15,6 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.tolerances import EPS, FINEST, HALF, tolerance
 from ..retractions import Retraction
 from .compilation import held, in_chunks
-from .constraints import constraint_words
 from .jumps import with_margins
 from .kinks import JUMP, LASTS, LESS
 
@@ -271,6 +270,5 @@ def rate_names(problem: "OptimalControlProblem") -> list[str]:
         leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))
         for leaf in jax.tree.leaves(problem.manifold.ambient)
     )
-    sizes = problem.at_time(0.0).inequality_sizes.items()
-    limits = [constraint_words(name) for name, size in sizes for _ in range(1 if size is None else size)]
+    limits = problem.at_time(0.0).limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     return [*count * ["dynamics"], "running_cost", *limits]

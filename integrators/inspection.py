@@ -63,7 +63,7 @@ class Inspection:
 
     def require_tangent(self) -> None:
         """Raise if the functions are not finite, or ``dynamics`` leaves the tangent space."""
-        require_finite(self.problem.limits.names, self._probed, self.q)
+        require_finite(self.problem.limits.function_words, self._probed, self.q)
         normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(

@@ -14,7 +14,6 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.errors import TRACEABLE
 from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
-from .constraints import constraint_words
 from .evaluator import Automatic
 from .functions import failing_line
 from .layout import Layout
@@ -74,7 +73,7 @@ def probe(
     each = np.concatenate([rows[:1], rows])
     found = made.at(2, np.array([[[1.0]], [[0.0]]]), *(a[None, None] for a in points), coordinates[None], each[None])
     curvatures, slopes, *others = (a.astype(working_precision()) for a in found)
-    count = len(problem.limits.names)
+    count = len(problem.limits.every_name)
     slope, value = (tuple(a[0, 0] for a in others[k : k + count]) for k in (0, count))
     sizes, costs, controls = (a[0] for a in others[2 * count :])
     slopes, curvatures = (a.swapaxes(0, 1) for a in (slopes, curvatures))
@@ -282,7 +281,7 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
     return True
 
 
-def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
+def require_finite(words: Sequence[str], probed: Probed, q: Ambient) -> None:
     """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
     u, size = vec.taken(probed.controls, first), probed.sizes[first]
@@ -296,11 +295,11 @@ def require_finite(names: Sequence[str], probed: Probed, q: Ambient) -> None:
             f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions "
             "that are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
         )
-    for name, values, slopes in zip(names, *probed.limits, strict=True):
+    for name, values, slopes in zip(words, *probed.limits, strict=True):
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
             raise InvalidInputError(
-                f"{constraint_words(name)} {what} at q = {q}, u = {u}, where "
+                f"{name} {what} at q = {q}, u = {u}, where "
                 f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
                 "place of sqrt(u @ u) - a"
             )

@@ -18,7 +18,7 @@ from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import digest
-from .constraints import Constraint, Inequalities, constraint_words
+from .constraints import Constraint, Inequalities, constraint_words, node_words
 from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number, shapes_in
@@ -42,9 +42,10 @@ class OptimalControlProblem(eqx.Module):
     ``initial_cost(q)`` return a scalar; all are JAX functions. ``controls`` is the control manifold U. ``abnormal``
     sets the cost multiplier p_0 to 0. ``control_bounds``, of controls in R^m only: a pair ``(lower, upper)`` of numbers
     or arrays of the shape of a control, infinite where there is none. ``constraints``: functions ``g(q, u)`` by their
-    names, of which each returns a number or a vector, whose entries are not positive along a trajectory. With
-    ``time_dependent`` the functions take the time after ``u``: ``dynamics(q, u, t)``, ``terminal_cost(q, t)``; the
-    initial cost does not.
+    names, of which each returns a number or a vector, whose entries are not positive at the points of a trajectory,
+    the stages of a method. ``node_constraints``: the same of functions ``g(q)`` at its nodes, where the steps meet,
+    first and last included. With ``time_dependent`` the functions take the time after these: ``dynamics(q, u, t)``,
+    ``terminal_cost(q, t)``; the initial cost does not.
 
     ``boundary_constraints``: functions ``b(q_0, q_T)`` of the first and the last state by their names, of which each
     returns a number or a vector that is to be zero; with ``time_dependent`` they take the time T of the end after
@@ -90,6 +91,7 @@ class OptimalControlProblem(eqx.Module):
         units: Mapping[str, Any] | None = None,
         boundary_constraints: Mapping[str, BoundaryConstraint] | None = None,
         periodic: bool | Callable[..., Any] = False,
+        node_constraints: Mapping[str, Constraint] | None = None,
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost = dynamics, running_cost
@@ -105,9 +107,11 @@ class OptimalControlProblem(eqx.Module):
         self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given: Any = constraints
         self.limits = (
-            given if isinstance(given, Inequalities) else Inequalities.of(control_bounds, given, self.controls)
+            given
+            if isinstance(given, Inequalities)
+            else Inequalities.of(control_bounds, given, node_constraints, self.controls)
         )
-        self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.names)
+        self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.every_name)
         expected = (
             ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
         )
@@ -115,14 +119,16 @@ class OptimalControlProblem(eqx.Module):
         self.takes_parameters = any(takes)
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
-        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of the last state, 0
-        of one."""
+        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of a state and its
+        time, 0 of a state."""
         names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
         for name, kind in names:
             if getattr(self, name) is not None or kind == 2:
                 yield name, getattr(self, name), kind
         for name, function in zip(self.limits.names, self.limits.functions, strict=True):
             yield constraint_words(name), function, 2
+        for name, function in zip(self.limits.node_names, self.limits.node_functions, strict=True):
+            yield node_words(name), function, 1
         for name, function in zip(self.boundary.names, self.boundary.functions, strict=True):
             yield boundary_words(name), function, 3
         if self.boundary.turn is not None:
@@ -143,6 +149,11 @@ class OptimalControlProblem(eqx.Module):
     def constraints(self) -> dict[str, Constraint]:
         """The constraints by their names."""
         return dict(zip(self.limits.names, self.limits.functions, strict=True))
+
+    @property
+    def node_constraints(self) -> dict[str, Constraint]:
+        """Those at the nodes by their names."""
+        return dict(zip(self.limits.node_names, self.limits.node_functions, strict=True))
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -174,7 +185,8 @@ class OptimalControlProblem(eqx.Module):
         given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
         own, ends = self.limits, self.boundary
         functions = tuple(given[constraint_words(name)] for name in own.names)
-        limits = Inequalities(own.lower, own.upper, own.names, functions, own.at_first)
+        at_nodes = tuple(given[node_words(name)] for name in own.node_names)
+        limits = Inequalities(own.lower, own.upper, own.names, functions, own.at_first, own.node_names, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost"
@@ -199,9 +211,13 @@ class OptimalControlProblem(eqx.Module):
         return OptimalControlProblem(**given | changes)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
-        """All inequalities, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the constraints in
-        order."""
+        """All inequalities at a point, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the
+        constraints in order."""
         return self.limits.values(q, u)
+
+    def node_inequalities(self, q: Ambient) -> Float[Array, " k"]:
+        """All inequalities at a node, each ``<= 0``: the node constraints in order."""
+        return self.limits.at_node(q)
 
     @property
     def inequality_names(self) -> tuple[str, ...]:
@@ -213,11 +229,17 @@ class OptimalControlProblem(eqx.Module):
         """How many entries each of the constraints has, None for a number."""
         return self.limits.sizes(self.manifold.ambient, self.controls.ambient)
 
+    @property
+    def node_sizes(self) -> dict[str, int | None]:
+        """How many entries each of the node constraints has, None for a number."""
+        return self.limits.node_sizes(self.manifold.ambient)
+
     def require_treated(self, what: str, *treated: str) -> None:
         """Raise if the problem has bounds, constraints, an initial cost or a time that ``what`` does not treat."""
         has = {
             "control bounds": any(self.limits.bounded.values()),
             "constraints": bool(self.limits.functions),
+            "node constraints": bool(self.limits.node_functions),
             "an initial cost": self.initial_cost is not None,
             "an explicit time": self.time_dependent,
             "boundary constraints": bool(self.boundary.functions),
@@ -303,6 +325,7 @@ class OptimalControlProblem(eqx.Module):
             self.final_cost(q),
             self.first_cost(q),
             self.inequalities(q, u),
+            self.node_inequalities(q),
             ends,
         )
 

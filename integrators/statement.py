@@ -26,6 +26,7 @@ def statement(problem: "OptimalControlProblem") -> str:
     ]
     lines += [f"            {text}" for text in _bounds(problem.control_bounds)]
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
+    lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem.node_constraints]
     last = ", T" if t else ""
     lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem.boundary.names]
     turn = problem.boundary.turn

@@ -17,7 +17,6 @@ from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
 from .compilation import call_compiled, held
-from .constraints import constraint_words
 from .jumps import dependent
 
 if TYPE_CHECKING:
@@ -192,7 +191,7 @@ def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
 def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:
     """Of each of these entries the name of its function."""
     count = sum(leaf.size for leaf in jax.tree.leaves(problem.manifold.ambient))
-    limits = [constraint_words(name) for name, size in problem.inequality_sizes.items() for _ in range(size or 1)]
+    limits = problem.limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     ends = [
         boundary_words(name)
         for name, values in zip(problem.boundary.names, jax.eval_shape(problem.boundary.each, q, q), strict=True)

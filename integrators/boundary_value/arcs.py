@@ -62,7 +62,8 @@ class Arcs:
         last = () if is_free(horizon) else (LAST,)
         names, limits = problem.limits.names, [self._limit(place) for place in range(len(problem.limits.names))]
         own, every = problem.limits, (*limits, self._last) if last else tuple(limits)
-        held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last))
+        at_nodes = own.node_names, tuple(map(self._node_limit, range(len(own.node_names))))
+        held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last), *at_nodes)
         changes: Any = {
             "dynamics": self._velocity,
             "running_cost": self._rate,
@@ -257,5 +258,11 @@ class Arcs:
         def limit(q: Any, v: Array, tau: Array, given: Any) -> Any:
             arc = self._arc(tau, given)
             return self._bound(arc.time, given).limits.functions[place](q, self._control(v, arc))
+
+        return limit
+
+    def _node_limit(self, place: int) -> Any:
+        def limit(q: Any, tau: Array, given: Any) -> Any:
+            return self._bound(self._arc(tau, given).time, given).limits.node_functions[place](q)
 
         return limit

@@ -21,7 +21,8 @@ from .iteration_table import printed
 
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
-ALONG = "control bounds", "constraints", "an initial cost", "an explicit time"
+LIMITS = "control bounds", "constraints", "node constraints"
+ALONG = *LIMITS, "an initial cost", "an explicit time"
 BETWEEN = "boundary constraints", "periodic ends"
 Method = DiscretizationMap | Gauss
 
@@ -160,7 +161,7 @@ def check_singular(
             f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
             "try method, choice = singular_integrator(classification, discretization); a Composition is for integrate"
         )
-    problem.require_treated("solve of a singular problem", "control bounds", "constraints")
+    problem.require_treated("solve of a singular problem", *LIMITS)
     if not isinstance(method, DiscretizationMap):
         raise InvalidInputError(
             f"the problem is singular, and solve takes a discretization map for it, got {method!r}; try "

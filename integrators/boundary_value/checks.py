@@ -74,9 +74,9 @@ class RegularChecks(Checks):
     ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem
     conserves by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the
     Hessian is positive definite on the null space of the constraints. ``violation`` of the inequalities and
-    ``complementarity``: largest product of a multiplier and its inequality, both at the stages and relative.
-    ``active``: at how many stages inequalities of each name hold the trajectory. If an accuracy was asked for:
-    ``error``, the sum of the relative errors of the steps, and the largest violations ``between`` the stages, by the
+    ``complementarity``: largest product of a multiplier and its inequality, both at the stages and nodes, and relative.
+    ``active``: at how many stages, or nodes, inequalities of each name hold the trajectory. If an accuracy was asked
+    for: ``error``, the sum of the relative errors of the steps, and the largest violations ``between`` these, by the
     names of the inequalities.
     """
 

@@ -191,7 +191,7 @@ class Predictor:
         (controls,) = self._steered.at(1, *turned)
         point = self.state.points
         parts = point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages)
-        found = Guess(*parts, multipliers=solution.guess().multipliers)
+        found = Guess(*parts, solution.stage_multipliers, solution.node_multipliers)
         return found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(found)) else None
 
     def _pair(self, states: Any, moves: np.ndarray, costates: Any, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

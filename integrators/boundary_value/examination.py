@@ -34,7 +34,7 @@ class Examination:
     def __init__(self, problem: OptimalControlProblem) -> None:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
-        self._limited, self._named = problem.limits.along, bool(problem.limits.functions)
+        self._limited, self._named = problem.limits.along, bool(problem.limits.every_name)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump, and no strict
@@ -82,23 +82,32 @@ class Examination:
 
     def _unqualified(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return self._once(Qualification, solution.parameters)(solution) if self._named else ""
+        return next(filter(None, (own(solution) for own in self._qualifications(solution))), "")
 
     def _outside(self, solution: Solution, ends: tuple[Prescribed, Prescribed]) -> str:
         """A sentence on a constraint of the states that an end violates."""
         fixed = _fixed(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
-        names, excess = self._once(Qualification, solution.parameters).at_ends(solution, fixed)
-        for end, over in zip(("start", "end"), excess, strict=True):
-            if np.max(over, initial=0.0) > 0:
-                worst = int(np.argmax(over))
-                return (
-                    f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the stages "
-                    f"alone, and the trajectory cannot keep it; expected {'a start' if end == 'start' else 'an end'} "
-                    "where it is not positive; try another one, or a wider constraint."
-                )
+        for own in self._qualifications(solution):
+            names, excess = own.at_ends(solution, fixed)
+            for end, over in zip(("start", "end"), excess, strict=True):
+                if np.max(over, initial=0.0) > 0:
+                    worst = int(np.argmax(over))
+                    where = "nodes between the ends" if own.at_nodes else "stages"
+                    expected = "a start" if end == "start" else "an end"
+                    return (
+                        f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the {where} "
+                        f"alone, and the trajectory cannot keep it; expected {expected} where "
+                        "it is not positive; try another one, or a wider constraint."
+                    )
         return ""
+
+    def _qualifications(self, solution: Solution) -> list[Qualification]:
+        """Those of the constraints at the stages and of those at the nodes, of which there are some."""
+        limits = self.problem.limits
+        kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
+        return [self._once(Qualification, solution.parameters, at_nodes) for at_nodes in kinds]
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
@@ -151,7 +160,7 @@ class Examination:
         for name in (LOWER, UPPER):
             pull += own.get(name, 0.0)
         flat = pull * room <= NO_PULL * solution.checks.hamiltonian_size
-        flat &= ~solution.held_by(limits.names)[:, None]  # one that holds the trajectory may determine controls
+        flat &= ~solution.held_by(limits.every_name)[:, None]  # one that holds the trajectory may determine controls
         if np.any(flat):
             curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
             flat &= curvature == 0  # exactly: no entry of the control is in the derivative

@@ -282,9 +282,16 @@ class Formulation:
                 names.append(name)
                 functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
                 begin += len(entries)
-        return Inequalities(
-            own.lower, own.upper, (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
-        )
+        at_nodes = tuple(self._of_state(self._node_limit(place), 1) for place in range(len(own.node_names)))
+        held = (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
+        return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes)
+
+    def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
+        def limit(y: tuple, given: Any) -> Any:
+            q, bound, _ = self._at(y, given)
+            return bound.limits.node_functions[place](q)
+
+        return limit
 
     def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:

@@ -1,6 +1,6 @@
 """Guesses that are given for trajectories, checked, in flat arrays."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, final
 
 import jax
@@ -20,7 +20,7 @@ class FlatGuess(NamedTuple):
     members.
 
     The last two arrays are None where they are not known of every guess. ``multipliers`` of the inequalities at the
-    stages by their names, of each guess, as far as they are known.
+    stages, and those at the nodes, by their names, of each guess, as far as they are known.
     """
 
     states: np.ndarray
@@ -29,16 +29,17 @@ class FlatGuess(NamedTuple):
     nodes: np.ndarray | None
     stage_costates: np.ndarray | None
     multipliers: tuple[dict[str, np.ndarray], ...]
+    node_multipliers: tuple[dict[str, np.ndarray], ...]
 
     @property
     def arrays(self) -> tuple[np.ndarray | None, ...]:
         """All but the multipliers."""
-        return self[:-1]
+        return self[:-2]
 
     def of(self, count: int) -> "FlatGuess":
         """The guesses of so many members, in arrays that are not to be written to."""
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
-        return FlatGuess(*parts, multipliers=self.multipliers)
+        return FlatGuess(*parts, *self[-2:])
 
     def states_to_check(self, size: int) -> np.ndarray:
         """All states, at stages and nodes, in a row."""
@@ -68,7 +69,8 @@ class GuessReader:
         ]
         limits, added = problem.limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
         self._names = {*(name for name, side in limits.bounded.items() if side), *limits.names, *added}
-        self._stages = at_stages
+        self._node_names = set(limits.node_names)
+        self._stages, self._nodes = at_stages, at_nodes
 
     def flat(self, guesses: Sequence[Any]) -> FlatGuess:
         """The guesses as flat arrays, costates that are not given being zero; raises where something is wrong."""
@@ -83,29 +85,20 @@ class GuessReader:
                 )
         columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
         stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        return FlatGuess(*stacked, multipliers=tuple(self._multipliers(one.multipliers or {}) for one in guesses))
+        at_stages, at_nodes = self._at_stages, self._at_nodes
+        return FlatGuess(*stacked, tuple(map(at_stages, guesses)), tuple(map(at_nodes, guesses)))
 
-    def _multipliers(self, given: Mapping[str, Any]) -> dict[str, np.ndarray]:
-        """Multipliers as arrays, checked but for how many there are at a stage."""
-        found = {name: np.asarray(rows) for name, rows in given.items()}
-        for name, rows in found.items():
-            if name not in self._names:
-                raise InvalidInputError(
-                    f"guess: multipliers belong to {name!r}, expected names of inequalities, {sorted(self._names)}"
-                )
-            if rows.ndim != 2 or len(rows) != self._stages or rows.dtype.kind not in "fiu":
-                raise InvalidInputError(
-                    f"guess: multipliers of {name!r} must be real numbers of shape ({self._stages}, k), a row for each "
-                    f"stage, got {rows.dtype} of shape {rows.shape}"
-                )
-            if not np.all(np.isfinite(rows) & (rows >= 0)):
-                raise InvalidInputError(f"guess: multipliers of {name!r} must be finite and not negative")
-        return found
+    def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
+        return _multipliers("multipliers", guess.multipliers or {}, self._names, (self._stages, "stage"))
+
+    def _at_nodes(self, guess: Guess) -> dict[str, np.ndarray]:
+        return _multipliers("node_multipliers", guess.node_multipliers or {}, self._node_names, (self._nodes, "node"))
 
     def known(self, guess: Guess) -> Guess:
         """A guess with the multipliers of inequalities that the problem has, as far as their names tell."""
         own = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
-        return guess._replace(multipliers=own)
+        at_nodes = {name: rows for name, rows in (guess.node_multipliers or {}).items() if name in self._node_names}
+        return guess._replace(multipliers=own, node_multipliers=at_nodes)
 
     def one(self, guess: Any) -> Guess:
         """A guess as arrays with its costates filled in; raises where something is wrong."""
@@ -116,7 +109,7 @@ class GuessReader:
     def guess(self, flat: FlatGuess, k: int) -> Guess:
         """The guess of a member, in arrays like a point's."""
         parts = (_points(rows, k, part) for rows, part in zip(flat.arrays, self._parts, strict=True))
-        return Guess(*parts, multipliers=flat.multipliers[min(k, len(flat.multipliers) - 1)])
+        return Guess(*parts, *(every[min(k, len(every) - 1)] for every in flat[-2:]))
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
         """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it
@@ -135,6 +128,27 @@ class GuessReader:
                     if not np.max(values) <= default_tolerance():
                         worst = f"{equation} reaches {np.max(values):.3g}"
                         raise InvalidInputError(f"guess: {name} are not on {manifold}: {worst}, expected 0")
+
+
+def _multipliers(
+    kind: str, given: Mapping[str, Any], names: Collection[str], places: tuple[int, str]
+) -> dict[str, np.ndarray]:
+    """Multipliers as arrays, checked but for how many there are at a place, of which there are so many, of some
+    kind."""
+    found, (length, place) = {name: np.asarray(rows) for name, rows in given.items()}, places
+    for name, rows in found.items():
+        if name not in names:
+            raise InvalidInputError(
+                f"guess: {kind} belong to {name!r}, expected names of inequalities, {sorted(names)}"
+            )
+        if rows.ndim != 2 or len(rows) != length or rows.dtype.kind not in "fiu":
+            raise InvalidInputError(
+                f"guess: {kind} of {name!r} must be real numbers of shape ({length}, k), a row for each {place}, got "
+                f"{rows.dtype} of shape {rows.shape}"
+            )
+        if not np.all(np.isfinite(rows) & (rows >= 0)):
+            raise InvalidInputError(f"guess: {kind} of {name!r} must be finite and not negative")
+    return found
 
 
 def _rows(given: Any, part: _Part) -> np.ndarray | None:

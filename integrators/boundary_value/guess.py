@@ -14,7 +14,7 @@ from ..controls import resting_control
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
-from .arguments import BETWEEN, Method, check_problem, fractions_of
+from .arguments import BETWEEN, LIMITS, Method, check_problem, fractions_of
 from .end_points import EndReader
 from .engine.rollout import RollOut
 from .engine.start import Start
@@ -25,8 +25,8 @@ class Guess(NamedTuple):
 
     Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``.
     What is known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or
-    neither; and the ``multipliers`` of its inequalities at the stages, by their names as in a ``Solution``. Where these
-    fit, an iteration begins near to where it would end.
+    neither; and the ``multipliers`` of its inequalities at the stages, and the ``node_multipliers``, by their names as
+    in a ``Solution``. Where these fit, an iteration begins near to where it would end.
     """
 
     states: Ambient
@@ -35,6 +35,7 @@ class Guess(NamedTuple):
     nodes: Any = None
     stage_costates: Any = None
     multipliers: Mapping[str, Any] | None = None
+    node_multipliers: Mapping[str, Any] | None = None
 
     @classmethod
     def from_controls(
@@ -123,7 +124,7 @@ def rolled_out(
 ) -> Guess:
     """The guess that controls lead to."""
     check_problem(problem, method)
-    problem.require_treated("Guess.from_controls", "control bounds", "constraints", "an initial cost", *BETWEEN)
+    problem.require_treated("Guess.from_controls", *LIMITS, "an initial cost", *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     begin = EndReader(problem.manifold).point(start)

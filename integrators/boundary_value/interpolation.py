@@ -140,9 +140,11 @@ class Interpolant:
     def guess(self, record: "Solution", times: np.ndarray, stage_times: np.ndarray) -> Guess:
         """The extremal at times of nodes and of stages."""
         nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
-        own = record.guess().multipliers or {}
+        own, at_nodes = record.stage_multipliers, record.node_multipliers
         multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in own.items()}
-        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers)
+        before, after = _shares(record.times), _shares(times)
+        jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
+        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
 
     def within(self, record: "Solution", places: np.ndarray) -> Sample:
         """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
@@ -213,6 +215,12 @@ class Interpolant:
     def _steered_of(self, base: Array, offset: Array) -> tuple[Array]:
         u, turn = self.control.point(base), default_retraction(self.controls)
         return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
+
+
+def _shares(times: np.ndarray) -> np.ndarray:
+    """The length of the step that ends at each node, for the first one that begins there, as a column."""
+    steps = np.diff(times)
+    return np.concatenate([steps[:1], steps])[:, None]
 
 
 def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:

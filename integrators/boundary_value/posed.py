@@ -1,8 +1,7 @@
 """A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their
 guesses."""
 
-from collections.abc import Callable
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import numpy as np
@@ -24,6 +23,7 @@ from .engine.kkt_system import Ends, Iterate
 from .engine.start import Start
 from .engine.transcription import Data, Known, Nodes, OneStage
 from .given_guess import FlatGuess
+from .inequality_rows import InequalityRows
 from .request import Request, for_all
 
 
@@ -33,10 +33,7 @@ class Traced(NamedTuple):
     steps: OneStage | Collocation
     nodes: Nodes
     diagnosis: Diagnosis
-    mask: Callable[..., np.ndarray] | None  # of so many steps and stages: where each inequality holds, if there are any
-    # What belongs to the inequalities, along the last axis, by their names.
-    named: Callable[[np.ndarray], dict[str, np.ndarray]]
-    flat: Callable[..., np.ndarray]  # the other way, from names
+    rows: InequalityRows
     own: Own
     coupling: Coupling | None  # of the ends, if they are coupled
     evaluator: Evaluator
@@ -90,13 +87,11 @@ class Posing:
         else:
             method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
             steps = OneStage(self.problem, method, *given[1:])
-        sizes, limits = example.inequality_sizes, example.limits
-        mask = partial(limits.mask, sizes) if limits.any else None
-        named, flat = partial(limits.by_name, sizes=sizes), partial(limits.flat, sizes=sizes)
+        rows = InequalityRows(self.problem, parameters, len(self.stages))
         own = Own(self.problem, parameters)
         coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
         functions = steps, Nodes(*given), Diagnosis(*given)
-        return Traced(*functions, mask, named, flat, own, coupling, self.evaluator)
+        return Traced(*functions, rows, own, coupling, self.evaluator)
 
     def of(self, request: Request) -> Traced:
         """The functions with the parameters of a request."""
@@ -110,10 +105,10 @@ class Posing:
         """The conditions and guesses of a request."""
         traced, ends = self.of(request), request.ends
         rows = for_all(ends.start, len(request)), for_all(ends.end, len(request))
-        asked = None if traced.mask is None else traced.mask(len(self.fractions), len(self.stages)).astype(float)
-        asked = None if asked is None else for_all(asked[None], len(request))
-        data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         first, last = ends.prescribed
+        mask = traced.rows.mask(len(self.fractions), (first, last), request.rows)
+        asked = None if mask is None else for_all(mask.astype(float)[None], len(request))
+        data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
         return Posed(
             traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, request, rows, data)
@@ -135,7 +130,7 @@ class Posing:
         else:
             own = request.guesses.of(count)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
-            costates, slacks = own.costates, self._pulling(traced, own, shape)
+            costates, slacks = own.costates, self._pulling(traced, own, data)
             both = own.nodes, own.stage_costates
             known = (
                 Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
@@ -143,10 +138,11 @@ class Posing:
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
 
     @staticmethod
-    def _pulling(traced: Traced, guess: FlatGuess, shape: tuple[int, ...]) -> Slacks | None:
-        """The multipliers of guesses that know them of the inequalities, of steps and stages of this shape."""
-        if traced.mask is None or not any(guess.multipliers):
+    def _pulling(traced: Traced, guess: FlatGuess, data: Data) -> Slacks | None:
+        """The multipliers of guesses that know them of the inequalities."""
+        known = list(zip(guess.multipliers, guess.node_multipliers, strict=True))
+        if data.asked is None or not any(any(both) for both in known):
             return None
-        rows = np.stack([traced.flat(known, shape[1:]) for known in guess.multipliers])
-        slacks = Slacks.none((*shape, rows.shape[-1]))
-        return slacks._replace(multipliers=np.array(np.broadcast_to(rows, slacks.multipliers.shape)))
+        known = known if len(known) > 1 else known * len(data.steps)
+        rows = [traced.rows.flat(*both, steps) for both, steps in zip(known, data.steps, strict=True)]
+        return Slacks.none(data.asked.shape)._replace(multipliers=np.stack(rows))

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
+from ..constraints import entry_words
 from ..evaluator import Automatic, Evaluated
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
@@ -28,26 +29,23 @@ DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
 
 @final
 class Qualification:
-    """Looks at the derivatives of the inequalities of a problem along its solutions; traced once."""
+    """Looks at the derivatives of the inequalities of a problem along its solutions, at the stages or at the nodes;
+    traced once."""
 
-    def __init__(self, problem: OptimalControlProblem, parameters: Any) -> None:
-        self.problem, self.parameter = problem, parameter_layout(parameters)
+    def __init__(self, problem: OptimalControlProblem, parameters: Any, at_nodes: bool) -> None:
+        self.problem, self.parameter, self.at_nodes = problem, parameter_layout(parameters), at_nodes
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def __call__(self, solution: Solution) -> str:
         """A sentence on inequalities whose multipliers are not determined where they hold the trajectory; empty if all
         are."""
-        parameters = solution.parameters
-        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
-        layouts = (self.state, solution.stage_states), (self.control, solution.controls)
-        rows = [np.asarray(layout.rows(points, 1)) for layout, points in layouts]
-        values, slopes = self._limits(*rows, solution.stage_times[:, None], given[None])
-        bound = self.problem.with_parameters(parameters).at_time(0.0)
+        *rows, times, given = self._along(solution)
+        values, slopes = self._limits(*rows, times, given)
         own, counted = self._multipliers(solution)
         if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
         extent, size = np.concatenate([np.ptp(part, axis=0) for part in rows]), solution.checks.hamiltonian_size
-        lengths, bends = self._bends(*rows, solution.stage_times[:, None], extent[None], given[None])
+        lengths, bends = self._bends(*rows, times, extent[None], given)
         reach = np.max(lengths, axis=0)
         held = counted & (own * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
         pulling = held & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
@@ -61,16 +59,31 @@ class Qualification:
         slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         lengths = np.linalg.norm(slopes, axis=2)
         flat |= active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
-        names = bound.inequality_names
+        names = self._names(solution.parameters)
         if np.any(flat):
             k, i = np.argwhere(flat)[0]
-            place = f"near t = {solution.stage_times[k]:.6g}"
+            place = f"near t = {times[k, 0]:.6g}"
             return (
                 f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can "
                 "hold it there: it may be passed by far more than the tolerance, and no strict minimum is shown; try a "
                 "function that passes through zero with a slope, as q[0] - a in place of its square or cube."
             )
-        return self._dependent(solution, active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+        return self._dependent(times[:, 0], active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+
+    def _along(self, solution: Solution) -> tuple[np.ndarray, ...]:
+        """States, controls and times where the inequalities hold, and the parameters."""
+        states, times = (
+            (solution.states, solution.times) if self.at_nodes else (solution.stage_states, solution.stage_times)
+        )
+        controls = np.asarray(self.control.rows(solution.controls, 1))
+        if self.at_nodes:  # nothing depends on these
+            controls = controls[np.clip(np.arange(len(times)), 0, len(controls) - 1)]
+        given = self.parameter.rows(solution.parameters, 0) if self.parameter.size else np.zeros(0)
+        return np.asarray(self.state.rows(states, 1)), controls, times[:, None], given[None]
+
+    def _names(self, parameters: Any) -> tuple[str, ...]:
+        bound = self.problem.with_parameters(parameters).at_time(0.0)
+        return entry_words(bound.node_sizes) if self.at_nodes else bound.inequality_names
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
@@ -78,18 +91,16 @@ class Qualification:
 
         ``fixed``: which coordinates of both ends are prescribed, shape ``(2, n)``; the controls are free.
         """
-        parameters, places = solution.parameters, [0, -1]
-        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
-        at_stages = self.state.rows(solution.stage_states, 1), self.control.rows(solution.controls, 1)
-        values, slopes = self._limits(*at_stages, solution.stage_times[:, None], given[None])
-        nodes = self.state.rows(solution.states, 1)[places], at_stages[1][places]
-        ends, at_ends = self._limits(*nodes, solution.times[places][:, None], given[None])
+        places, (states, controls, times, given) = [0, -1], self._along(solution)
+        values, slopes = self._limits(states, controls, times, given)
+        nodes = self.state.rows(solution.states, 1)[places], controls[places]
+        ends, at_ends = self._limits(*nodes, solution.times[places][:, None], given)
         depends = np.any(np.concatenate([slopes, at_ends]) != 0, axis=0)
         free = np.concatenate([~fixed, np.ones((2, self.problem.controls.dimension), bool)], axis=1)
         held = ~np.any(depends & free[:, None], axis=2)
         size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
         over = np.where(held & (ends > OUTSIDE * size), ends, 0.0)
-        return self.problem.with_parameters(parameters).at_time(0.0).inequality_names, over
+        return self._names(solution.parameters), over
 
     def _nearer(self, values: np.ndarray) -> np.ndarray:
         """Which inequalities may hold the trajectory: of two bounds of a control, which are apart, the nearer one.
@@ -97,6 +108,8 @@ class Qualification:
         Where the iteration has ended without success both may have large multipliers.
         """
         nearer = np.ones(values.shape, bool)
+        if self.at_nodes:
+            return nearer
         lower, upper = (list(side) for side in self.problem.limits.bounded.values())
         for i, control in enumerate(lower):
             if control in upper:
@@ -106,7 +119,7 @@ class Qualification:
         return nearer
 
     @staticmethod
-    def _dependent(solution: Solution, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:
+    def _dependent(times: np.ndarray, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:
         for k in np.flatnonzero(np.sum(active, axis=1) > 1):
             held = np.flatnonzero(active[k])
             left, sizes, _ = np.linalg.svd(rows[k, held], full_matrices=True)
@@ -118,7 +131,7 @@ class Qualification:
                 named = " and ".join(names[i] for i in held[involved])
                 tried = "leave room between them, or to write an equation into the dynamics" if enclosed else LEAVE_OUT
                 return (
-                    f"{named} hold the trajectory near t = {solution.stage_times[k]:.6g} with derivatives that depend "
+                    f"{named} hold the trajectory near t = {times[k]:.6g} with derivatives that depend "
                     "on each other: their multipliers are not determined one by one, and no strict minimum is shown; "
                     f"try to {tried}."
                 )
@@ -126,12 +139,15 @@ class Qualification:
 
     def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Those of the inequalities in their order, shape ``(N s, k)``, and which are among the largest, as many as the
-        stages at which the inequality is active: what a barrier leaves at the others holds nothing."""
+        places at which the inequality is active: what a barrier leaves at the others holds nothing."""
         limits, own, checks = self.problem.limits, solution.stage_multipliers, solution.checks
         active = checks.active if isinstance(checks, RegularChecks) else {}
-        none = np.zeros((len(solution.stage_times), 0))  # of a constraint without entries
-        sides = [(name, own[name][:, side]) for name, side in limits.bounded.items() if side]
-        named = [*sides, *((name, own.get(name, none)) for name in limits.names)]
+        none = np.zeros((len(solution.times if self.at_nodes else solution.stage_times), 0))  # of one without entries
+        if self.at_nodes:
+            named = [(name, solution.node_multipliers.get(name, none)) for name in limits.node_names]
+        else:
+            named = [(name, own[name][:, side]) for name, side in limits.bounded.items() if side]
+            named += [(name, own.get(name, none)) for name in limits.names]
         rows = np.concatenate([none, *(part for _, part in named)], axis=1)
         counts = [np.full(part.shape[1], active.get(name, 0)) for name, part in named]
         ranks = np.argsort(np.argsort(-rows, axis=0), axis=0)
@@ -155,7 +171,7 @@ class Qualification:
 
         def values(d: Array) -> Array:
             near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
-            return problem.inequalities(*near)
+            return problem.node_inequalities(near[0]) if self.at_nodes else problem.inequalities(*near)
 
         def step(d: Array) -> Array:
             parts = vec.combine(frame, d[:n]), vec.combine(directions, d[n:])

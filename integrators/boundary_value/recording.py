@@ -27,7 +27,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, bool(problem.limits.functions)
+        self.quantities, self._constrained = problem.quantities, bool(problem.limits.every_name)
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(
@@ -51,7 +51,7 @@ class Recording:
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
             "spatial_costates": diagnostics.spatial,
-            "multipliers": {**_multipliers(traced, found), **(found.boundary or {})},
+            **_multipliers(posed, found),
         }
         notes = found.notes or [""] * len(results)
         results = [words + _excesses(traced, found, k) + notes[k] for k, words in enumerate(results)]
@@ -107,31 +107,35 @@ def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
 
 
 def _active(posed: Posed, found: Found) -> list[dict[str, int]]:
-    """At how many stages inequalities of each name hold each trajectory: where a multiplier exceeds the slack, in their
-    units."""
-    slacks, barrier = found.iterate.slacks, posed.conditions.barrier
+    """At how many stages, or nodes, inequalities of each name hold each trajectory: where a multiplier exceeds the
+    slack, in their units."""
+    slacks, barrier, rows = found.iterate.slacks, posed.conditions.barrier, posed.traced.rows
     if slacks is None or barrier is None:
         return [{} for _ in found.claimed]
     held = slacks.multipliers / barrier.price > slacks.slacks / barrier.unit
-    rows = posed.traced.named(held.reshape(len(held), -1, held.shape[3]))
-    return [{name: int(np.sum(np.any(row[k], axis=1))) for name, row in rows.items()} for k in range(len(held))]
+    named = {**rows.at_stages(held), **rows.at_nodes(held)}
+    return [{name: int(np.sum(np.any(own[k], axis=1))) for name, own in named.items()} for k in range(len(held))]
 
 
-def _multipliers(traced: Traced, found: Found) -> dict[str, np.ndarray]:
-    """Multipliers of the inequalities at the stages, by their names."""
-    slacks = found.iterate.slacks
+def _multipliers(posed: Posed, found: Found) -> dict[str, dict[str, np.ndarray]]:
+    """Multipliers by their names: of the inequalities at the stages and of what ends are bound by, and of the
+    inequalities at the nodes."""
+    slacks, rows, ends = found.iterate.slacks, posed.traced.rows, found.boundary or {}
     if slacks is None:
-        return {}
-    rows = slacks.multipliers
-    return traced.named(rows.reshape(len(rows), -1, rows.shape[3]))
+        return {"multipliers": ends, "node_multipliers": {}}
+    jumps = posed.conditions.data.steps[:, :, None, None] * slacks.multipliers
+    return {
+        "multipliers": {**rows.at_stages(slacks.multipliers), **ends},
+        "node_multipliers": rows.at_nodes(jumps),
+    }
 
 
 def _excesses(traced: Traced, found: Found, k: int) -> str:
     """By how much a member violates which inequalities, if these contradict each other."""
-    slacks = found.iterate.slacks
+    slacks, rows = found.iterate.slacks, traced.rows
     if slacks is None or not found.contradictory[k]:
         return ""
-    worst = traced.named(np.max(slacks.excess[k], axis=(0, 1)))
-    least = SMALL * np.max(slacks.excess[k])
-    named = [f"{name} by up to {np.max(rows):.3g}" for name, rows in worst.items() if np.max(rows) > least]
+    excess = slacks.excess[k : k + 1]
+    worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
+    named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
     return f" It violates {', '.join(named)}."

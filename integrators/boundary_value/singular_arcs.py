@@ -91,7 +91,7 @@ def _interior(problem: OptimalControlProblem, solution: Solution, stages: np.nda
     u = _controls(solution, stages, singular)
     if np.any(np.minimum(u - lower, upper - u) < CONTROL_AT_BOUND * _room(problem, u, singular)):
         return False
-    return not np.any(solution.held_by(problem.limits.names)[stages])
+    return not np.any(solution.held_by(problem.limits.every_name)[stages])
 
 
 def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np.ndarray:

@@ -16,7 +16,7 @@ from .checks import RegularChecks, SingularChecks
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 4  # of the file
+VERSION = 5  # of the file
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
@@ -64,7 +64,10 @@ class Solution:
     - F - nu g`` is stationary in the controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters
     belong to the first stage. Multipliers ``mu`` of boundary constraints, one for each equation: ``p(T) = -d(Phi + mu .
     b)`` by the last state, ``p(0) = d(Phi_0 + mu . b)`` by the first one, and the cost changes by ``mu . e`` where
-    ``b`` is to be ``-e``. ``quantities``: the names and units of the problem.
+    ``b`` is to be ``-e``. ``node_multipliers`` of the constraints at the nodes, by their names, are not negative
+    either: where one holds, the costate jumps by ``mu dg``. ``costates`` are those behind such a jump, at the first
+    node that before it, so that the conditions above hold for both ends. ``quantities``: the names and units of the
+    problem.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -85,6 +88,7 @@ class Solution:
     statistics: Statistics
     singular: SingularArc | None = None
     multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
+    node_multipliers: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)] = field(default_factory=dict)
     parameters: Annotated[Any, Values()] = None
     interpolant: Interpolant | None = field(default=None, repr=False)
     quantities: Quantities | None = None
@@ -137,8 +141,8 @@ class Solution:
             begin, left = self.times[0] + after, 1 - after / self.horizon
             places = (begin + left * (times - self.times[0]) for times in (self.times, self.stage_times))
             return self._between_nodes.guess(self, *places)
-        along = {name: rows for name, rows in self.multipliers.items() if rows.ndim == 2}  # not those between the ends
-        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, along)
+        multipliers = self.stage_multipliers, self.node_multipliers
+        return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, *multipliers)
 
     def report(self) -> None:
         """Print what a user checks."""
@@ -174,12 +178,17 @@ class Solution:
         return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
 
     def held_by(self, names: Collection[str]) -> np.ndarray:
-        """At which stages one of these inequalities holds the trajectory, shape ``(N s,)``; the barrier leaves others
-        multipliers too."""
+        """At which stages one of these inequalities holds the trajectory, or at both nodes of their step, shape ``(N
+        s,)``; the barrier leaves others multipliers too."""
         held = np.zeros(len(self.stage_times), bool)
         for name, rows in self.stage_multipliers.items():
             if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
                 held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
+        steps = held.reshape(self.steps, -1)
+        for name, rows in self.node_multipliers.items():
+            if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
+                at = np.any(rows > ACTIVE * np.max(rows), axis=1)
+                steps |= (at[:-1] & at[1:])[:, None]
         return held
 
     def to_xarray(self) -> Any:

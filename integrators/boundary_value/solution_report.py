@@ -41,15 +41,20 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     for name, values in solution.multipliers.items():
         if values.ndim == 1:
             yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
-    if solution.stage_multipliers and isinstance(checks, RegularChecks):
-        yield from _inequalities(solution.stage_multipliers, checks)
+    if (solution.stage_multipliers or solution.node_multipliers) and isinstance(checks, RegularChecks):
+        yield from _inequalities(solution, checks)
 
 
-def _inequalities(multipliers: dict[str, np.ndarray], checks: RegularChecks) -> Iterator[tuple[str, str]]:
-    held = f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the stages)"
+def _inequalities(solution: Solution, checks: RegularChecks) -> Iterator[tuple[str, str]]:
+    every = {"stages": solution.stage_multipliers, "nodes": solution.node_multipliers}
+    places = " and ".join(place for place, multipliers in every.items() if multipliers)
+    held = (
+        f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the {places})"
+    )
     yield "inequalities", held
-    for name, rows in multipliers.items():
-        yield "", f"{name}: {_active(name, rows, checks)}"
+    for place, multipliers in every.items():
+        for name, rows in multipliers.items():
+            yield "", f"{name}: {_active(name, rows, place, checks)}"
 
 
 def _unit(solution: Solution, of: str) -> str:
@@ -58,10 +63,10 @@ def _unit(solution: Solution, of: str) -> str:
     return f" {unit}" if unit else ""
 
 
-def _active(name: str, rows: np.ndarray, checks: RegularChecks) -> str:
-    """At how many stages an inequality holds a trajectory, and by how much."""
+def _active(name: str, rows: np.ndarray, place: str, checks: RegularChecks) -> str:
+    """At how many stages or nodes an inequality holds a trajectory, and by how much."""
     count = checks.active.get(name, 0)
-    return f"active at {count} of {len(rows)} stages" + (f", largest multiplier {np.max(rows):.3g}" if count else "")
+    return f"active at {count} of {len(rows)} {place}" + (f", largest multiplier {np.max(rows):.3g}" if count else "")
 
 
 def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:

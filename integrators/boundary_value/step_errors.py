@@ -147,7 +147,7 @@ class Estimator:
         values, slopes = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters)
-        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes)
+        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
         size = np.max(np.abs(values), axis=(0, 1))
         free = np.max(np.abs(slopes), axis=(0, 1)) == 0
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
@@ -159,12 +159,12 @@ class Estimator:
         return Automatic().values(self._limits_of, *sizes)
 
     def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array]:
-        """The inequalities, and sums of the sizes of their derivatives by the controls."""
+        """The inequalities, those at nodes last, and sums of the sizes of their derivatives by the controls."""
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         point, layout = self.propagator.state.point(q), self.propagator.control
 
         def values(u: Array) -> Array:
-            return bound.inequalities(point, layout.point(u))
+            return jnp.concatenate([bound.inequalities(point, layout.point(u)), bound.node_inequalities(point)])
 
         return values(u), jnp.sum(jnp.abs(jax.jacfwd(values)(u)), axis=1)
 

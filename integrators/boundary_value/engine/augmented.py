@@ -49,7 +49,7 @@ def solved(
     units = conditions.measured
     system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *conditions.fixed_ends)
     if iterate.slacks is not None:
-        limits = conditions.transcription.limits(blocks, conditions.data)
+        limits = conditions.transcription.limits(blocks, conditions.data.steps)
         system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
     return eliminate(system, units)
 

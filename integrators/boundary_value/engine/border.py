@@ -57,7 +57,7 @@ def responses(conditions: Conditions, iterate: Iterate, assembled: Assembled, sh
     weight = WEIGHT * blocks.left.shape[1] * units.cost[:, None] / units.nodes**2
     system, others = _with_columns(conditions.system(iterate, assembled), blocks, (right, after, weight), first), 0
     if shift is None and iterate.slacks is not None:
-        limits = conditions.transcription.limits(blocks, conditions.data)
+        limits = conditions.transcription.limits(blocks, conditions.data.steps)
         none = np.zeros((*system.slope.shape[:2], limits.shape[2], system.slope.shape[3]))
         system = system._replace(slope=np.concatenate([system.slope, none], axis=2))
         system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)

@@ -1,5 +1,6 @@
 """The steps of Gauss's method: several points in the chart of each step, condensed to its centre and its controls."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, final
 
 import jax
@@ -19,7 +20,7 @@ from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full
 from .extent import OF_POINTS
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes
+from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of
 
 
 class GaussUnknowns(NamedTuple):
@@ -50,7 +51,11 @@ class Inner(NamedTuple):
 
 @final
 class Collocation:
-    """The steps of a Gauss method with at least two points."""
+    """The steps of a Gauss method with at least two points.
+
+    Where there are inequalities at nodes, a step has those of its ends behind those of its points, as of one more
+    point, whose unknowns are ``(dx, deta)``: ``eta = h sum_j b_j nu_j``.
+    """
 
     def __init__(self, problem: OptimalControlProblem, method: Gauss, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self.method, self.stages = problem, method, method.stages
@@ -65,9 +70,13 @@ class Collocation:
         )
         e, u, k = self.state.size, self.control.size, self.parameter.size
         self._ends = evaluator.values(self._ends_of, e, n)
-        self.inequalities = len(problem.with_parameters(parameters).inequality_names)
-        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k, self.inequalities)
-        self._both = evaluator.derivatives(self._both_of, 2 * n, e, n, e, e, e, e)
+        bound = problem.with_parameters(parameters)
+        self.inequalities, self.own = inequalities_of(bound), len(bound.inequality_names)
+        self.at_nodes = self.inequalities - self.own
+        self.places = self.stages + (self.at_nodes > 0)
+        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k, self.own)
+        pulled = (1, k, self.at_nodes) if self.at_nodes else ()
+        self._both = evaluator.derivatives(self._both_of, 2 * n, e, n, e, e, e, e, *pulled)
         self._centre = evaluator.values(self._centre_moved, e, n)
         self._control = evaluator.values(self._control_moved, u, m)
         self._state = evaluator.values(self._state_at, e, n, e)
@@ -110,21 +119,17 @@ class Collocation:
         self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
     ) -> Blocks:
         """The condensed blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
-        steps, shape, s = data.steps, data.steps.shape, self.stages
+        steps, shape = data.steps, data.steps.shape
         found = self._at_points(unknowns, data, slacks)
         hessian, slope, constraints, gradient, pushes, missed, cost, limits, frames, multipliers = found
-        weights, held = steps[:, :, None, None] * self.tableau.weights[:, None], None
-        columns = slope[..., None]
-        if slacks is not None:
-            weights = weights * data.held(self.inequalities, s)
-            held = Held(limits, pushes, weights)
-            columns = raised(hessian, slope, held, slacks)
+        held, columns, defect = None, slope[..., None], missed[..., None]
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
-        both = self._both.at(2, unknowns.centres, self._eta(unknowns, data), *around)
-        (curvature, pull, left, right, *_), defect = both, missed[..., None]
+        curvature, pull, left, right, *at_nodes = self._at_ends(unknowns, around, data, slacks)
         pulls = pull[..., None]
-        if held is not None:  # the second column, times the barrier, has no defect and nothing at the ends
-            defect, pulls = (np.concatenate([a, np.zeros_like(a)], axis=-1) for a in (defect, pulls))
+        if slacks is not None:  # the second column, times the barrier, has no defect
+            held = self._held((limits, pushes), at_nodes, data)
+            columns, pulls = self._raised((hessian, slope), (curvature, pull), held, slacks)
+            defect = np.concatenate([defect, np.zeros_like(defect)], axis=-1)
         points, ends = Points(hessian, constraints, columns, defect), Ends(curvature, left, right, pulls)
         parts, condensed = condense(points, ends, steps, self.tableau)
         factors, swaps, maps = (a.reshape(*shape, *a.shape[1:]) for a in condensed.kept)
@@ -137,6 +142,45 @@ class Collocation:
         if held is None:
             return blocks
         return blocks._replace(slope=whole, held=held, pushed=parts.slope)
+
+    def _held(self, of_points: tuple[np.ndarray, np.ndarray], of_ends: Sequence[np.ndarray], data: Data) -> Held:
+        """The inequalities of the points, and of the ends if there are some, from their values and derivatives."""
+        asked, weights = data.held(self.inequalities, self.places), [*self.tableau.weights, 1.0][: self.places]
+        weights = data.steps[:, :, None, None] * np.array(weights)[:, None] * asked
+        if not self.at_nodes:
+            return Held(*of_points, weights)
+        (slope, _, _, value), own, s = of_ends, self.own, self.stages
+        values = np.zeros((*data.steps.shape, self.places, self.inequalities))
+        jacobian = np.zeros((*values.shape, of_points[1].shape[4]))
+        values[:, :, :s, :own], values[:, :, s, own:] = of_points[0], value
+        jacobian[:, :, :s, :own], jacobian[:, :, s, own:, : slope.shape[3]] = of_points[1], slope
+        return Held(values, jacobian, weights)
+
+    def _raised(
+        self, points: tuple[np.ndarray, np.ndarray], ends: tuple[np.ndarray, np.ndarray], held: Held, slacks: Slacks
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Slopes of points and ends in two columns, with the share of the inequalities; raises their Hessians in
+        place."""
+        if not self.at_nodes:
+            return raised(*points, held, slacks), np.stack([ends[1], np.zeros_like(ends[1])], axis=-1)
+        own, s, n = self.own, self.stages, self.manifold.dimension
+        within, last = (
+            (slice(None), slice(None), slice(s), slice(own)),
+            (*2 * (slice(None),), slice(s, None), slice(own, None)),
+        )
+        of_ends = Held(*(a[last] for a in held))
+        of_ends = of_ends._replace(jacobian=of_ends.jacobian[..., : 2 * n])
+        columns = raised(*points, Held(*(a[within] for a in held)), slacks.at(within))
+        return columns, raised(ends[0][:, :, None], ends[1][:, :, None], of_ends, slacks.at(last))[:, :, 0]
+
+    def _at_ends(self, unknowns: GaussUnknowns, around: Arrays, data: Data, slacks: Slacks | None) -> Arrays:
+        """What belongs to the ends with its derivatives, and the inequalities there."""
+        given = unknowns.centres, self._eta(unknowns, data), *around
+        if not self.at_nodes:
+            return self._both.at(2, *given)
+        none = np.zeros((*data.steps.shape, self.at_nodes))
+        pull = none if slacks is None else slacks.multipliers[:, :, -1, self.own :]
+        return self._both.at(2, *given, data.steps[:, :, None], data.parameters[:, None], pull)
 
     def _surveyed(
         self, defect: np.ndarray, multipliers: np.ndarray, slope: np.ndarray, steps: np.ndarray
@@ -154,7 +198,8 @@ class Collocation:
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
         weights = (data.steps[:, :, None] * self.tableau.weights)[..., None]
         at = unknowns.centres[:, :, None], xi, unknowns.velocities, unknowns.controls, unknowns.costates, weights
-        pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
+        none = np.zeros((*weights.shape[:3], self.own))
+        pull = none if slacks is None else slacks.multipliers[:, :, : self.stages, : self.own]
         return self._point.at(3, *at, data.parameters[:, None, None], pull)
 
     def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
@@ -171,13 +216,14 @@ class Collocation:
     def whole(self, blocks: Blocks, step: Moves, data: Data, slacks: Slacks | None) -> tuple[np.ndarray, np.ndarray]:
         """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed
         system."""
-        inner, points = blocks.inner, blocks.inner.points
+        inner, points, ends = blocks.inner, blocks.inner.points, blocks.inner.ends
         if slacks is not None:
             push = slacks.barrier[:, None, None, None, None]
             points = points._replace(slope=points.slope[..., :1] + push * points.slope[..., 1:])
+            ends = ends._replace(slope=ends.slope[..., :1] + push[..., 0] * ends.slope[..., 1:])
         table = np.ascontiguousarray(data.steps).ravel(), self.tableau.matrix, self.tableau.weights
         factors, swaps, maps = (a.reshape(-1, *a.shape[2:]) for a in inner.kept)
-        condensed = Condensed(points, inner.ends, table, (factors, swaps, maps))
+        condensed = Condensed(points, ends, table, (factors, swaps, maps))
         found = expand(condensed, step.steps[..., None], step.multipliers[..., None])
         return found.dnu[..., 0], found.dlambda[..., 0]
 
@@ -186,22 +232,33 @@ class Collocation:
         return unknowns._replace(costates=factor[:, None, None, None] * unknowns.costates)
 
     def at_each(self, moves: Moves, data: Data) -> np.ndarray:
-        """The steps of the unknowns ``(dx, dxi, dnu, du)`` of each point, shape (B, N, s, 3 n + m)."""
+        """The steps of the unknowns ``(dx, dxi, dnu, du)`` of each point, and of those of the ends, shape (B, N, r, 3 n
+        + m)."""
         n, velocities = self.manifold.dimension, moves.inner[0]
         centres = np.broadcast_to(moves.steps[:, :, None, :n], velocities.shape)
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, velocities)
         controls = moves.steps[:, :, n:].reshape(*velocities.shape[:3], -1)
-        return np.concatenate([centres, xi, velocities, controls], axis=3)
+        found = np.concatenate([centres, xi, velocities, controls], axis=3)
+        if not self.at_nodes:
+            return found
+        ends = np.zeros((*found.shape[:2], 1, found.shape[3]))
+        ends[:, :, 0, :n] = moves.steps[:, :, :n]
+        ends[:, :, 0, n : 2 * n] = np.einsum("bk,j,bkja->bka", data.steps, self.tableau.weights, velocities)
+        return np.concatenate([found, ends], axis=2)
 
     def sizes(self, units: Units) -> np.ndarray:
-        """Units of the unknowns of each point that an inequality depends on, shape (B, 1, s, 3 n + m)."""
+        """Units of the unknowns of each point, and of the ends, that an inequality depends on, shape (B, 1, r, 3 n +
+        m)."""
         n, s = self.manifold.dimension, self.stages
         controls = units.unknowns[:, n:].reshape(len(units.unknowns), s, -1)
         nodes = np.repeat(units.nodes[:, None], s, axis=1)
-        return np.concatenate([nodes, nodes, np.zeros_like(nodes), controls], axis=2)[:, None]
+        found = np.concatenate([nodes, nodes, np.zeros_like(nodes), controls], axis=2)
+        if self.at_nodes:
+            found = np.concatenate([found, found[:, :1]], axis=1)  # a control of an end does not count
+        return found[:, None]
 
-    def limits(self, blocks: Blocks, data: Data, maps: np.ndarray | None = None) -> np.ndarray:
-        """Derivatives of the inequalities of all points in the unknowns of the condensed steps, shape (B, N, s c, z).
+    def limits(self, blocks: Blocks, steps: np.ndarray, maps: np.ndarray | None = None) -> np.ndarray:
+        """Derivatives of the inequalities of all points in the unknowns of the condensed steps, shape (B, N, r c, z).
 
         With ``maps`` of steps that were condensed with other right-hand sides, columns follow by which their defects
         change them.
@@ -209,10 +266,11 @@ class Collocation:
         held, points, ends = blocks.inequalities, blocks.inner.points, blocks.inner.ends
         n, s, z = self.manifold.dimension, self.stages, self.dimension
         maps = blocks.inner.kept[2][..., :z] if maps is None else maps
-        slope = np.einsum("ij,bkicq->bkiqjc", np.eye(s), held.jacobian)
+        slope = np.einsum("ij,bkicq->bkiqjc", np.eye(self.places), held.jacobian)
         slope = slope.reshape(*slope.shape[:4], -1)
-        none = ends._replace(slope=np.zeros((*slope.shape[:2], 2 * n, slope.shape[4])))
-        full = full_slope(points._replace(slope=slope), none, data.steps, self.tableau)
+        far = slope[:, :, s, : 2 * n] if self.at_nodes else np.zeros((*slope.shape[:2], 2 * n, slope.shape[4]))
+        both = points._replace(slope=slope[:, :, :s]), ends._replace(slope=far)
+        full = full_slope(*both, steps, self.tableau)
         found = full[:, :, n : n + s * n].mT @ maps
         found[..., :z] += np.concatenate([full[:, :, :n], full[:, :, n + s * n :]], axis=2).mT
         return found
@@ -259,13 +317,19 @@ class Collocation:
         lagrangian = cost + multipliers @ defect + weight[0] * pull @ limits
         return lagrangian, (defect, cost[None], limits), self.state.flat_frame(e), multipliers
 
-    def _both_of(self, z: Array, x: Array, eta: Array, *nodes: Array) -> tuple[Array, tuple[Array, Array]]:
-        q0, q1, p0, p1 = map(self.state.point, nodes)
+    def _both_of(self, z: Array, x: Array, eta: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
+        q0, q1, p0, p1 = map(self.state.point, given[:4])
         n = self.manifold.dimension
         centre, carried = self._moved(x, z[:n])
         begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
         values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
-        return vec.pairing(p0, begin) - vec.pairing(p1, finish), values
+        lagrangian = vec.pairing(p0, begin) - vec.pairing(p1, finish)
+        if not self.at_nodes:
+            return lagrangian, values
+        step, parameters, pull = given[4:]
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        limits = jnp.concatenate([bound.node_inequalities(end) for end in (finish, begin)])
+        return lagrangian + step[0] * pull @ limits, (*values, limits)
 
     def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
         moved, carried = self._moved(x, dx)

@@ -153,7 +153,7 @@ class Conditions:
         """The guess, with inequalities that do not pull yet, and its system, from which the units are taken."""
         resting = guess
         if self.transcription.inequalities:
-            shape = *self.data.steps.shape, self.transcription.stages, self.transcription.inequalities
+            shape = *self.data.steps.shape, self.transcription.places, self.transcription.inequalities
             resting = guess._replace(slacks=Slacks.none(shape))
         assembled = self.assemble(resting, paid)
         self.units, self.wider = first_units(self, resting, assembled), None

@@ -208,6 +208,16 @@ class _OneStageColumns:
         return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :], pull)
 
 
+class _AtEnds(NamedTuple):
+    """Derivatives by the parameters, of the slope of the Lagrangian of the ends of steps, (B, N, 2 n, P), and of that
+    itself, (B, N, P); and of the inequalities there by the lengths of the steps and the parameters, (B, N, c, 1 +
+    P)."""
+
+    mixed: np.ndarray
+    slope: np.ndarray
+    limits: np.ndarray
+
+
 @final
 class _CollocationColumns:
     """Of the steps of a Gauss method: its points' mixed derivatives by the parameters; the length of a step enters
@@ -217,7 +227,9 @@ class _CollocationColumns:
         self.steps = steps
         e, u, k, n = steps.state.size, steps.control.size, steps.parameter.size, steps.manifold.dimension
         self.dimension = 3 * n + steps.controls.dimension
-        self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k, steps.inequalities)
+        self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k, steps.own)
+        at_ends = e, n, e, e, e, e, 1, k, steps.at_nodes
+        self._ends = evaluator.derivatives(self._ends_of, 2 * n + k, *at_ends) if steps.at_nodes else None
 
     def __call__(self, iterate: Iterate, assembled: Assembled, conditions: Conditions) -> Columns:
         data, unknowns, inner = conditions.data, iterate.unknowns, assembled.blocks.inner
@@ -227,7 +239,8 @@ class _CollocationColumns:
         weights = (h[:, :, None] * table.weights)[..., None]
         at = unknowns.centres[:, :, None], h[:, :, None, None] * turned, unknowns.velocities, unknowns.controls
         slacks = iterate.slacks
-        pull = np.zeros((*weights.shape[:3], 0)) if slacks is None else slacks.multipliers
+        none = np.zeros((*weights.shape[:3], self.steps.own))
+        pull = none if slacks is None else slacks.multipliers[:, :, : self.steps.stages, : self.steps.own]
         found = self._point.at(3, *at, unknowns.costates, weights, data.parameters[:, None, None], pull)
         hessian, gradient, constraints, _, limits, defect, cost, _ = found
         _require_unchanged(
@@ -248,28 +261,50 @@ class _CollocationColumns:
             slope=np.concatenate([by_h[..., None], hessian[..., :q, q:]], axis=4),
             defect=np.concatenate([missed[..., None], constraints[..., q:]], axis=4),
         )
-        none = np.zeros((*ends.slope.shape[:3], data.parameters.shape[1]))
-        outer = np.concatenate([np.einsum("bkzy,bky->bkz", ends.hessian[..., n:], far)[..., None], none], axis=3)
+        at_ends = self._at_ends(iterate, assembled, data, far)
+        outer = np.einsum("bkzy,bky->bkz", ends.hessian[..., n:], far)[..., None]
+        outer = np.concatenate([outer, at_ends.mixed], axis=3)
         parts, condensed = condense(wanted, ends._replace(slope=outer), h, table)
         begin, finish = parts.before, parts.after
         begin[..., 0] += np.einsum("bkny,bky->bkn", ends.left[..., n:], far)
         finish[..., 0] += np.einsum("bkny,bky->bkn", ends.right[..., n:], far)
-        whole = np.concatenate([lagrangian[..., None], np.sum(gradient[..., q:], axis=2)], axis=2)
-        rows = parts.slope
+        by_parameters = np.sum(gradient[..., q:], axis=2) + at_ends.slope
+        whole, rows = np.concatenate([lagrangian[..., None], by_parameters], axis=2), parts.slope
         if slacks is not None:
-            rows = np.concatenate([rows, self._limits(assembled, condensed, limits, turned, data)], axis=2)
+            direct = np.einsum("bkicy,bkiy->bkic", limits[..., n : 2 * n], turned)[..., None]
+            direct = np.concatenate([direct, limits[..., q:]], axis=4)
+            rows = np.concatenate([rows, self._limits(assembled, condensed, direct, at_ends.limits)], axis=2)
         return Columns(rows, begin, finish, whole)
 
-    def _limits(
-        self, assembled: Assembled, condensed: Condensed, own: np.ndarray, turned: np.ndarray, data: Data
-    ) -> np.ndarray:
-        """Derivatives of the inequalities of all points, shape (B, N, s c, K), from those of each, ``own``."""
-        n, q, z = self.steps.manifold.dimension, self.dimension, self.steps.dimension
-        by_h = np.einsum("bkicy,bkiy->bkic", own[..., n : 2 * n], turned)
-        direct = np.concatenate([by_h[..., None], own[..., q:]], axis=4)
-        maps = condensed.kept[2].reshape(*data.steps.shape, *condensed.kept[2].shape[1:])
-        mended = self.steps.limits(assembled.blocks, data, maps)
-        return direct.reshape(*direct.shape[:2], -1, direct.shape[4]) + mended[..., z : z + direct.shape[4]]
+    def _limits(self, assembled: Assembled, condensed: Condensed, own: np.ndarray, at_ends: np.ndarray) -> np.ndarray:
+        """Derivatives of the inequalities of all points and ends, shape (B, N, r c, K), from those of each alone."""
+        steps, (batch, count, stages, rows, columns) = self.steps, own.shape
+        direct = np.zeros((batch, count, steps.places, steps.inequalities, columns))
+        direct[:, :, :stages, :rows] = own
+        if steps.at_nodes:
+            direct[:, :, stages, rows:] = at_ends
+        maps = condensed.kept[2].reshape(batch, count, *condensed.kept[2].shape[1:])
+        mended = steps.limits(assembled.blocks, condensed.table[0].reshape(batch, count), maps)
+        return direct.reshape(batch, count, -1, columns) + mended[..., steps.dimension : steps.dimension + columns]
+
+    def _at_ends(self, iterate: Iterate, assembled: Assembled, data: Data, far: np.ndarray) -> "_AtEnds":
+        """What the inequalities at nodes add; ``far``: the derivative of ``eta`` by the length of a step."""
+        shape, n, k, c = data.steps.shape, self.steps.manifold.dimension, data.parameters.shape[1], self.steps.at_nodes
+        if self._ends is None or iterate.slacks is None:
+            return _AtEnds(*map(np.zeros, ((*shape, 2 * n, k), (*shape, k), (*shape, c, 1 + k))))
+        nodes, costates, unknowns = assembled.nodes, assembled.costates, iterate.unknowns
+        around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
+        pull = iterate.slacks.multipliers[:, :, -1, self.steps.own :]
+        eta = data.steps[:, :, None] * far
+        given = data.steps[:, :, None], data.parameters[:, None], pull
+        hessian, slope, _, _, limits, *_ = self._ends.at(2, unknowns.centres, eta, *around, *given)
+        by_h = np.einsum("bkcy,bky->bkc", limits[..., n : 2 * n], far)[..., None]
+        rows = np.concatenate([by_h, limits[..., 2 * n :]], axis=3)
+        return _AtEnds(hessian[..., : 2 * n, 2 * n :], slope[..., 2 * n :], rows)
+
+    def _ends_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
+        (*at, parameters, pull), both = given, 2 * self.steps.manifold.dimension
+        return self.steps._both_of(z[:both], *at, parameters + z[both:], pull)
 
     def _point_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
         *at, parameters, pull = given

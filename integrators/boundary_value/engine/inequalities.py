@@ -12,7 +12,7 @@ violates it the way in is not cut short, and where there is none the excess is l
 leaves at each point the Hessian ``w J' D J`` and the slope ``w J' D (g + mu (1 / nu - 1 / zeta))``, affine in ``mu``.
 """
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -30,7 +30,7 @@ VALUE = 1e-2
 
 @final
 class Slacks(NamedTuple):
-    """Slacks, multipliers, excesses and their prices, shape (B, N, s, c), and the barrier of each member, shape (B,).
+    """Slacks, multipliers, excesses and their prices, shape (B, N, r, c), and the barrier of each member, shape (B,).
 
     The price is infinite, and the excess zero, where an inequality is not elastic.
     """
@@ -52,6 +52,10 @@ class Slacks(NamedTuple):
         zero = np.zeros(shape)
         return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
 
+    def at(self, places: Any) -> "Slacks":
+        """Those at some places."""
+        return Slacks(*(a[places] for a in self[:-1]), self.barrier)
+
     def scaled(self, factor: np.ndarray) -> "Slacks":
         """All multipliers, prices and barriers times factors, shape (B,)."""
         times = factor[:, None, None, None]
@@ -65,8 +69,11 @@ class Slacks(NamedTuple):
 
 @final
 class Held(NamedTuple):
-    """The inequalities at an iterate: values (B, N, s, c), derivatives in the unknowns of a point (B, N, s, c, q),
-    weights (B, N, s, c), zero where an inequality is not asked for."""
+    """The inequalities at an iterate: values (B, N, r, c), derivatives in the unknowns of a point (B, N, r, c, q),
+    weights (B, N, r, c), zero where an inequality is not asked for.
+
+    The r places of a step are its s points and, of a Gauss method, its ends where there are inequalities at nodes.
+    """
 
     values: np.ndarray
     jacobian: np.ndarray
@@ -76,6 +83,10 @@ class Held(NamedTuple):
     def asked(self) -> np.ndarray:
         """Where an inequality is to hold."""
         return self.weights > 0
+
+    def at_points(self, stages: int) -> "Held":
+        """Those of the points alone."""
+        return self if self.values.shape[2] == stages else Held(*(a[:, :, :stages] for a in self))
 
 
 @final

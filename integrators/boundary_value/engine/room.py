@@ -24,13 +24,15 @@ def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tu
     on which a way to the other says nothing.
     """
     held, m = assembled.blocks.inequalities, conditions.transcription.controls.dimension
+    held = held.at_points(conditions.transcription.stages)
     if not m:
         return np.zeros((len(held.values), 0)), np.zeros((len(held.values), 0))
     slopes = held.jacobian[..., -m:] * held.asked[..., None]
     with np.errstate(all="ignore"):
         straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None] / slopes))
     bounds = sum(map(len, conditions.at_nodes.problem.limits.bounded.values()))  # these are straight
-    curved = (_curved(conditions, iterate, assembled, k) for k in range(bounds, held.values.shape[3]))
+    left = [k for k in range(bounds, held.values.shape[3]) if np.any(held.asked[..., k])]
+    curved = (_curved(conditions, iterate, assembled, k) for k in left)
     ball = np.min([np.full((*slopes.shape[:3], m), np.inf), *curved], axis=0)
     sides = [np.where(side, straight, np.inf).min(axis=3, initial=np.inf) for side in (slopes > 0, slopes < 0)]
     ways = np.minimum(sides, ball)
@@ -45,6 +47,7 @@ def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k:
     """
     held, n = assembled.blocks.inequalities, assembled.gap.shape[2]
     alone = Slacks.none(held.values.shape)
+    held = held.at_points(conditions.transcription.stages)
     alone.slacks.fill(np.inf)  # else it has a stiffness beside its curvature
     alone.multipliers[..., k] = 1.0
     around = assembled.nodes, assembled.costates, assembled.paid

@@ -1,7 +1,7 @@
 """From the iterate of a discrete trajectory to the blocks of its KKT system, point functions evaluated all at once."""
 
 from functools import cached_property, partial
-from typing import Any, NamedTuple, final
+from typing import Any, ClassVar, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ from jaxtyping import Array
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
+from ...constraints import entry_words
 from ...evaluator import Arrays, Automatic, Evaluated, Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
@@ -27,11 +28,11 @@ class Data(NamedTuple):
 
     steps: np.ndarray  # lengths, shape (B, N)
     parameters: np.ndarray  # shape (B, P)
-    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, s, c); None: everywhere
+    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, r, c); None: everywhere
 
-    def held(self, inequalities: int, stages: int) -> np.ndarray:
+    def held(self, inequalities: int, places: int) -> np.ndarray:
         """``asked`` with all its axes, or with length 1 along them."""
-        return np.ones((1, 1, stages, inequalities)) if self.asked is None else self.asked
+        return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
 
 
 class Known(NamedTuple):
@@ -97,7 +98,12 @@ AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and cos
 
 @final
 class OneStage:
-    """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``."""
+    """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``.
+
+    The inequalities of a step are those at its point, then those at nodes, at its end and at its beginning.
+    """
+
+    places: ClassVar[int] = 1  # where a step has inequalities
 
     def __init__(
         self, problem: OptimalControlProblem, method: DiscretizationMap, parameters: Any, evaluator: Evaluator
@@ -113,7 +119,7 @@ class OneStage:
         sizes = self.state.size, self.control.size
         given = 1, self.parameter.size
         nodes = (self.state.size,) * 4
-        self.inequalities = len(problem.with_parameters(parameters).inequality_names)
+        self.inequalities = inequalities_of(problem.with_parameters(parameters))
         self._ends = evaluator.values(self._ends_of, *sizes, *given)
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
@@ -170,9 +176,9 @@ class OneStage:
         """Units of the unknowns of each point, shape (B, 1, 1, z)."""
         return units.unknowns[:, None, None]
 
-    def limits(self, blocks: Blocks, data: Data) -> np.ndarray:
+    def limits(self, blocks: Blocks, steps: np.ndarray) -> np.ndarray:
         """Derivatives of the inequalities in the unknowns of the steps, shape (B, N, c, z)."""
-        del data
+        del steps
         return blocks.inequalities.jacobian[:, :, 0]
 
     def begin(
@@ -206,6 +212,7 @@ class OneStage:
         moved = stage.move(y, stage.frame(y), d)
         begin, finish = stage.ends(moved)
         cost, limits = stage.cost(moved), stage.problem.inequalities(*moved)
+        limits = jnp.concatenate([limits, *(stage.problem.node_inequalities(end) for end in (finish, begin))])
         e0, e1 = self.manifold.basis(q0), self.manifold.basis(q1)
         values = vec.components(e0, begin), vec.components(e1, finish), cost[None], limits
         lagrangian = cost + vec.pairing(p0, begin) - vec.pairing(p1, finish) + given[4][0] * given[6] @ limits
@@ -221,6 +228,11 @@ class OneStage:
         y = self.state.point(x), self.control.point(u)
         covector = self.stage(h, parameters).covector(y, self.state.point(p0), self.state.point(p1))
         return (self.state.flat(covector),)
+
+
+def inequalities_of(problem: OptimalControlProblem) -> int:
+    """How many inequalities a step has: those at a point, and those at nodes, at its end and at its beginning."""
+    return len(problem.inequality_names) + 2 * len(entry_words(problem.node_sizes))
 
 
 def _given(data: Data) -> tuple[np.ndarray, np.ndarray]:

@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, default_guess
-from ..integrators.boundary_value.arguments import check_parameters, check_problem, fractions_of
+from ..integrators.boundary_value.arguments import LIMITS, check_parameters, check_problem, fractions_of
 from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescribed
 from ..integrators.boundary_value.given_guess import GuessReader
+from ..integrators.boundary_value.inequality_rows import InequalityRows
 from ..integrators.free import is_free
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
@@ -72,7 +73,7 @@ def posed(
 ) -> DiscreteProblem:
     """The program of a problem as it is given, checked."""
     check_problem(problem, method)
-    problem.require_treated("to_casadi", "control bounds", "constraints")
+    problem.require_treated("to_casadi", *LIMITS)
     check_parameters(problem, parameters)
     if not (is_finite_number(horizon) and horizon > 0):
         hint = "; a program has a given one: try that of a solution, solution.horizon" if is_free(horizon) else ""
@@ -103,9 +104,11 @@ def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, 
     gaps = meeting(ca.horzcat(begins, ends[1]), ca.horzcat(ends[0], finishes), s)
     prescribed = np.concatenate([fixed[0], np.ones((count - 1) * size, bool), fixed[1]])
     terminal, slope = _function(functions.last, size)(last)
+    nodes = ca.horzcat(first, finishes[:, :-1], last)
+    limits = ca.vertcat(ca.vec(limits), _at_nodes(functions, nodes, points))
     f, g = (
         ca.sum2(costs) + terminal,
-        ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), ca.vec(limits)),
+        ca.vertcat(ca.vec(gaps)[np.flatnonzero(prescribed).tolist()], ca.vec(held), limits),
     )
     bound = np.full(x.numel(), np.inf)
     unused = [*map(_unused_slacks, points.prescribed)]
@@ -114,9 +117,19 @@ def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, 
     ] = 0.0
     lower = np.zeros(g.numel())
     lower[g.numel() - limits.numel() :] = -np.inf
-    nodes = ca.horzcat(first, finishes[:, :-1], last)
     read = Points(functions, lengths, ca.Function("read", [x], [y, stages, nodes, slope]), prescribed)
     return DiscreteProblem(x, f, g, read.unknowns(guess), -bound, bound, lower, np.zeros(g.numel()), read)
+
+
+def _at_nodes(functions: Transcription, nodes: ca.MX, points: EndPoints) -> ca.MX:
+    """The inequalities at the nodes; at an end those that depend on something free."""
+    if not functions.node_limits:
+        return ca.MX(0, 1)
+    rows, count = InequalityRows(functions.problem, None, functions.stages), nodes.shape[1]
+    values = _function(functions.at_node, functions.state.size).map(count)(nodes)
+    asked = rows.at_nodes(rows.mask(count - 1, points.prescribed, np.zeros((1, 0)))[None])
+    mask = np.concatenate([asked[name][0] for name in rows.node_sizes], axis=1)
+    return ca.vec(values)[np.flatnonzero(mask.ravel()).tolist()]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..integrators import ControlStage, Guess, OptimalControlProblem
+from ..integrators.constraints import entry_words
 from ..integrators.layout import Layout
 from ..manifolds.numerics import ambient as vec
 from ..retractions import DiscretizationMap, Gauss, Midpoint
@@ -110,6 +111,15 @@ class Transcription:
     def limits(self) -> int:
         """Number of inequalities of the problem."""
         return len(getattr(self.problem, "inequality_names", ()))
+
+    @property
+    def node_limits(self) -> int:
+        """Number of inequalities of the problem at a node."""
+        return len(entry_words(getattr(self.problem, "node_sizes", {})))
+
+    def at_node(self, node: Array) -> tuple[Array]:
+        """The inequalities at a node."""
+        return (self.problem.node_inequalities(self.state.point(node)),)
 
     def meeting(self, after: Array, before: Array, slack: Array) -> tuple[Array]:
         """What is zero where two ends meet, shape ``(E,)``."""

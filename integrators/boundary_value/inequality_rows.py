@@ -1,0 +1,140 @@
+"""The inequalities of the steps of a method in rows, as its equations have them, and under their names."""
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import Any, final
+
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from ...manifolds import InvalidInputError
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.tolerances import EPS, HALF
+from ..constraints import count, entries_of
+from ..evaluator import Automatic, Evaluated
+from ..layout import Layout, parameter_layout
+from ..problem import OptimalControlProblem
+from .end_points import Prescribed
+
+SAMPLES = 3  # random points at which it is looked at what inequalities depend on
+Named = dict[str, np.ndarray]
+
+
+@final
+class InequalityRows:
+    """Those of a problem whose functions take ``parameters`` of some structure.
+
+    A step has them at r places, each with c rows: at its s stages those at points, and at the last place, which is one
+    more where ``s > 1``, those at nodes: at the end of the step, and behind them at its beginning. The latter are asked
+    for in the first step alone.
+    """
+
+    def __init__(self, problem: OptimalControlProblem, parameters: Any, stages: int) -> None:
+        self.problem, self.parameter, self.stages = problem, parameter_layout(parameters), stages
+        self.state, bound = Layout.of(problem.manifold), problem.with_parameters(parameters)
+        self.limits, self.sizes, self.node_sizes = problem.limits, bound.inequality_sizes, bound.node_sizes
+        self.own, self.nodes = len(bound.inequality_names), sum(map(count, self.node_sizes.values()))
+
+    @property
+    def places(self) -> int:
+        """Where a step has inequalities."""
+        return self.stages + (self.nodes > 0 and self.stages > 1)
+
+    def mask(self, steps: int, ends: tuple[Prescribed, Prescribed], parameters: np.ndarray) -> np.ndarray | None:
+        """At which places each of them is asked for, shape ``(steps, r, c)``; None if there are none.
+
+        ``parameters`` of the members, shape ``(B, P)``. At an end those are asked for that depend on something free.
+        """
+        if not self.limits.any:
+            return None
+        holds = np.zeros((steps, self.places, self.own + 2 * self.nodes), bool)
+        once = [False for side in self.limits.bounded.values() for _ in side]
+        once += [name in self.limits.at_first for name, size in self.sizes.items() for _ in range(count(size))]
+        holds[:, : self.stages, : self.own] = ~np.array(once, bool)
+        holds[0, 0, : self.own] = True
+        at_end, at_start = (slice(self.own + k * self.nodes, self.own + (k + 1) * self.nodes) for k in (0, 1))
+        holds[:, -1, at_end] = True
+        holds[0, -1, at_start], holds[-1, -1, at_end] = (self._open(end, parameters) for end in ends)
+        if self.nodes and self.problem.boundary.turn is not None and np.any(holds[0, -1, at_start]):
+            holds[0, -1, at_start] &= ~self._repeated(parameters)
+        return holds
+
+    def at_stages(self, values: np.ndarray) -> Named:
+        """What belongs to those at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
+        rows = values[:, :, : self.stages, : self.own]
+        return self.limits.by_name(rows.reshape(len(rows), rows.shape[1] * self.stages, self.own), self.sizes)
+
+    def at_nodes(self, values: np.ndarray) -> Named:
+        """What belongs to those at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""
+        rows = values[:, :, -1, self.own :]
+        return entries_of(
+            np.concatenate([rows[:, :1, self.nodes :], rows[:, :, : self.nodes]], axis=1), self.node_sizes
+        )
+
+    def flat(
+        self, named: Mapping[str, np.ndarray], at_nodes: Mapping[str, np.ndarray], steps: np.ndarray
+    ) -> np.ndarray:
+        """Multipliers of one member in rows, shape ``(N, r, c)``, zero for missing names; raises for wrong widths.
+
+        Those ``at_nodes`` are divided by the lengths of the ``steps``, as the rows are weighted by these.
+        """
+        found = np.zeros((len(steps), self.places, self.own + 2 * self.nodes))
+        own = [
+            _rows(named, name, len(self.limits.lower))[:, side] for name, side in self.limits.bounded.items() if side
+        ]
+        own += [_rows(named, name, count(size)) for name, size in self.sizes.items()]
+        if own:
+            whole = [np.broadcast_to(rows, (len(steps) * self.stages, rows.shape[1])) for rows in own]
+            found[:, : self.stages, : self.own] = np.concatenate(whole, axis=1).reshape(len(steps), self.stages, -1)
+        if self.nodes:
+            every = [_rows(at_nodes, name, count(size)) for name, size in self.node_sizes.items()]
+            rows = np.concatenate([np.broadcast_to(a, (len(steps) + 1, a.shape[1])) for a in every], axis=1)
+            found[:, -1, self.own : self.own + self.nodes] = rows[1:] / steps[:, None]
+            found[0, -1, self.own + self.nodes :] = rows[0] / steps[0]
+        return found
+
+    def _open(self, end: Prescribed, parameters: np.ndarray) -> np.ndarray:
+        """Which of those at a node depend on something free at an end, for some member."""
+        if end.whole or not np.any(end.entries):
+            return np.full(self.nodes, not end.whole)
+        slopes, _, _ = self._looked(parameters)
+        return np.any(slopes[..., ~end.entries] != 0, axis=(0, 1, 3))
+
+    def _repeated(self, parameters: np.ndarray) -> np.ndarray:
+        """Which of those at the first node are at the last one too, where ends are periodic."""
+        _, first, last = self._looked(parameters)
+        return np.all(np.abs(last - first) <= EPS**HALF * np.max(np.abs(first), axis=(0, 1)), axis=(0, 1))
+
+    def _looked(self, parameters: np.ndarray) -> tuple[np.ndarray, ...]:
+        """At random points, for each member: derivatives of those at a node by the entries of the state, and values at
+        the first node and at the last that belongs to it."""
+        drawn = [self.problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), 2 * SAMPLES)]
+        points = self.state.rows(vec.stacked(drawn), 1)
+        return self._look.at(2, points[None, :SAMPLES], points[None, SAMPLES:], parameters[:, None])
+
+    @cached_property
+    def _look(self) -> Evaluated:
+        """Traced where an end is prescribed in part, or ends are periodic."""
+
+        def look(q: Array, other: Array, parameters: Array) -> tuple[Array, Array, Array]:
+            bound = self.problem.with_parameters(self.parameter.point(parameters))
+            first, boundary = self.state.point(q), bound.boundary
+            last = first if boundary.turn is None else bound.turned(first)
+            if boundary.turn is not None and boundary.factor:  # what is added is not known to be the same there
+                last = (last, *self.state.point(other)[1:])
+            slopes = jax.jacfwd(lambda q: bound.node_inequalities(self.state.point(q)))(q)
+            return slopes, bound.node_inequalities(first), bound.node_inequalities(last)
+
+        return Automatic().values(look, self.state.size, self.state.size, self.parameter.size)
+
+
+def _rows(named: Mapping[str, np.ndarray], name: str, width: int) -> np.ndarray:
+    """The multipliers of a name, of this width, or a row of zeros; raises for another width."""
+    given = named.get(name, np.zeros((1, width)))
+    if given.shape[-1] != width:
+        raise InvalidInputError(
+            f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a place, expected {width}; try "
+            "guess._replace(multipliers=None), of a solution solution.guess()._replace(multipliers=None)"
+        )
+    return given
