@@ -51,8 +51,8 @@ class Inequalities(eqx.Module):
                     f"{node_words(name)} has the name of one of the constraints; expected another one, under which its "
                     f"multipliers are found; try {name + ' at the nodes'!r}"
                 )
-        functions = {"functions": tuple(given.values()), "node_functions": tuple(at_nodes.values())}
-        return cls(lower, upper, names=tuple(given), node_names=tuple(at_nodes), **functions)
+        own, more = tuple(given.values()), tuple(at_nodes.values())
+        return cls(lower, upper, tuple(given), own, node_names=tuple(at_nodes), node_functions=more)
 
     @property
     def bounded(self) -> dict[str, list[int]]:

@@ -94,12 +94,12 @@ class Examination:
             for end, over in zip(("start", "end"), excess, strict=True):
                 if np.max(over, initial=0.0) > 0:
                     worst = int(np.argmax(over))
-                    where = "nodes between the ends" if own.at_nodes else "stages"
+                    why = "it is prescribed" if own.at_nodes else "the constraint holds at the stages alone"
                     expected = "a start" if end == "start" else "an end"
                     return (
-                        f"The {end} violates {names[worst]} by {over[worst]:.3g}: the constraint holds at the {where} "
-                        f"alone, and the trajectory cannot keep it; expected {expected} where "
-                        "it is not positive; try another one, or a wider constraint."
+                        f"The {end} violates {names[worst]} by {over[worst]:.3g}: {why}, and the trajectory cannot "
+                        f"keep it; expected {expected} where it is not positive; try another one, or a wider "
+                        "constraint."
                     )
         return ""
 

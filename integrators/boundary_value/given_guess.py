@@ -39,7 +39,7 @@ class FlatGuess(NamedTuple):
     def of(self, count: int) -> "FlatGuess":
         """The guesses of so many members, in arrays that are not to be written to."""
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
-        return FlatGuess(*parts, *self[-2:])
+        return FlatGuess(*parts, multipliers=self.multipliers, node_multipliers=self.node_multipliers)
 
     def states_to_check(self, size: int) -> np.ndarray:
         """All states, at stages and nodes, in a row."""
@@ -85,8 +85,8 @@ class GuessReader:
                 )
         columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
         stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        at_stages, at_nodes = self._at_stages, self._at_nodes
-        return FlatGuess(*stacked, tuple(map(at_stages, guesses)), tuple(map(at_nodes, guesses)))
+        at_stages, at_nodes = (tuple(map(own, guesses)) for own in (self._at_stages, self._at_nodes))
+        return FlatGuess(*stacked, multipliers=at_stages, node_multipliers=at_nodes)
 
     def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
         return _multipliers("multipliers", guess.multipliers or {}, self._names, (self._stages, "stage"))
@@ -109,7 +109,8 @@ class GuessReader:
     def guess(self, flat: FlatGuess, k: int) -> Guess:
         """The guess of a member, in arrays like a point's."""
         parts = (_points(rows, k, part) for rows, part in zip(flat.arrays, self._parts, strict=True))
-        return Guess(*parts, *(every[min(k, len(every) - 1)] for every in flat[-2:]))
+        both = (every[min(k, len(every) - 1)] for every in (flat.multipliers, flat.node_multipliers))
+        return Guess(*parts, *both)
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
         """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it

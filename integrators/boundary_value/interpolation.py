@@ -45,6 +45,7 @@ class _Step(NamedTuple):
     costates: np.ndarray
     controls: np.ndarray  # (K, s, U)
     places: np.ndarray  # (s,)
+    jumps: np.ndarray  # (K, 2): whether the covectors at the ends are those beyond a jump, seen from the step
 
 
 @final
@@ -55,8 +56,9 @@ class Interpolant:
     stages of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of
     degree 1, around the base point of the discretization map. The costates are, as covectors of that chart, a
     polynomial through those at the nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the
-    map [Hairer, Norsett, Wanner 1993, II.7]. The controls are the polynomial through those of the stages, of order
-    ``s``, in a chart of their manifold.
+    map [Hairer, Norsett, Wanner 1993, II.7]; but where a constraint at a node makes the costates jump, they are a
+    polynomial through what is on this side of it, of one order less. The controls are the polynomial through those of
+    the stages, of order ``s``, in a chart of their manifold.
     """
 
     def __init__(self, retraction: Retraction, controls: Manifold) -> None:
@@ -172,19 +174,24 @@ class Interpolant:
         places = (stage_times - record.times[longest]) / np.diff(record.times)[longest]
         states, costates = (a.reshape(count, len(places), -1)[k] for a in (points, at_points))
         controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
-        return _Step(nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1], states, costates, controls, places)
+        ends = nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1]
+        jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1]], axis=1)
+        return _Step(*ends, states, costates, controls, places, jumps)
 
     def _evaluated(
         self, steps: _Step, where: np.ndarray, places: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them."""
-        covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
         if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
-            centres, covectors, through = steps.states[:, 0], covectors[:, ::2], np.array([0.0, 1.0])
+            centres, through = steps.states[:, 0], np.array([0.0, 1.0])
+            covectors = np.stack([steps.begin_costates, steps.end_costates], axis=1)
             coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
         else:
+            covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
             through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
         momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
+        if np.any(steps.jumps):
+            momenta = self._on_this_side(steps, centres, (through, momenta))
         shares = lagrange(through, places)
         c, momentum = (np.einsum("tj,tjn->tn", shares, a[where]) for a in (coordinates, momenta))
         states = self.chart.points(centres[where], c)
@@ -193,6 +200,25 @@ class Interpolant:
         (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
         offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
         return states, costates, self._steered.at(1, bases[where], offset)[0]
+
+    def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """The momenta at the places of steps, where there is a jump those of the polynomial through the others."""
+        (through, momenta), found = known, np.array(known[1])
+        one = len(through) == 2
+        if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
+            middle = self.chart.pulled(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
+            momenta = np.stack([momenta[:, 0], middle, momenta[:, 1]], axis=1)
+        for first, last in ((1, 0), (0, 1), (1, 1)):
+            which, kept = np.all(steps.jumps == (first, last), axis=1), slice(first, momenta.shape[1] - last)
+            if one:
+                place = 1 - steps.places[0]
+                place = 0.5 if place == first else place  # as the only covector that is left
+                through = np.array([0.0, place, 1.0])
+            for place, end in ((0, 0.0), (-1, 1.0)):
+                if (first, last)[place]:
+                    shares = lagrange(through[kept], np.array([end]))[0]
+                    found[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
+        return found
 
     @cached_property
     def chart(self) -> Chart:

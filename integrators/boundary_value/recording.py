@@ -40,7 +40,7 @@ class Recording:
         nodes, data, traced = found.assembled.nodes, posed.conditions.data, posed.traced
         at_nodes = traced.diagnosis.at_nodes(nodes, found.assembled.costates)
         costates = at_nodes.costates
-        stages = traced.steps.at_stages(found.iterate.unknowns, costates, data)
+        stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         success, results = outcomes(found, options.tolerance, options.max_iterations)

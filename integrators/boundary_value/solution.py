@@ -177,6 +177,11 @@ class Solution:
         """The multipliers of the inequalities, of shape ``(N s, k)``: all but those of the boundary constraints."""
         return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
 
+    @property
+    def jumps(self) -> np.ndarray:
+        """At which nodes a constraint holds the trajectory, where the costate jumps, shape ``(N + 1,)``."""
+        return self._held_nodes(self.node_multipliers)
+
     def held_by(self, names: Collection[str]) -> np.ndarray:
         """At which stages one of these inequalities holds the trajectory, or at both nodes of their step, shape ``(N
         s,)``; the barrier leaves others multipliers too."""
@@ -184,11 +189,15 @@ class Solution:
         for name, rows in self.stage_multipliers.items():
             if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
                 held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
-        steps = held.reshape(self.steps, -1)
+        nodes = self._held_nodes(names)
+        return held | np.repeat(nodes[:-1] & nodes[1:], len(held) // self.steps)
+
+    def _held_nodes(self, names: Collection[str]) -> np.ndarray:
+        """At which nodes one of these inequalities holds the trajectory."""
+        held = np.zeros(len(self.times), bool)
         for name, rows in self.node_multipliers.items():
             if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
-                at = np.any(rows > ACTIVE * np.max(rows), axis=1)
-                steps |= (at[:-1] & at[1:])[:, None]
+                held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
         return held
 
     def to_xarray(self) -> Any:

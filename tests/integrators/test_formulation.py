@@ -8,7 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, load_solution, solve
+from retrax.integrators.boundary_value.end_points import Part, Prescribed
 from retrax.integrators.boundary_value.formulation import Formulation, Kind
+from retrax.integrators.boundary_value.inequality_rows import InequalityRows
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta
 
@@ -250,7 +252,8 @@ def test_bounds_are_inequalities_at_the_first_point():
     y = np.ones(1), np.array([0.5, 0.25])
     expected = [-2 - 4, 1 - 3, np.log(0.5) - 0.25, 0.25 - np.log(4), 0.5 - 0.75]
     np.testing.assert_allclose(inner.inequalities(y, np.full(1, 4.0)), expected)
-    mask = inner.limits.mask(inner.inequality_sizes, 3, 2)
+    free = (Prescribed.of((Part("", False, 1, 1, 1),), (False,)),) * 2
+    mask = InequalityRows(inner, None, 2).mask(3, free, np.zeros((1, 0)))
     assert np.all(mask[:, :, :2])
     assert np.all(mask[0, 0])
     assert not np.any(mask[1:, :, 2:])

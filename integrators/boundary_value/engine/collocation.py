@@ -275,9 +275,9 @@ class Collocation:
         found[..., :z] += np.concatenate([full[:, :, :n], full[:, :, n + s * n :]], axis=2).mT
         return found
 
-    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data) -> AtStages:
+    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None) -> AtStages:
         """States, controls and costates at the points, (B, N s, ...)."""
-        del costates
+        del costates, slacks
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
         states, covectors = self._state.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
         states, controls, covectors = (

@@ -302,7 +302,7 @@ class _CollocationColumns:
         rows = np.concatenate([by_h, limits[..., 2 * n :]], axis=3)
         return _AtEnds(hessian[..., : 2 * n, 2 * n :], slope[..., 2 * n :], rows)
 
-    def _ends_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
+    def _ends_of(self, z: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
         (*at, parameters, pull), both = given, 2 * self.steps.manifold.dimension
         return self.steps._both_of(z[:both], *at, parameters + z[both:], pull)
 

@@ -54,7 +54,7 @@ class Slacks(NamedTuple):
 
     def at(self, places: Any) -> "Slacks":
         """Those at some places."""
-        return Slacks(*(a[places] for a in self[:-1]), self.barrier)
+        return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
 
     def scaled(self, factor: np.ndarray) -> "Slacks":
         """All multipliers, prices and barriers times factors, shape (B,)."""

@@ -119,11 +119,12 @@ class OneStage:
         sizes = self.state.size, self.control.size
         given = 1, self.parameter.size
         nodes = (self.state.size,) * 4
-        self.inequalities = inequalities_of(problem.with_parameters(parameters))
+        bound = problem.with_parameters(parameters)
+        self.inequalities, self.own = inequalities_of(bound), len(bound.inequality_names)
         self._ends = evaluator.values(self._ends_of, *sizes, *given)
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
-        self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given)
+        self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given, self.inequalities - self.own)
         self._trial: tuple[int, Any] | None = None
 
     def stage(self, step: Array, parameters: Array) -> ControlStage:
@@ -196,10 +197,12 @@ class OneStage:
         x, u = self._move.at(2, unknowns.centres, unknowns.controls[:, :, 0], some, *_given(data))
         return Unknowns(x, u[:, :, None])
 
-    def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data) -> AtStages:
+    def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data, slacks: Slacks | None) -> AtStages:
         """States, controls and costates at the stages, (B, N, ...), from covectors at the nodes, (B, N + 1, E)."""
         x, u = unknowns.centres, unknowns.controls[:, :, 0]
-        (covectors,) = self._pull.at(2, x, u, costates[:, :-1], costates[:, 1:], *_given(data))
+        none = np.zeros((*data.steps.shape, 0))
+        pull = none if slacks is None else slacks.multipliers[:, :, 0, self.own :]
+        (covectors,) = self._pull.at(2, x, u, costates[:, :-1], costates[:, 1:], *_given(data), pull)
         return x, u, covectors
 
     def _ends_of(self, x: Array, u: Array, h: Array, parameters: Array) -> tuple[Array, ...]:
@@ -223,11 +226,17 @@ class OneStage:
         centre, control = stage.move(y, stage.frame(y), d)
         return self.state.flat(centre), self.control.flat(control)
 
-    def _pulled(self, x: Array, u: Array, p0: Array, p1: Array, h: Array, parameters: Array) -> tuple[Array]:
-        """The covector of the lift of the discretization map at a stage."""
-        y = self.state.point(x), self.control.point(u)
-        covector = self.stage(h, parameters).covector(y, self.state.point(p0), self.state.point(p1))
-        return (self.state.flat(covector),)
+    def _pulled(self, x: Array, u: Array, p0: Array, p1: Array, *given: Array) -> tuple[Array]:
+        """The covector of the lift of the discretization map at a stage, between the jumps at its ends."""
+        (h, parameters, pull), y = given, (self.state.point(x), self.control.point(u))
+        stage, nodes, covectors = self.stage(h, parameters), pull.size // 2, [self.state.point(p) for p in (p0, p1)]
+        if nodes:
+            jumps = (h[0] * pull[nodes:], -h[0] * pull[:nodes]), stage.ends(y)
+            slopes = [
+                jax.vjp(stage.problem.node_inequalities, end)[1](jump)[0] for jump, end in zip(*jumps, strict=True)
+            ]
+            covectors = [vec.add(p, slope) for p, slope in zip(covectors, slopes, strict=True)]
+        return (self.state.flat(stage.covector(y, *covectors)),)
 
 
 def inequalities_of(problem: OptimalControlProblem) -> int:

@@ -127,8 +127,8 @@ def _at_nodes(functions: Transcription, nodes: ca.MX, points: EndPoints) -> ca.M
         return ca.MX(0, 1)
     rows, count = InequalityRows(functions.problem, None, functions.stages), nodes.shape[1]
     values = _function(functions.at_node, functions.state.size).map(count)(nodes)
-    asked = rows.at_nodes(rows.mask(count - 1, points.prescribed, np.zeros((1, 0)))[None])
-    mask = np.concatenate([asked[name][0] for name in rows.node_sizes], axis=1)
+    asked: Any = rows.mask(count - 1, points.prescribed, np.zeros((1, 0)))
+    mask = np.concatenate([*rows.at_nodes(asked[None]).values()], axis=2)
     return ca.vec(values)[np.flatnonzero(mask.ravel()).tolist()]
 
 

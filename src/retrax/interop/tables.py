@@ -1,6 +1,6 @@
 """Solutions, batches of them and trajectories as tables with names and units: xarray, pandas, CSV."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +17,11 @@ from ..optional import needed
 def to_xarray(record: Any, problem: About = None) -> Any:
     """A ``Solution``, ``Solutions`` or ``Trajectory`` as an ``xarray.Dataset`` with named dimensions and units.
 
-    States and costates (``costate of NAME``) are along ``time``, the nodes; controls, multipliers and the Hamiltonian
-    along ``stage_time``; a batch has the dimension ``member`` first, then ``node`` or ``stage``, of which each has its
-    times. Axes of an array are ``NAME_0``, ``NAME_1``, and multipliers of boundary constraints have no other; entries
-    with names of their own are coordinates. ``units`` is an attribute of each variable that has one for all entries.
-    ``problem`` has the names and units of a trajectory, or is its manifold.
+    States, costates (``costate of NAME``) and multipliers of node constraints are along ``time``, the nodes; controls,
+    other multipliers and the Hamiltonian along ``stage_time``; a batch has the dimension ``member`` first, then
+    ``node`` or ``stage``, of which each has its times. Axes of an array are ``NAME_0``, ``NAME_1``, and multipliers of
+    boundary constraints have no other; entries with names of their own are coordinates. ``units`` is an attribute of
+    each variable that has one for all entries. ``problem`` has the names and units of a trajectory, or is its manifold.
 
     Raises ``InvalidInputError`` for other records, ``MissingPackageError`` without xarray.
     """
@@ -60,6 +60,8 @@ def _with_record(made: Any, solution: Solution, found: View) -> Any:
     for name, rows in solution.multipliers.items():
         along = ("stage_time",) if rows.ndim > 1 else ()
         made[f"multiplier of {name}"] = ((*along, f"{name}_0"), rows)
+    for name, rows in solution.node_multipliers.items():
+        made[f"multiplier of {name}"] = (("time", f"{name}_0"), rows)
     made.attrs = {"cost": solution.cost, "success": int(solution.success), "result": solution.result}
     if found.quantities.cost:
         made.attrs["cost_units"] = found.quantities.cost
@@ -84,8 +86,9 @@ def _groups(found: View) -> Iterator[tuple[str, list[np.ndarray], Sequence[Quant
 def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
     """A record as a ``pandas.DataFrame`` with a row for each time, and a column for each entry, as ``body rate[1]``.
 
-    ``at``: ``"nodes"``, with states and costates; ``"stages"``, with the controls, and of a solution with the states,
-    costates, multipliers and the Hamiltonian there; or, for a solution, times, at which it is interpolated.
+    ``at``: ``"nodes"``, with states, costates and multipliers of node constraints; ``"stages"``, with the controls, and
+    of a solution with the states, costates, other multipliers and the Hamiltonian there; or, for a solution, times, at
+    which it is interpolated.
     ``Solutions`` have the ``member`` as the first level of their index. ``frame.attrs["units"]`` has the units by
     column.
 
@@ -150,7 +153,8 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
     own, controls = found.quantities.states, found.quantities.controls
     words = isinstance(at, str)
     if words and at == "nodes":
-        return found.times, [*_named("", own, found.states), *_named("costate of ", own, found.costates)]
+        more = _multipliers(record.node_multipliers) if isinstance(record, Solution) else []
+        return found.times, [*_named("", own, found.states), *_named("costate of ", own, found.costates), *more]
     if words and at == "stages" and not isinstance(record, Solution):
         return found.stage_times, _named("", controls, found.controls)
     if not isinstance(record, Solution) or (words and at != "stages"):
@@ -160,7 +164,7 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
         times, parts, more = (
             found.stage_times,
             (record.stage_states, record.stage_costates, record.controls),
-            _at_stages(record),
+            [_plain("hamiltonian", record.hamiltonians), *_multipliers(record.stage_multipliers)],
         )
     else:
         sample, more = record(np.ravel(at)), []
@@ -170,14 +174,15 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
     return times, kept
 
 
-def _at_stages(solution: Solution) -> list[tuple[str, Quantity, np.ndarray]]:
-    """The Hamiltonian and the multipliers."""
-    rows = {
-        "hamiltonian": solution.hamiltonians,
-        **{f"multiplier of {n}": v for n, v in solution.stage_multipliers.items()},
-    }
-    places = {name: tuple(map(str, range(v.shape[1]))) if v.ndim > 1 else ("",) for name, v in rows.items()}
-    return [("", Quantity(name, ("",), places[name], ""), values) for name, values in rows.items()]
+def _multipliers(multipliers: Mapping[str, np.ndarray]) -> list[tuple[str, Quantity, np.ndarray]]:
+    """Multipliers as quantities."""
+    return [_plain(f"multiplier of {name}", rows) for name, rows in multipliers.items()]
+
+
+def _plain(name: str, rows: np.ndarray) -> tuple[str, Quantity, np.ndarray]:
+    """Rows of numbers without a unit, or a number each, as a quantity."""
+    entries = tuple(map(str, range(rows.shape[1]))) if rows.ndim > 1 else ("",)
+    return "", Quantity(name, ("",), entries, ""), rows
 
 
 def _named(
