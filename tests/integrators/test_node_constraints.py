@@ -19,6 +19,7 @@ from retrax.integrators import (
 )
 from retrax.interop import to_casadi
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere
+from retrax.plotting import multipliers, optimality
 from retrax.retractions import Addition, Cayley, Euler, Gauss, Midpoint, Theta, default_retraction
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW_END, half_square, spacecraft
@@ -324,6 +325,10 @@ def test_files_tables_and_words(tmp_path):
     assert found.to_xarray()["multiplier of ceiling"].dims == ("time", "ceiling_0")
     assert f"ceiling: active at {found.checks.active['ceiling']} of 21 nodes" in str(found)
     assert "(relative, at the nodes)" in str(found)
+    (points,) = multipliers(found).get_lines()
+    np.testing.assert_array_equal(points.get_xdata(), found.times)
+    assert points.get_label() == "ceiling"
+    assert len(optimality(found)) == 2
     assert "ceiling(q) <= 0 at the nodes" in repr(below_named())
 
 

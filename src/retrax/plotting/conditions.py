@@ -51,25 +51,27 @@ def _violations(solution: Solution) -> dict[str, np.ndarray]:
 
 
 def multipliers(solution: Solution, ax: Any = None) -> Any:
-    """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time.
+    """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time; and as points
+    those at the nodes, by which costates jump.
 
-    The legend names those that hold the trajectory at some stage, each relative to the largest of its name: multipliers
-    of inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution
-    of a problem without inequalities.
+    The legend names those that hold the trajectory somewhere, each relative to the largest of its name: multipliers of
+    inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution of
+    a problem without inequalities.
     """
-    rows_by_name = _checked(solution).stage_multipliers
-    if not rows_by_name:
+    at_stages, at_nodes = _checked(solution).stage_multipliers, solution.node_multipliers
+    if not (at_stages or at_nodes):
         raise InvalidInputError(
-            "the solution has no multipliers at its stages, its problem has no inequalities; try control_bounds= or "
-            "constraints= of the problem"
+            "the solution has no multipliers at its stages or nodes, its problem has no inequalities; try "
+            "control_bounds=, constraints= or node_constraints= of the problem"
         )
     found, axis = view(solution), one(ax)
     active = getattr(solution.checks, "active", {})
-    for name, rows in rows_by_name.items():
-        least = ACTIVE * np.max(rows, initial=0.0)
-        for k, column in enumerate(rows.T):
-            words = f"{name}[{k}]" if rows.shape[1] > 1 else name
-            axis.plot(found.stage_times, column, label=words if active.get(name) and np.max(column) > least else None)
+    for every, times, style in ((at_stages, found.stage_times, "-"), (at_nodes, found.times, ".")):
+        for name, rows in every.items():
+            least = ACTIVE * np.max(rows, initial=0.0)
+            for k, column in enumerate(rows.T):
+                words = f"{name}[{k}]" if rows.shape[1] > 1 else name
+                axis.plot(times, column, style, label=words if active.get(name) and np.max(column) > least else None)
     axis.set_ylabel("multiplier")
     time_axis(axis, found)
     if axis.get_legend_handles_labels()[1]:
@@ -112,14 +114,15 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     ``(panels,)``.
     """
     found = view(_checked(solution), problem)
-    rows = 1 + (problem is not None) + bool(solution.stage_multipliers)
+    has_multipliers = bool(solution.stage_multipliers or solution.node_multipliers)
+    rows = 1 + (problem is not None) + has_multipliers
     axes = several(ax, rows, columns=1, panel=(6.4, 2.6))
     for channel in control_channels(found):
         draw(axes[0], found.stage_times, channel, found)
         _bounds(axes[0], problem, channel)
     if problem is not None:
         switching(problem, solution, axes[1])
-    if solution.stage_multipliers:
+    if has_multipliers:
         multipliers(solution, axes[-1])
     return axes
 
