@@ -28,7 +28,15 @@ def equation_words(phases: Sequence[Own]) -> list[str]:
     ]
 
 
-def dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
+def qualified(joint: JointConditions, found: Any, names: Sequence[str]) -> Any:
+    """What was found, with a note where equations between the ends depend on each other: there the inertia of the KKT
+    matrix, which is singular, shows no minimum."""
+    notes = [_dependent_words(joint, found, k, names) for k in range(len(found.claimed))]
+    determined = np.array([not words for words in notes])
+    return found._replace(notes=notes, strict_minimum=found.strict_minimum & determined)
+
+
+def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
     """What is said where equations between the ends depend on each other at those that a member reached; else
     nothing."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]

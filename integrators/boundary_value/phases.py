@@ -26,7 +26,7 @@ from .engine.joint import JointConditions
 from .engine.newton import newton
 from .engine.stopwatch import Stopwatch
 from .formulated import AGAIN, FAR, MAGNITUDES
-from .independence import equation_words, require_independent
+from .independence import equation_words, qualified, require_independent
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
@@ -153,11 +153,11 @@ class _Task:
         )
         joint = JointConditions(tuple(part.posed.conditions for part in parts), coupling)
         first = joint.guess(tuple(part.posed.guess for part in parts))
-        names = [f"{name}[{i}]" for name, size in sizes.items() for i in range(size)]
-        require_independent(joint, first, [*equation_words(owns), *names])
+        names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
+        require_independent(joint, first, names)
         tracing = time.perf_counter() - began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found = newton(joint, first, *self.options)  # pyright: ignore[reportArgumentType]
+            found = qualified(joint, newton(joint, first, *self.options), names)  # pyright: ignore[reportArgumentType]
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
             solutions = [part.recorded(phase_of(found, k, owns), seconds) for k, part in enumerate(parts)]

@@ -9,7 +9,7 @@ from .engine.found import Found
 from .engine.joint import JointConditions
 from .engine.newton import newton
 from .engine.parallel import newton_in_parts
-from .independence import dependent_words, equation_words, require_independent
+from .independence import equation_words, qualified, require_independent
 
 
 def extremals(posed: Any, options: Options) -> Found:
@@ -22,11 +22,7 @@ def extremals(posed: Any, options: Options) -> Found:
     names = equation_words([traced.own])
     require_independent(joint, guess, names)
     found: Any = _found(posed, joint, guess, options)
-    return phase_of(
-        found._replace(notes=[dependent_words(joint, found, k, names) for k in range(len(found.claimed))]),
-        0,
-        [traced.own],
-    )
+    return phase_of(qualified(joint, found, names), 0, [traced.own])
 
 
 def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:

@@ -5,7 +5,7 @@ import re
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Free, OptimalControlProblem, Solver, load_solution, solve
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, load_solution, solve, solve_phases
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
@@ -215,10 +215,31 @@ def test_equations_that_depend_on_each_other_where_they_hold():
         boundary_constraints={"same": lambda a, b: b - a},
     )
     places = np.array([0.2, 0.1, 1.0]) / np.linalg.norm([0.2, 0.1, 1.0])
-    solution = solve(
-        problem, Midpoint(default_retraction(GLOBE)), Free(places), Free(places), 1.0, 3, max_iterations=9, throw=False
-    )
-    assert re.search(r"depend on each other, .*\['same'\]\[2\]; try .* periodic=True", solution.result)
+    method, words = Midpoint(default_retraction(GLOBE)), r"depend on each other, .*\[2\]; try .* periodic=True"
+    for most in (9, 30):
+        solution = solve(problem, method, Free(places), Free(places), 1.0, 3, max_iterations=most, throw=False)
+        assert re.search(words, solution.result)
+        assert not solution.checks.strict_minimum
+
+
+def test_an_optimum_whose_equations_depend_on_each_other_is_not_shown_to_be_one():
+    """``x = 1`` and ``(x - 1)(1 + y) = 0``, alone and in phases: the optimum is found, and its matrix is singular."""
+
+    def twice(q):
+        return jnp.stack([q[0] - 1, (q[0] - 1) * (1 + q[1])])
+
+    method, start, end = Midpoint(Addition(PLANE)), np.zeros(2), Free(np.array([0.8, 0.3]))
+    free = OptimalControlProblem(PLANE, direct, effort, 2)
+    whole = free.replaced(boundary_constraints={"twice": lambda a, b: twice(b)})
+    found = solve(whole, method, start, end, 1.0, 3)
+    assert found.cost == pytest.approx(0.5)
+    assert "depend on each other" in found.result
+    assert not found.checks.strict_minimum
+    halves = [Phase(free, method, 3, 0.5, start=start), Phase(free, method, 3, 0.5, end=end)]
+    both = solve_phases(halves, boundary_constraints={"twice": lambda phases: twice(phases[1].end)})
+    assert both.cost == pytest.approx(0.5)
+    assert "depend on each other" in both.result
+    assert not both.strict_minimum
 
 
 def test_periodic_ends_that_are_prescribed_are_named():
