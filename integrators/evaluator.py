@@ -27,6 +27,8 @@ Function = Callable[..., Any]  # of flat vectors
 
 MOST_TAPES = 256
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
+# As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
+IN_ONE_PASS = 4.0
 _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
 ALL_TRACED = "all functions are traced to scalar operations"
@@ -45,7 +47,7 @@ class Evaluated(ABC):
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "Placed | None":
         """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
-        so long that threads share it."""
+        so long that threads had better share it."""
         del axes, shapes
         return None
 
@@ -205,7 +207,7 @@ class _OnTape(Evaluated):
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)
-        found, own = self.tape.alone(plan.count), self.tape.program
+        found, own = self.tape.alone(plan.count, IN_ONE_PASS), self.tape.program
         code = own.codes, own.registers, own.values
         return found and Placed(code, plan.sources, plan.targets, plan.numbers, found[1])
 

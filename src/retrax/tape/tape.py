@@ -255,11 +255,14 @@ class Tape:
         if count:
             in_threads(run, count, self.instructions, machine.VECTOR)
 
-    def alone(self, count: int) -> tuple[Callable[..., None], tuple[int, int]] | None:
+    def alone(self, count: int, saved: float = 1.0) -> tuple[Callable[..., None], tuple[int, int]] | None:
         """What runs the program on so few points that one thread does: ``run(*ends, registers, 0, count)``, with the
-        shape of the registers; None where they are more, or none, and without Numba."""
+        shape of the registers; None where they are more, or none, and without Numba.
+
+        ``saved``: how many times as many it may be where one thread saves other work.
+        """
         machine, p = _machine(), self.program
-        if machine is None or not count or worth_threads(count, self.instructions):
+        if machine is None or not count or worth_threads(count, self.instructions / saved):
             return None
         return partial(machine.run, p.codes, p.registers, p.values), (p.size, machine.lanes_for(count, p.size))
 
