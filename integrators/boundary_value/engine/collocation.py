@@ -163,13 +163,9 @@ class Collocation:
         place."""
         if not self.at_nodes:
             return raised(*points, held, slacks), np.stack([ends[1], np.zeros_like(ends[1])], axis=-1)
-        own, s, n = self.own, self.stages, self.manifold.dimension
-        within, last = (
-            (slice(None), slice(None), slice(s), slice(own)),
-            (*2 * (slice(None),), slice(s, None), slice(own, None)),
-        )
+        within, last = np.s_[:, :, : self.stages, : self.own], np.s_[:, :, self.stages :, self.own :]
         of_ends = Held(*(a[last] for a in held))
-        of_ends = of_ends._replace(jacobian=of_ends.jacobian[..., : 2 * n])
+        of_ends = of_ends._replace(jacobian=of_ends.jacobian[..., : 2 * self.manifold.dimension])
         columns = raised(*points, Held(*(a[within] for a in held)), slacks.at(within))
         return columns, raised(ends[0][:, :, None], ends[1][:, :, None], of_ends, slacks.at(last))[:, :, 0]
 
