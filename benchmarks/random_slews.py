@@ -85,7 +85,8 @@ def figures(outcomes, dearer, theirs):
         "IPOPT": len(theirs),
         "IPOPT converged": sum(bool(np.isfinite(cost)) for cost, _ in theirs),
         "IPOPT median ms": round(statistics.median(spent for _, spent in theirs), 2) if theirs else None,
-        "dearer than IPOPT": dearer,
+        "dearer than IPOPT": len(dearer),
+        "dearest": dearer[:10],
         "failed": [[index, str(found.result)[:90]] for index, (found, _) in enumerate(outcomes) if not found.success][
             :10
         ],
@@ -104,17 +105,16 @@ def main():
     peaks = np.ones(asked.slews)
     for kind, bounds in (("without limits", None), ("limited", (-SHARE, SHARE))):
         problem = OptimalControlProblem(BODY, turning, effort, Euclidean(3), control_bounds=bounds)
-        solver, outcomes, theirs, dearer = Solver(problem, method, asked.steps), [], [], 0
+        solver, outcomes, theirs, dearer = Solver(problem, method, asked.steps), [], [], []
         for index, (slew, peak) in enumerate(zip(slews, peaks, strict=True)):
             _, end, horizon = slew
             given = _given(slew, peak)
             outcomes.append(solved(solver, end, horizon, given))
             if index < asked.ipopt or not outcomes[-1][0].success:
                 theirs.append(ipopt_cost(problem, method, asked.steps, end, horizon, given))
-                found = outcomes[-1][0]
-                dearer += bool(
-                    np.isfinite(theirs[-1][0]) and not (found.success and found.cost <= theirs[-1][0] * (1 + SAME))
-                )
+                found, least = outcomes[-1][0], theirs[-1][0]
+                if np.isfinite(least) and not (found.success and found.cost <= least * (1 + SAME)):
+                    dearer.append([index, found.cost if found.success else None, least])
         print(json.dumps({"kind": kind, "steps": asked.steps, **figures(outcomes, dearer, theirs)}), flush=True)
         if bounds is None:
             peaks = np.array([np.max(np.abs(found.controls)) for found, _ in outcomes])

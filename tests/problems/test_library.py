@@ -18,6 +18,7 @@ QUICK = (
     "kinematic-slew",
     "sphere-geodesic",
     "grushin",
+    "heisenberg",
     "regulator",
     "least-effort",
     "detumbling",

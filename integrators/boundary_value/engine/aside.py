@@ -19,6 +19,8 @@ MOVED = 0.5  # of its spread: what it is moved aside by
 OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as much is seen from its middle
 UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
 MET = 1e-8  # of the size of the nodes: of a guess that lacks less, what a step leaves is rounding
+REACHED = 0.05  # of its spread: what a step moves by less has hardly moved
+ROUNDS = 4
 WAVES = 3  # half periods in the horizon, and less
 
 
@@ -38,7 +40,37 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
 
 
 def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Iterate:
-    """The iterates moved aside, each until half of what the controls move has moved by half its spread."""
+    """The iterates moved aside, each until half of what the controls move has moved by half its spread, or until what
+    is lacking has changed by as much.
+
+    The latter alone counts where something that is spread hardly moves, as in Heisenberg's group on the way to a point
+    above the start.
+    """
+    step, size, _ = _tried(conditions, iterate, assembled)
+    return _moved(conditions, iterate, assembled, step, size)
+
+
+def is_held(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> np.ndarray:
+    """Whether controls hardly move something that is spread along the trajectory, shape (B,)."""
+    return _tried(conditions, iterate, assembled)[2]
+
+
+def _tried(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tuple[Step, np.ndarray, np.ndarray]:
+    """A random step, how many times it is made, and whether it hardly moves something that is spread, shape (B,)."""
+    step, finite = _at_random(conditions, assembled)
+    far, spread = _moves(conditions, assembled, step)
+    # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
+    moved = np.where((far > 0) & (spread > 0), far / np.where(spread > 0, spread, 1.0), np.inf)
+    shares = np.sort(moved, axis=0)
+    middle = shares[np.maximum(np.isfinite(shares).sum(axis=0) - 1, 0) // 2, range(shares.shape[1])]
+    bent = _bent(conditions, iterate, assembled, step)
+    size = np.minimum(np.where(np.isfinite(middle), MOVED / middle, 0.0), bent)
+    held = finite & np.any((spread > 0) & (size * far <= REACHED * spread), axis=0)
+    return step, np.where(held, bent, np.where(finite, size, 0.0)), held
+
+
+def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:
+    """The step of the linearised conditions by random controls of a cost of one or so; and where it is finite."""
     blocks = assembled.blocks
     n, (batch, count, z) = assembled.gap.shape[2], blocks.slope.shape
     times, draw = (np.arange(count) + 0.5) / count, np.random.default_rng(0)
@@ -53,17 +85,39 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Ite
     found = eliminate(system, Units(np.concatenate([one, sizes], axis=1), one, np.ones(batch)))
     every = np.ones(batch, bool)
     step = Step(found.steps[..., 0], np.zeros(found.multipliers.shape[:3]), found.largest, every, every, every)
-    far = _moves(conditions, assembled, step)
-    # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
-    far = np.sort(np.where(far > 0, far, np.inf), axis=0)
-    middle = far[np.maximum(np.isfinite(far).sum(axis=0) - 1, 0) // 2, range(batch)]
-    size = np.where(np.isfinite(middle), MOVED / middle, 0.0)
+    return step, found.finite[:, 0]
+
+
+def _bent(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
+    """How many times a step changes what is lacking by half a spread, which the linearised conditions do not see, shape
+    (B,)."""
+    size = np.ones(len(assembled.gap))
+    for _ in range(ROUNDS):  # a square at the second, unless the first is too small for more than rounding
+        bent = _changed(conditions, iterate, assembled, step, size)
+        size = size * np.sqrt(MOVED / np.where((bent > 0) & np.isfinite(bent), bent, MOVED))
+    return size
+
+
+def _changed(
+    conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step, size: np.ndarray
+) -> np.ndarray:
+    """What so many times a step changes that the nodes before the end and the points lack, in spreads of the states,
+    shape (B,)."""
+    moved, spread = conditions.assemble(_moved(conditions, iterate, assembled, step, size)), assembled.extent
+    lacking, spread = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)
+    if assembled.blocks.inner is not None:
+        lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))
+    return np.where(spread > 0, lacking / np.where(spread > 0, spread, 1.0), 0.0).max(axis=1, initial=0.0)
+
+
+def _moved(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step, size: np.ndarray) -> Iterate:
+    """The iterates moved by so many times a step, not at all where that is none."""
     steps, largest = (
-        np.where(found.finite, size[:, None] * a, 0.0) for a in (step.unknowns.reshape(batch, -1), step.largest)
+        np.where((size > 0).reshape(-1, *ones), a, 0.0) * size.reshape(-1, *ones)
+        for a, ones in ((step.unknowns, (1, 1)), (step.largest, (1,)))
     )
-    step = step._replace(unknowns=steps.reshape(step.unknowns.shape), largest=largest)
-    completed = conditions.completed(iterate._replace(slacks=None), assembled, step)
-    return conditions.move(iterate._replace(slacks=None), assembled, completed, np.ones(batch))
+    completed = conditions.completed(iterate.bare, assembled, step._replace(unknowns=steps, largest=largest))
+    return conditions.move(iterate.bare, assembled, completed, np.ones(len(size)))
 
 
 def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
@@ -83,12 +137,12 @@ def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, st
 
 def _is_far(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
     """Whether all of the states that is spread along the trajectory is moved by many times that, shape (B,)."""
-    least = np.min(_moves(conditions, assembled, step), axis=0, initial=np.inf)
-    return ~step.finite | (np.isfinite(least) & (least > FAR))
+    far, spread = _moves(conditions, assembled, step)
+    return ~step.finite | np.any(spread > 0, axis=0) & np.all((far > FAR * spread) | (spread == 0), axis=0)
 
 
-def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarray:
-    """How far the states are moved, in their spreads, infinite where these are zero: (pieces, B).
+def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
+    """How far the states are moved, and their spreads: (pieces, B).
 
     Pieces are the arrays, but for the entries that a coordinate of their own moves: they may have other units.
     """
@@ -97,5 +151,4 @@ def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndarr
     single = alone(extent.support.max(axis=0))
     pieces = np.concatenate([conditions.at_nodes.layout.in_arrays * ~single, np.eye(single.size)[single]])
     pieces = pieces[pieces.any(axis=1)][:, None]
-    spread, far = (pieces * extent.spreads).max(axis=2), (pieces * moved).max(axis=2)
-    return np.where(spread > 0, far / np.where(spread > 0, spread, 1.0), np.inf)
+    return (pieces * moved).max(axis=2), (pieces * extent.spreads).max(axis=2)

@@ -18,7 +18,7 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
-from .aside import aside, is_lost
+from .aside import aside, is_held, is_lost
 from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
@@ -55,14 +55,17 @@ def newton(
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
-    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
-    cheaper success counts. Where inequalities contradict each other near the guess, or the ends, the trajectory that
-    violates them least is a guess once more: its jam may be of the way there. Success is judged in units of the guess;
-    where the cost is another one at the solution, that is a guess once more.
+    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and
+    the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
+    they have to. Where inequalities contradict each other near the guess, or the ends, the trajectory that violates
+    them least is a guess once more: its jam may be of the way there. Success is judged in units of the guess; where
+    the cost is another one at the solution, that is a guess once more.
     """
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
+    if (held := search.held(found)).any():
+        found = _again(search, found, aside(conditions, *search.first), np.flatnonzero(held))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)
     found = _again(search, found, found.iterate.bare, jammed)
     for _ in range(AGAIN):
@@ -119,6 +122,11 @@ class _Search:
                 raise
             self.stopped = True
         return self.found()
+
+    def held(self, found: Found) -> np.ndarray:
+        """Which members have ended without success from guesses that nothing moved aside, and had to be."""
+        held = ~(found.claimed | found.contradictory | self.lost | self.stopped | self.conditions.joint)
+        return held & is_held(self.conditions, *self.first) if held.any() else held
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
@@ -328,13 +336,13 @@ class _Search:
         """Whether the equations hold at points of which one is not at its end: from there Newton's method does not
         move.
 
-        Near the end the normal part of what is missing is the square of its size: from there it moves.
+        Near the end, or where all was met before, the normal part of what is missing is the square of its size: from
+        there it moves.
         """
         conditions, residuals = self.conditions.of(state.member), state.residuals
         stays = (residuals.stationarity <= self.tolerance) & (residuals.gap > np.sqrt(self.tolerance))
-        if stays.any():
-            stays &= conditions.is_met(state.iterate, state.assembled, self.tolerance)
-        return stays
+        stays &= np.isinf(state.correction)
+        return stays & conditions.is_met(state.iterate, state.assembled, self.tolerance) if stays.any() else stays
 
     def contradictory(self, state: State) -> np.ndarray:
         """Whether inequalities contradict each other, or the ends."""

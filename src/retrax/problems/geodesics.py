@@ -187,7 +187,6 @@ def heisenberg() -> KnownProblem:
     def dynamics(q: Array, u: Array) -> Array:
         return jnp.stack([u[0], u[1], (q[0] * u[1] - q[1] * u[0]) / 2])
 
-    controls = circling(1.0, 2 * np.sqrt(np.pi))
     return KnownProblem(
         name="heisenberg",
         title="Brockett's integrator: a closed plane curve around the area 1",
@@ -195,7 +194,6 @@ def heisenberg() -> KnownProblem:
         start=np.zeros(3),
         end=np.array([0.0, 0.0, 1.0]),
         horizon=1.0,
-        path=lambda s: (np.outer(s, [0.0, 0.0, 1.0]), controls(s)),
         states={"x": "in the plane", "y": "in the plane", "z": "area"},
         controls={"u1": "velocity along x", "u2": "velocity along y"},
         source="R. W. Brockett, Control theory and singular Riemannian geometry, New Directions in Applied "
@@ -235,11 +233,6 @@ def three_levels() -> KnownProblem:
     def dynamics(q: Array, u: Array) -> Array:
         return jnp.stack([-u[0] * q[1], u[0] * q[0] - u[1] * q[2], u[1] * q[1]])
 
-    def path(s: np.ndarray) -> tuple[Any, Any]:
-        angle, lift = np.pi * s / 2, 0.5 * np.sin(np.pi * s)
-        states = np.stack([np.cos(lift) * np.cos(angle), np.sin(lift), np.cos(lift) * np.sin(angle)], axis=1)
-        return states, np.stack([np.cos(angle), np.sin(angle)], axis=1)
-
     return KnownProblem(
         name="three-levels",
         title="transfer between the outer levels of three, real amplitudes on S^2",
@@ -247,7 +240,6 @@ def three_levels() -> KnownProblem:
         start=np.array([1.0, 0.0, 0.0]),
         end=np.array([0.0, 0.0, 1.0]),
         horizon=1.0,
-        path=path,
         states={"c1, c2, c3": "amplitudes of the levels"},
         controls={"u1": "field between levels 1 and 2", "u2": "between 2 and 3"},
         source="U. Boscain, G. Charlot, J.-P. Gauthier, S. Guerin, H.-R. Jauslin, Optimal control in laser-induced "
@@ -294,12 +286,6 @@ def phase_gate() -> KnownProblem:
 def unicycle() -> KnownProblem:
     """Sideways with a vehicle that rolls and turns: least energy on SE(2)."""
     group = SE(2)
-
-    def path(s: np.ndarray) -> tuple[Any, Any]:
-        states = np.tile(np.eye(3), (len(s), 1, 1))
-        states[:, 1, 2] = s
-        return states, np.stack([np.cos(2 * np.pi * s), np.sin(2 * np.pi * s)], axis=1) * 3
-
     return KnownProblem(
         name="unicycle",
         title="one unit sideways by rolling and turning, SE(2)",
@@ -308,7 +294,6 @@ def unicycle() -> KnownProblem:
         end=np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
         horizon=1.0,
         method=Gauss(3, Cayley(group)),
-        path=path,
         states={"g": "pose, body to plane, unit of length"},
         controls={"u1": "speed", "u2": "turning rate, rad"},
         source="I. Moiseev, Yu. L. Sachkov, Maxwell strata in sub-Riemannian problem on the group of motions of a "
