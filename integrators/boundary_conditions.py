@@ -21,13 +21,14 @@ BoundaryConstraint = Callable[..., Any]
 class BoundaryConditions(eqx.Module):
     """``b(q(0), q(T)) = 0`` for functions by their ``names``, and ``q(T) = turn(q(0))`` if there is a ``turn``.
 
-    ``factor``: the latter is of the first factor of a product only.
+    ``factor``: the latter is of the first factor of a product only. ``closed``: it is ``q(T) = q(0)``.
     """
 
     names: tuple[str, ...] = eqx.field(static=True, default=())
     functions: tuple[BoundaryConstraint, ...] = ()
     turn: Callable[..., Any] | None = None
     factor: bool = eqx.field(static=True, default=False)
+    closed: bool = eqx.field(static=True, default=False)
 
     @classmethod
     def of(cls, constraints: Any, periodic: Any, taken: Collection[str] = ()) -> "BoundaryConditions":
@@ -54,7 +55,7 @@ class BoundaryConditions(eqx.Module):
                 f"periodic must be True, for q(T) = q(0), or a function g with q(T) = g(q(0)), got {periodic!r:.80}"
             )
         turn = same if periodic is True else periodic if callable(periodic) else None
-        return cls(tuple(given), tuple(given.values()), turn)
+        return cls(tuple(given), tuple(given.values()), turn, closed=turn is same)
 
     @property
     def any(self) -> bool:

@@ -28,7 +28,8 @@ class Inequalities(eqx.Module):
 
     ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none
     at all. ``names`` of the ``functions``, which hold at the points of a trajectory; ``at_first`` are those that hold
-    at the first of them only. ``node_functions`` hold at its nodes.
+    at the first of them only. ``node_functions`` hold at its nodes. ``clock``: whether the last entry of the state is
+    the time, and that of the end is given, or None.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, default=())
@@ -38,6 +39,7 @@ class Inequalities(eqx.Module):
     at_first: frozenset[str] = eqx.field(static=True, default=frozenset())
     node_names: tuple[str, ...] = eqx.field(static=True, default=())
     node_functions: tuple[Constraint, ...] = ()
+    clock: bool | None = eqx.field(static=True, default=None)
 
     @classmethod
     def of(cls, bounds: Any, constraints: Any, node_constraints: Any, controls: Manifold) -> "Inequalities":
@@ -53,6 +55,11 @@ class Inequalities(eqx.Module):
                 )
         own, more = tuple(given.values()), tuple(at_nodes.values())
         return cls(lower, upper, tuple(given), own, node_names=tuple(at_nodes), node_functions=more)
+
+    def replaced(self, functions: tuple[Constraint, ...], node_functions: tuple[Constraint, ...]) -> "Inequalities":
+        """The same of other functions."""
+        names = self.lower, self.upper, self.names
+        return Inequalities(*names, functions, self.at_first, self.node_names, node_functions, self.clock)
 
     @property
     def bounded(self) -> dict[str, list[int]]:
@@ -87,15 +94,19 @@ class Inequalities(eqx.Module):
             flat = jnp.ravel(u)
             below, above = (np.array(side, int) for side in sides.values())
             rows += [np.array(self.lower)[below] - flat[below], flat[above] - np.array(self.upper)[above]]
-        return jnp.concatenate([*rows, *(jnp.ravel(value) for value in self._each(q, u))])
+        return jnp.concatenate([*rows, *self.of_points(q, u)])
 
     def at_node(self, q: Ambient) -> Float[Array, " k"]:
         """Those at a node, in order."""
-        return jnp.concatenate([jnp.zeros(0), *(jnp.ravel(value) for value in self._each_at_node(q))])
+        return jnp.concatenate([jnp.zeros(0), *map(jnp.ravel, self._each_at_node(q))])
 
     def of_functions(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
         """The values of each function, those at the nodes last, in a row."""
-        return tuple(jnp.ravel(value) for value in (*self._each(q, u), *self._each_at_node(q)))
+        return *self.of_points(q, u), *map(jnp.ravel, self._each_at_node(q))
+
+    def of_points(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
+        """The values of each function at a point, in a row."""
+        return tuple(map(jnp.ravel, self._each(q, u)))
 
     def _each(self, q: Ambient, u: Ambient) -> list[Array]:
         named = zip(self.names, self.functions, strict=True)

@@ -186,9 +186,9 @@ class OptimalControlProblem(eqx.Module):
         own, ends = self.limits, self.boundary
         functions = tuple(given[constraint_words(name)] for name in own.names)
         at_nodes = tuple(given[node_words(name)] for name in own.node_names)
-        limits = Inequalities(own.lower, own.upper, own.names, functions, own.at_first, own.node_names, at_nodes)
+        limits = own.replaced(functions, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
-        boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor)
+        boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost"
         more: Any = {"constraints": limits, "boundary_constraints": boundary, "time_dependent": time_dependent}
         return self.replaced(**more, **{name: given[name] for name in names if name in given})

@@ -138,7 +138,9 @@ class Arcs:
         )
         along = solution.stage_states, solution.stage_costates, solution.controls, solution.stage_times
         slopes = self._slopes(along, multipliers, own)
-        active = {name: count for name, count in checks.active.items() if name in multipliers}
+        active = {
+            name: count for name, count in checks.active.items() if name in {**multipliers, **found.node_multipliers}
+        }
         for name, sign in ((LOWER, -1), (UPPER, 1)):
             if name in multipliers:
                 held = np.maximum(sign * slopes, 0.0)
@@ -195,7 +197,7 @@ class Arcs:
             point, covector = self.state.point(q), self.state.point(p)
 
             def hamiltonian(u: Array) -> Array:
-                values = [jnp.zeros(0), *bound.limits.of_functions(point, self.control.point(u))]
+                values = [jnp.zeros(0), *bound.limits.of_points(point, self.control.point(u))]
                 return bound.hamiltonian(point, covector, self.control.point(u)) - nu @ jnp.concatenate(values)
 
             return (jax.grad(hamiltonian)(u),)

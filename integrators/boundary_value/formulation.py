@@ -254,7 +254,7 @@ class Formulation:
         own = self.own.boundary
         functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
         turn = None if own.turn is None else self._of_state(self._turned, 1)
-        return BoundaryConditions(own.names, functions, turn, factor=True)
+        return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
 
     def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
         def between(first: tuple, last: tuple, given: Any) -> Any:
@@ -284,7 +284,8 @@ class Formulation:
                 begin += len(entries)
         at_nodes = tuple(self._of_state(self._node_limit(place), 1) for place in range(len(own.node_names)))
         held = (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
-        return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes)
+        clock = not kind.horizon if self.own.time_dependent else None
+        return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes, clock)
 
     def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
         def limit(y: tuple, given: Any) -> Any:

@@ -4,20 +4,16 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any, final
 
-import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
-from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.tolerances import EPS, HALF
 from ..constraints import count, entries_of
-from ..evaluator import Automatic, Evaluated
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .end_points import Prescribed
 
-SAMPLES = 3  # random points at which it is looked at what inequalities depend on
 Named = dict[str, np.ndarray]
 
 
@@ -41,10 +37,11 @@ class InequalityRows:
         """Where a step has inequalities."""
         return self.stages + (self.nodes > 0 and self.stages > 1)
 
-    def mask(self, steps: int, ends: tuple[Prescribed, Prescribed], parameters: np.ndarray) -> np.ndarray | None:
+    def mask(self, steps: int, ends: tuple[Prescribed, Prescribed], repeated: bool = False) -> np.ndarray | None:
         """At which places each of them is asked for, shape ``(steps, r, c)``; None if there are none.
 
-        ``parameters`` of the members, shape ``(B, P)``. At an end those are asked for that depend on something free.
+        At an end those are asked for that depend on something free, and at the first of periodic ends those that are
+        not at the last one too; at a first node that is ``repeated``, the last one of another phase, none.
         """
         if not self.limits.any:
             return None
@@ -53,11 +50,19 @@ class InequalityRows:
         once += [name in self.limits.at_first for name, size in self.sizes.items() for _ in range(count(size))]
         holds[:, : self.stages, : self.own] = ~np.array(once, bool)
         holds[0, 0, : self.own] = True
+        if not self.nodes:
+            return holds
         at_end, at_start = (slice(self.own + k * self.nodes, self.own + (k + 1) * self.nodes) for k in (0, 1))
+        first, last = (np.array(end.entries) for end in ends)
+        if self.limits.clock:
+            last[-1] = first[-1]
         holds[:, -1, at_end] = True
-        holds[0, -1, at_start], holds[-1, -1, at_end] = (self._open(end, parameters) for end in ends)
-        if self.nodes and self.problem.boundary.turn is not None and np.any(holds[0, -1, at_start]):
-            holds[0, -1, at_start] &= ~self._repeated(parameters)
+        holds[0, -1, at_start], holds[-1, -1, at_end] = (
+            np.any(self._depends[:, ~known], axis=1) for known in (first, last)
+        )
+        if self.problem.boundary.closed:
+            holds[0, -1, at_start] &= self._depends[:, -1] & (self.limits.clock is not None)
+        holds[0, -1, at_start] &= not repeated
         return holds
 
     def at_stages(self, values: np.ndarray) -> Named:
@@ -94,39 +99,24 @@ class InequalityRows:
             found[0, -1, self.own + self.nodes :] = rows[0] / steps[0]
         return found
 
-    def _open(self, end: Prescribed, parameters: np.ndarray) -> np.ndarray:
-        """Which of those at a node depend on something free at an end, for some member."""
-        if end.whole or not np.any(end.entries):
-            return np.full(self.nodes, not end.whole)
-        slopes, _, _ = self._looked(parameters)
-        return np.any(slopes[..., ~end.entries] != 0, axis=(0, 1, 3))
-
-    def _repeated(self, parameters: np.ndarray) -> np.ndarray:
-        """Which of those at the first node are at the last one too, where ends are periodic."""
-        _, first, last = self._looked(parameters)
-        return np.all(np.abs(last - first) <= EPS**HALF * np.max(np.abs(first), axis=(0, 1)), axis=(0, 1))
-
-    def _looked(self, parameters: np.ndarray) -> tuple[np.ndarray, ...]:
-        """At random points, for each member: derivatives of those at a node by the entries of the state, and values at
-        the first node and at the last that belongs to it."""
-        drawn = [self.problem.manifold.random_point(key) for key in jax.random.split(jax.random.key(0), 2 * SAMPLES)]
-        points = self.state.rows(vec.stacked(drawn), 1)
-        return self._look.at(2, points[None, :SAMPLES], points[None, SAMPLES:], parameters[:, None])
-
     @cached_property
-    def _look(self) -> Evaluated:
-        """Traced where an end is prescribed in part, or ends are periodic."""
+    def _depends(self) -> np.ndarray:
+        """Which of those at a node depend on which entries of the state, ``(c, E)``: by all if their functions are not
+        scalar operations."""
 
-        def look(q: Array, other: Array, parameters: Array) -> tuple[Array, Array, Array]:
-            bound = self.problem.with_parameters(self.parameter.point(parameters))
-            first, boundary = self.state.point(q), bound.boundary
-            last = first if boundary.turn is None else bound.turned(first)
-            if boundary.turn is not None and boundary.factor:  # what is added is not known to be the same there
-                last = (last, *self.state.point(other)[1:])
-            slopes = jax.jacfwd(lambda q: bound.node_inequalities(self.state.point(q)))(q)
-            return slopes, bound.node_inequalities(first), bound.node_inequalities(last)
+        from ...tape import NotTraceableError, Tape
 
-        return Automatic().values(look, self.state.size, self.state.size, self.parameter.size)
+        def at_node(q: Array, parameters: Array) -> Array:
+            return self.problem.with_parameters(self.parameter.point(parameters)).node_inequalities(self.state.point(q))
+
+        given = jnp.zeros(self.state.size), jnp.zeros(self.parameter.size)
+        try:
+            sparsity = Tape.trace(at_node, *given).to_casadi().jac_sparsity(0, 0)
+        except NotTraceableError:
+            return np.ones((self.nodes, self.state.size), bool)
+        found = np.zeros((self.nodes, self.state.size), bool)
+        found[sparsity.get_triplet()] = True
+        return found
 
 
 def _rows(named: Mapping[str, np.ndarray], name: str, width: int) -> np.ndarray:

@@ -143,7 +143,7 @@ class _Task:
         began = time.perf_counter()
         begins = np.cumsum([0.0, *(float(guessed(phase.duration)) for phase in phases)])
         parts = [
-            posed_phase(k, phase, float(begin), self.made)
+            posed_phase(k, phase, float(begin), self.made, self._is_repeated(k, phases))
             for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
         ]
         owns = [Own(part.inner.problem, part.own.known.parameters) for part in parts]
@@ -168,6 +168,13 @@ class _Task:
         cuts = np.cumsum([0, *sizes.values()])
         multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, multipliers)
+
+    def _is_repeated(self, k: int, phases: Sequence[Phase]) -> bool:
+        """Whether a phase begins at the last node of one with the same problem and parameters."""
+        if not k and len(self.links) < len(phases):  # the last one is not linked with the first
+            return False
+        before, own = phases[k - 1], phases[k]
+        return self.links[k - 1] is True and before.problem is own.problem and before.parameters is own.parameters
 
     def _links(self, parts: list[PosedPhase]) -> list[Link]:
         """The links between phases."""

@@ -101,12 +101,12 @@ class Posing:
             else self.traced(request.parameters_of(0))
         )
 
-    def posed(self, request: Request) -> Posed:
-        """The conditions and guesses of a request."""
+    def posed(self, request: Request, repeated: bool = False) -> Posed:
+        """The conditions and guesses of a request; ``repeated``: its first node has its constraints elsewhere."""
         traced, ends = self.of(request), request.ends
         rows = for_all(ends.start, len(request)), for_all(ends.end, len(request))
         first, last = ends.prescribed
-        mask = traced.rows.mask(len(self.fractions), (first, last), request.rows)
+        mask = traced.rows.mask(len(self.fractions), (first, last), repeated)
         asked = None if mask is None else for_all(mask.astype(float)[None], len(request))
         data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)

@@ -121,15 +121,16 @@ class TracedPhases:
         return self._asked.setdefault(number, Request.of(reader, given, phase.guess, self.options))
 
 
-def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases) -> PosedPhase:
-    """The equations of a phase that is guessed to begin at a time."""
+def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, repeated: bool) -> PosedPhase:
+    """The equations of a phase that is guessed to begin at a time; ``repeated``: its first node is the last one of a
+    phase with the same constraints."""
     problem, outer = phase.problem, phases.inner(phase)
     inner, formulation = outer, None
     try:
         own = request = phases.request(number, phase)
         if request.formulated:
             formulation, inner, own = outer.formulated.formulated(request, begins if number else None)
-        equations = inner.posing.posed(own)
+        equations = inner.posing.posed(own, repeated)
         bound, guess = own.problem, own.guess_of(0)
         first = own.conditions_of(0)[0].point if guess is None else vec.taken(guess.states, 0)
         inspection = Inspection(bound, first, resting_control(bound.controls))

@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
+from ..boundary_conditions import boundary_words
 from ..constraints import entry_words
 from ..evaluator import Automatic, Evaluated
 from ..layout import Layout, parameter_layout
@@ -20,7 +21,8 @@ from .solution import Solution
 
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
 FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
-OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
+OUTSIDE = EPS**HALF  # of the largest value, or what it changes by: an end that violates a constraint by less is on it
+ROUNDED = 16 * EPS  # of what its states change it by from zero: rounding
 FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
 BEYOND = 0.25  # of the derivative squared, ``g g''``: ``max(x, 0)^p`` has ``1 - 1 / p``, and one with a slope nothing
 LEAVE_OUT = "leave out what follows from the others"
@@ -56,7 +58,8 @@ class Qualification:
         )
         active = pulling & (np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
-        slopes = slopes / np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
+        units = np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
+        slopes = slopes / units
         lengths = np.linalg.norm(slopes, axis=2)
         flat |= active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
         names = self._names(solution.parameters)
@@ -68,7 +71,8 @@ class Qualification:
                 "hold it there: it may be passed by far more than the tolerance, and no strict minimum is shown; try a "
                 "function that passes through zero with a slope, as q[0] - a in place of its square or cube."
             )
-        return self._dependent(times[:, 0], active, slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None], names)
+        rows = slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None]
+        return self._dependent(solution, times[:, 0], (active, rows, names), units)
 
     def _along(self, solution: Solution) -> tuple[np.ndarray, ...]:
         """States, controls and times where the inequalities hold, and the parameters."""
@@ -78,8 +82,11 @@ class Qualification:
         controls = np.asarray(self.control.rows(solution.controls, 1))
         if self.at_nodes:  # nothing depends on these
             controls = controls[np.clip(np.arange(len(times)), 0, len(controls) - 1)]
-        given = self.parameter.rows(solution.parameters, 0) if self.parameter.size else np.zeros(0)
-        return np.asarray(self.state.rows(states, 1)), controls, times[:, None], given[None]
+        return np.asarray(self.state.rows(states, 1)), controls, times[:, None], self._given(solution)
+
+    def _given(self, solution: Solution) -> np.ndarray:
+        """The parameters in a row."""
+        return (self.parameter.rows(solution.parameters, 0) if self.parameter.size else np.zeros(0))[None]
 
     def _names(self, parameters: Any) -> tuple[str, ...]:
         bound = self.problem.with_parameters(parameters).at_time(0.0)
@@ -98,8 +105,10 @@ class Qualification:
         depends = np.any(np.concatenate([slopes, at_ends]) != 0, axis=0)
         free = np.concatenate([~fixed, np.ones((2, self.problem.controls.dimension), bool)], axis=1)
         held = ~np.any(depends & free[:, None], axis=2)
-        size = np.max(np.abs(np.concatenate([values, ends])), axis=0)
-        over = np.where(held & (ends > OUTSIDE * size), ends, 0.0)
+        extents = (np.concatenate([size(part) for part in (states, controls)]) for size in (_spread, _largest))
+        spread, rounding = (self._bends(*nodes, solution.times[places][:, None], e[None], given)[0] for e in extents)
+        size = np.maximum(np.max(np.abs(np.concatenate([values, ends])), axis=0), np.max(spread, axis=0))
+        over = np.where(held & (ends > OUTSIDE * size + ROUNDED * np.max(rounding, axis=0)), ends, 0.0)
         return self._names(solution.parameters), over
 
     def _nearer(self, values: np.ndarray) -> np.ndarray:
@@ -118,17 +127,30 @@ class Qualification:
                 nearer[:, j] = ~nearer[:, i]
         return nearer
 
-    @staticmethod
-    def _dependent(times: np.ndarray, active: np.ndarray, rows: np.ndarray, names: tuple[str, ...]) -> str:
-        for k in np.flatnonzero(np.sum(active, axis=1) > 1):
+    def _dependent(
+        self,
+        solution: Solution,
+        times: np.ndarray,
+        held_by: tuple[np.ndarray, np.ndarray, tuple[str, ...]],
+        units: np.ndarray,
+    ) -> str:
+        """A sentence on inequalities that hold a place together with derivatives that depend on each other, or on those
+        of the equations of that end."""
+        active, rows, names = held_by
+        ends = self._of_ends(solution, units) if self.at_nodes and self.problem.boundary.functions else {}
+        for k in np.flatnonzero(np.any(active, axis=1)):
             held = np.flatnonzero(active[k])
-            left, sizes, _ = np.linalg.svd(rows[k, held], full_matrices=True)
-            if len(held) > len(sizes) or sizes[-1] < DEPENDENT:
+            equations, more = ends.get(int(k), ((), rows[k, :0]))
+            if len(held) + len(equations) < 2:
+                continue
+            own, words = np.concatenate([rows[k, held], more]), [*(names[i] for i in held), *equations]
+            left, sizes, _ = np.linalg.svd(own, full_matrices=True)
+            if len(own) > len(sizes) or sizes[-1] < DEPENDENT:
                 shares = left[:, -1]
                 involved = np.abs(shares) > ACTIVE * np.max(np.abs(shares))
                 # Forces of positive multipliers cancel: they hold from all sides.
-                enclosed = np.ptp(np.sign(shares[involved])) == 0
-                named = " and ".join(names[i] for i in held[involved])
+                enclosed = np.ptp(np.sign(shares[involved])) == 0 and not np.any(involved[len(held) :])
+                named = " and ".join(words[i] for i in np.flatnonzero(involved))
                 tried = "leave room between them, or to write an equation into the dynamics" if enclosed else LEAVE_OUT
                 return (
                     f"{named} hold the trajectory near t = {times[k]:.6g} with derivatives that depend "
@@ -136,6 +158,22 @@ class Qualification:
                     f"try to {tried}."
                 )
         return ""
+
+    def _of_ends(self, solution: Solution, units: np.ndarray) -> dict[int, tuple[list[str], np.ndarray]]:
+        """Of the first and of the last node the equations that nothing but its state enters: their names, and their
+        derivatives by its coordinates in units, of length one, shape ``(k, n + m)``."""
+        nodes, times, given = self.state.rows(solution.states, 1), solution.times[-1:, None], self._given(solution)
+        sizes, *both = (a[0] for a in self._between(nodes[:1], nodes[-1:], times, given))
+        names = [
+            boundary_words(n) for n, k in zip(self.problem.boundary.names, sizes, strict=True) for _ in range(int(k))
+        ]
+        found, none = dict[int, tuple[list[str], np.ndarray]](), np.zeros((len(names), self.problem.controls.dimension))
+        for place, own, other in ((0, *both), (len(solution.times) - 1, *both[::-1])):
+            rows = np.concatenate([own, none], axis=1) / np.where(units > np.finfo(float).tiny, units, 1.0)
+            lengths = np.linalg.norm(rows, axis=1)
+            alone = np.flatnonzero(np.all(other == 0, axis=1) & (lengths > 0))
+            found[place] = [names[i] for i in alone], rows[alone] / lengths[alone, None]
+        return found
 
     def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Those of the inequalities in their order, shape ``(N s, k)``, and which are among the largest, as many as the
@@ -180,6 +218,24 @@ class Qualification:
         return values, jnp.zeros(n + problem.controls.dimension), step
 
     @cached_property
+    def _between(self) -> Evaluated:
+        return Automatic().values(self._between_of, self.state.size, self.state.size, 1, self.parameter.size)
+
+    def _between_of(self, first: Array, last: Array, time: Array, parameters: Array) -> tuple[Array, ...]:
+        """How many equations each boundary constraint is, and their derivatives by coordinates of both ends."""
+        problem = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        ends, n = [self.state.point(q) for q in (first, last)], problem.manifold.dimension
+        frames = [problem.manifold.basis(q) for q in ends]
+
+        def values(*moves: Array) -> Array:
+            near = (vec.add(q, vec.combine(frame, d)) for q, frame, d in zip(ends, frames, moves, strict=True))
+            return problem.boundary.values(*near)
+
+        rest = jnp.zeros(n), jnp.zeros(n)
+        sizes = jnp.array([value.size for value in problem.boundary.each(*ends)], float)
+        return sizes, *jax.jacfwd(values, (0, 1))(*rest)
+
+    @cached_property
     def _bends(self) -> Evaluated:
         state, control = self.state.size, self.control.size
         return Automatic().values(self._bends_of, state, control, 1, state + control, self.parameter.size)
@@ -200,7 +256,15 @@ class Qualification:
 
             return jax.jvp(rate, (rest,), (along,))[1]
 
-        return lengths, jnp.stack([bend(i) for i in range(len(slopes))])
+        return lengths, jnp.array([bend(i) for i in range(len(slopes))])
+
+
+def _spread(rows: np.ndarray) -> np.ndarray:
+    return np.ptp(rows, axis=0)
+
+
+def _largest(rows: np.ndarray) -> np.ndarray:
+    return np.max(np.abs(rows), axis=0)
 
 
 def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:

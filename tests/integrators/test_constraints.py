@@ -68,7 +68,7 @@ def test_numbers_of_the_inequalities_come_back_under_their_names():
     np.testing.assert_array_equal(found["cone"], [[6, 7], [15, 16]])
     assert found["any"].shape == (2, 1)
     free = (Prescribed.of((Part("", False, 1, 3, 3),), (False,)),) * 2
-    mask = InequalityRows(LIMITED, None, 3).mask(4, free, np.zeros((1, 0)))
+    mask = InequalityRows(LIMITED, None, 3).mask(4, free)
     assert mask.shape == (4, 3, 9)
     assert np.all(mask)
 

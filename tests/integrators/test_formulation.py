@@ -253,7 +253,7 @@ def test_bounds_are_inequalities_at_the_first_point():
     expected = [-2 - 4, 1 - 3, np.log(0.5) - 0.25, 0.25 - np.log(4), 0.5 - 0.75]
     np.testing.assert_allclose(inner.inequalities(y, np.full(1, 4.0)), expected)
     free = (Prescribed.of((Part("", False, 1, 1, 1),), (False,)),) * 2
-    mask = InequalityRows(inner, None, 2).mask(3, free, np.zeros((1, 0)))
+    mask = InequalityRows(inner, None, 2).mask(3, free)
     assert np.all(mask[:, :, :2])
     assert np.all(mask[0, 0])
     assert not np.any(mask[1:, :, 2:])

@@ -190,7 +190,8 @@ class _OneStageColumns:
         nodes, costates = assembled.nodes, assembled.costates
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
         blocks, slacks = assembled.blocks, iterate.slacks
-        pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
+        none = np.zeros((*data.steps.shape, self.steps.inequalities))
+        pull = none if slacks is None else slacks.multipliers[:, :, 0]
         given = data.steps[:, :, None], data.parameters[:, None], pull
         found = self._row.at(2, x, u[:, :, 0], *around, *given)
         hessian, gradient, left, right, _, limits, _, _, cost, _ = found

@@ -149,7 +149,7 @@ class OneStage:
     ) -> Blocks:
         """The blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
         around = nodes[:, :-1], nodes[:, 1:], costates[:, :-1], costates[:, 1:]
-        pull = np.zeros((*data.steps.shape, 0)) if slacks is None else slacks.multipliers[:, :, 0]
+        pull = np.zeros((*data.steps.shape, self.inequalities)) if slacks is None else slacks.multipliers[:, :, 0]
         found = self._row.at(2, unknowns.centres, unknowns.controls[:, :, 0], *around, *_given(data), pull)
         hessian, slope, left, right, gradient, pushes, _, _, cost, limits = found
         blocks = Blocks(hessian, left, right, slope, gradient[:, :, 0], cost[:, :, 0])
@@ -200,7 +200,7 @@ class OneStage:
     def at_stages(self, unknowns: Unknowns, costates: np.ndarray, data: Data, slacks: Slacks | None) -> AtStages:
         """States, controls and costates at the stages, (B, N, ...), from covectors at the nodes, (B, N + 1, E)."""
         x, u = unknowns.centres, unknowns.controls[:, :, 0]
-        none = np.zeros((*data.steps.shape, 0))
+        none = np.zeros((*data.steps.shape, self.inequalities - self.own))
         pull = none if slacks is None else slacks.multipliers[:, :, 0, self.own :]
         (covectors,) = self._pull.at(2, x, u, costates[:, :-1], costates[:, 1:], *_given(data), pull)
         return x, u, covectors

@@ -127,7 +127,7 @@ def _at_nodes(functions: Transcription, nodes: ca.MX, points: EndPoints) -> ca.M
         return ca.MX(0, 1)
     rows, count = InequalityRows(functions.problem, None, functions.stages), nodes.shape[1]
     values = _function(functions.at_node, functions.state.size).map(count)(nodes)
-    asked: Any = rows.mask(count - 1, points.prescribed, np.zeros((1, 0)))
+    asked: Any = rows.mask(count - 1, points.prescribed)
     mask = np.concatenate([*rows.at_nodes(asked[None]).values()], axis=2)
     return ca.vec(values)[np.flatnonzero(mask.ravel()).tolist()]
 
