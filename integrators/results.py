@@ -60,7 +60,8 @@ class Result(eqx.Enumeration):
         "that the functions of the problem are smooth in the controls, or try more steps."
     )
     not_finite = (
-        "The problem's functions returned NaN or infinity at the guess; check them there, or give another guess."
+        "The problem's functions returned NaN or infinity at the guess or near it, where ends of steps may be; check "
+        "them there, make them finite also where limits are violated, or give another guess."
     )
 
 

@@ -19,6 +19,7 @@ from .posed import Posed, Traced
 from .solution import Solution, Statistics
 
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
+VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
 
 
 @final
@@ -131,11 +132,14 @@ def _multipliers(posed: Posed, found: Found) -> dict[str, dict[str, np.ndarray]]
 
 
 def _excesses(traced: Traced, found: Found, k: int) -> str:
-    """By how much a member violates which inequalities, if these contradict each other."""
-    slacks, rows = found.iterate.slacks, traced.rows
-    if slacks is None or not found.contradictory[k]:
+    """By how much a member without success violates which inequalities, if it does."""
+    slacks, rows, residuals = found.iterate.slacks, traced.rows, found.residuals
+    if slacks is None or found.claimed[k] or not max(residuals.excess[k], residuals.violation[k]) > VIOLATED:
         return ""
-    excess = slacks.excess[k : k + 1]
+    held = found.assembled.blocks.inequalities
+    excess = np.where(held.asked, np.maximum(held.values, 0.0), 0.0)[k : k + 1]
     worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
     named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
-    return f" It violates {', '.join(named)}."
+    return (
+        f" {'It' if found.contradictory[k] else 'Where this ended, it'} violates {', '.join(named)}." if named else ""
+    )

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solver, solve
 from retrax.manifolds import SO, ConvergenceError, Euclidean, Sphere, hat
-from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
@@ -307,3 +307,19 @@ def test_random_slews_with_limits_are_solved_or_impossible():
     assert not solved[0].any()
     assert solved[-1].all()
     assert all(np.all(less <= more) for less, more in itertools.pairwise(solved))
+
+
+@pytest.mark.slow
+def test_ten_thousand_steps_with_bounds_that_hold():
+    """A cart from rest to rest by 1 m in 1 s, which would take 6 m/s^2 at most."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(
+        plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1, control_bounds=(-5.0, 5.0)
+    )
+    found = solve(problem, Midpoint(Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 10_000)
+    assert found.checks.strict_minimum
+    assert found.checks.active["control_bounds upper"] > 1000
+    # u is odd about the middle and linear between the bounds, for a share b of the time: 5/4 - 5 b^2 / 12 is the way.
+    rest = np.sqrt(3 / 5)
+    assert np.mean(np.abs(found.controls) < 5 * (1 - 1e-6)) == pytest.approx(rest, rel=1e-3)
+    assert found.cost == pytest.approx(25 / 2 * (1 - rest + rest / 3), rel=1e-6)

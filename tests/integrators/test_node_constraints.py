@@ -1,5 +1,6 @@
 """Constraints of the states at the nodes of a trajectory, beside known optima, IPOPT, and differences of solves."""
 
+import re
 from typing import Any
 
 import casadi as ca
@@ -19,7 +20,7 @@ from retrax.integrators import (
     solve_phases,
 )
 from retrax.interop import to_casadi
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere
+from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
 from retrax.plotting import multipliers, optimality
 from retrax.retractions import Addition, Cayley, Euler, Gauss, Midpoint, Theta, default_retraction
 from scipy.spatial.transform import Rotation
@@ -518,3 +519,20 @@ def test_a_speed_limit_between_switches_that_are_found(method):
     assert found.checks.active["speed"] == np.sum(found.jumps) > 10
     wide = problem.replaced(constraints=None, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 1.2})
     assert solve(wide, method, np.zeros(2), end, Free(3.0), 20, accuracy=1e-8).horizon == pytest.approx(2.0, abs=1e-9)
+
+
+def test_what_a_trajectory_without_success_violates_is_named():
+    """Too fast a slew for its rate limit and torques: not shown to be impossible, and said where it ended."""
+    inertia = np.array([2.0, 1.5, 1.0])
+    problem = OptimalControlProblem(
+        RIGID,
+        lambda q, u: (q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia),
+        half_square,
+        3,
+        control_bounds=(-0.3, 0.3),
+        node_constraints={"rate": lambda q: q[1] @ q[1] - 0.01},
+    )
+    end = Rotation.from_euler("ZYX", [100, 30, 40], degrees=True).as_matrix(), REST
+    found = solve(problem, Midpoint(Cayley(RIGID)), (IDENTITY, REST), end, 2.5, 16, throw=False)
+    assert not found.success
+    assert re.search(r"violates control_bounds lower by up to .*, rate by up to 0\.", found.result)

@@ -84,3 +84,21 @@ def test_the_default_guess_is_at_rest_and_stays_what_it_is():
     guess = default_guess(HEISENBERG, Midpoint(Addition(SPACE)), np.zeros(3), np.array([0.0, 0.0, 1.0]), STEPS)
     assert isinstance(guess, Guess)
     assert not np.any(guess.controls)
+
+
+@METHODS
+@pytest.mark.parametrize("turns", [1, 2, 3])
+def test_extremals_of_several_turns_are_found_from_guesses_that_turn_as_often(method, turns):
+    """``n`` circles around the area cost ``n`` times as much; those of more than one are saddles."""
+    radius, places = 1 / np.sqrt(np.pi * turns), 2 * np.pi * turns
+    begun = Guess.from_controls(
+        HEISENBERG,
+        method(Addition(SPACE)),
+        np.zeros(3),
+        lambda t: 0.9 * radius * places * np.array([np.cos(places * t), np.sin(places * t)]),
+        1.0,
+        60,
+    )
+    found = solve(HEISENBERG, method(Addition(SPACE)), np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.0, 60, guess=begun)
+    assert found.cost == pytest.approx(turns * LEAST, rel=3e-2)
+    assert not found.checks.strict_minimum

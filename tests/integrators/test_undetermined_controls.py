@@ -109,3 +109,15 @@ def test_curvature_determines_a_control_whose_bounds_do_not_hold_it(weight):
     problem = OptimalControlProblem(LINE, lambda q, u, weight: u, price, 1, control_bounds=(-1.0, 1.0))
     found = solve(problem, Gauss(1, Addition(LINE)), np.ones(1), np.ones(1), 3.0, 60, parameters=weight, throw=False)
     assert bool(said(found)) == (weight == 0.0)
+
+
+def test_the_turn_about_the_axis_itself_is_slower_than_the_least_time():
+    """Betts' spacecraft about its first axis, from a guess that stays on it: 34.3112 s, where 28.6304 s are enough."""
+    entry = problems.get("betts")
+    found = solve(entry.problem, entry.discretization, entry.start, entry.end, entry.horizon, 60)
+    angle, torque, inertia = np.deg2rad(150), 50.0, 5621.0
+    assert found.horizon == pytest.approx(2 * np.sqrt(angle * inertia / torque), rel=1e-5)
+    assert found.horizon == pytest.approx(34.3112, rel=1e-5)
+    assert "that of u[1] from t = 0 to 34.3112 and that of u[2] from t = 0 to 34.3112" in found.result
+    assert "another may cost less" in found.result
+    assert not found.checks.strict_minimum
