@@ -53,12 +53,21 @@ def least(ceiling: float) -> float:
     return 2 + 6 * (1 - 4 * ceiling) ** 2 if ceiling > 1 / 6 else 4 / (9 * ceiling)
 
 
+@pytest.fixture(scope="module")
+def solvers():
+    """For each method one whose parameter is the ceiling."""
+    problem = OptimalControlProblem(
+        PLANE, particle, lambda q, u, a: u @ u / 2, 1, node_constraints={"ceiling": lambda q, a: q[0] - a}
+    )
+    return {method: Solver(problem, method, 60) for method in METHODS}
+
+
 @pytest.mark.parametrize("ceiling", [0.05, 0.1, 1 / 6 - 1e-3, 1 / 6 + 1e-3, 0.2, 0.2499, 0.25, 0.2501, 0.3, 10.0])
-def test_a_ceiling_at_the_nodes_is_swept_through_what_it_decides(ceiling):
+def test_a_ceiling_at_the_nodes_is_swept_through_what_it_decides(solvers, ceiling):
     """It touches, holds along an arc, or does nothing; nodes are where arcs begin for 0.05 and 0.1, and where it
     touches."""
-    for method in METHODS:
-        found = solve(below(ceiling), method, START, END, 1.0, 60)
+    for method, solver in solvers.items():
+        found = solver.solve(START, END, 1.0, parameters=ceiling)
         assert found.success
         assert found.checks.strict_minimum
         assert np.max(found.states[:, 0]) <= ceiling * (1 + 1e-9)
@@ -245,11 +254,8 @@ def test_a_solution_is_a_guess_near_to_the_end_also_on_another_mesh(method):
 
 
 @BOTH
-def test_a_batch_is_its_members(method):
-    problem = OptimalControlProblem(
-        PLANE, particle, lambda q, u, a: u @ u / 2, 1, node_constraints={"ceiling": lambda q, a: q[0] - a}
-    )
-    solver, ceilings = Solver(problem, method, 31), np.array([0.05, 0.1, 0.2, 0.3])
+def test_a_batch_is_its_members(solvers, method):
+    solver, ceilings = solvers[method], np.array([0.05, 0.1, 0.2, 0.3])
     many = solver.solve_many(np.tile(START, (4, 1)), np.tile(END, (4, 1)), 1.0, parameters=ceilings)
     for one, ceiling in zip(many, ceilings, strict=True):
         alone = solver.solve(START, END, 1.0, parameters=ceiling)
@@ -506,6 +512,7 @@ def test_a_node_that_two_phases_share_has_its_limit_once():
         assert first[-1] > 1
 
 
+@pytest.mark.long("Gauss")
 @BOTH
 def test_a_speed_limit_between_switches_that_are_found(method):
     """The quickest way of a cart: faster, at the limit, slower."""
