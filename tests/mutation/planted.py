@@ -18,6 +18,8 @@ CONE = f"{LIMITS}::test_derivatives_and_minima_as_a_cone_becomes_active"
 ENDS = f"{TESTS}/test_boundary_constraints.py"
 PHASES = f"{TESTS}/test_phases.py"
 FREE = f"{TESTS}/test_formulation.py"
+NODES = f"{TESTS}/test_node_constraints.py"
+RESTING = f"{TESTS}/test_resting_guesses.py"
 CLAIMS = f"{TESTS}/test_claims.py"
 OPTIMA = f"{TESTS}/test_optima.py"
 SECOND = f"{TESTS}/test_second_order.py"
@@ -652,5 +654,59 @@ PLANTED: dict[str, Planted] = {
         "np.where(spreads > 0, spreads, 1.0), 0.0)",
         "np.where(sizes > 0, sizes, 1.0), 0.0)",
         (f"{REFINED}", f"{PARTS}::test_errors_of_steps_do_not_depend_on_the_origin"),
+    ),
+    "the end of a step has the limits of its beginning": Planted(
+        f"{ENGINE}/transcription.py",
+        "limits = jnp.concatenate([limits, *(stage.problem.node_inequalities(end) for end in (finish, begin))])",
+        "limits = jnp.concatenate([limits, *(stage.problem.node_inequalities(end) for end in (begin, finish))])",
+        (NODES,),
+    ),
+    "the ends of a step of Gauss have no pull": Planted(
+        f"{ENGINE}/collocation.py",
+        "return lagrangian + step[0] * pull @ limits, (*values, limits)",
+        "return lagrangian, (*values, limits)",
+        (NODES,),
+    ),
+    "covectors at the stages are those beyond a jump": Planted(
+        f"{ENGINE}/transcription.py",
+        "jumps = (h[0] * pull[nodes:], -h[0] * pull[:nodes]), stage.ends(y)",
+        "jumps = (h[0] * pull[nodes:], h[0] * pull[:nodes]), stage.ends(y)",
+        (f"{NODES}::test_the_costate_jumps_by_the_multiplier_times_the_slope",),
+    ),
+    "the first node is asked for where all of it is prescribed": Planted(
+        "integrators/boundary_value/inequality_rows.py",
+        "holds[0, -1, at_start] &= not repeated",
+        "holds[0, -1, at_start] |= repeated",
+        (f"{NODES}::test_a_node_that_two_phases_share_has_its_limit_once",),
+    ),
+    "the time of an end counts as free": Planted(
+        "integrators/boundary_value/inequality_rows.py",
+        "last[-1] = first[-1]",
+        "last[-1] = last[-1]",
+        (f"{NODES}::test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time",),
+    ),
+    "multipliers of nodes are those per unit of time": Planted(
+        "integrators/boundary_value/recording.py",
+        "jumps = posed.conditions.data.steps[:, :, None, None] * slacks.multipliers",
+        "jumps = np.ones_like(posed.conditions.data.steps)[:, :, None, None] * slacks.multipliers",
+        (f"{NODES}::test_the_costate_jumps_by_the_multiplier_times_the_slope",),
+    ),
+    "guesses at rest are moved by what they lack": Planted(
+        f"{ENGINE}/aside.py",
+        "lacking, spread = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)",
+        "lacking, spread = np.abs(moved.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)",
+        (RESTING,),
+    ),
+    "the defects of points say nothing of a guess at rest": Planted(
+        f"{ENGINE}/aside.py",
+        "lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))",
+        "lacking += 0 * np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))",
+        (RESTING,),
+    ),
+    "a family of extremals is left for want of a step": Planted(
+        f"{ENGINE}/newton.py",
+        "stays &= np.isinf(state.correction)",
+        "stays &= state.correction > 0",
+        (RESTING,),
     ),
 }
