@@ -9,7 +9,18 @@ import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
 from retrax.interop.isolated_import import import_peer, seeded
-from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, Product, Sphere
+from retrax.interop.pymanopt import conventions_of
+from retrax.manifolds import (
+    SO,
+    CotangentBundle,
+    Euclidean,
+    Grassmann,
+    InvalidInputError,
+    Power,
+    Product,
+    Sphere,
+    Stiefel,
+)
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 
 from tests.support.cases import NESTED
@@ -255,3 +266,24 @@ def test_an_optimiser_finds_the_nearest_matrix_of_a_rank():
 def test_what_is_no_pair_of_manifold_and_retraction_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         to_pymanopt(*arguments)
+
+
+@pytest.mark.parametrize("manifold", [Grassmann(4, 2), Power(Stiefel(3, 2), 2), Power(Grassmann(3, 1), 2)], ids=str)
+def test_points_and_tangent_vectors_return_from_the_writing_of_pymanopt(manifold):
+    """However a representative is chosen, also near another one; coordinates mean the vector that they are of."""
+    conventions = conventions_of(manifold)
+
+    @jax.jit
+    def facts(seeds):
+        q, other = (manifold.random_point(jax.random.key(seed)) for seed in seeds)
+        w = manifold.random_tangent(jax.random.key(2), q)
+        x = conventions.lift(q)
+        near = conventions.lift(q, conventions.lift(other))
+        back = [conventions.point(each) - q for each in (x, near)]
+        meant = [conventions.tangent(each, conventions.coordinates(each, w)) - w for each in (x, near)]
+        moved = conventions.elsewhere(x, x, conventions.coordinates(x, w))
+        return back, meant, conventions.push(x, moved) - w, w
+
+    *left, w = facts(jnp.arange(2))
+    assert max(np.max(np.abs(a)) for a in jax.tree.leaves(left)) < 1e-12
+    assert np.max(np.abs(w)) > 0.1
