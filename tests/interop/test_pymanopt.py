@@ -9,13 +9,15 @@ import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
 from retrax.interop.isolated_import import import_peer, seeded
-from retrax.interop.pymanopt import conventions_of
+from retrax.interop.pymanopt import conventions_of, typical_distance
 from retrax.manifolds import (
     SO,
+    SPD,
     CotangentBundle,
     Euclidean,
     Grassmann,
     InvalidInputError,
+    Oblique,
     Power,
     Product,
     Sphere,
@@ -287,3 +289,22 @@ def test_points_and_tangent_vectors_return_from_the_writing_of_pymanopt(manifold
     *left, w = facts(jnp.arange(2))
     assert max(np.max(np.abs(a)) for a in jax.tree.leaves(left)) < 1e-12
     assert np.max(np.abs(w)) > 0.1
+
+
+OTHERS = {
+    "positive definite": (theirs.SymmetricPositiveDefinite(2), SPD(2)),
+    "copies": (theirs.SymmetricPositiveDefinite(2, k=3), Power(SPD(2), 3)),
+    "frames": (theirs.Stiefel(4, 2), Stiefel(4, 2)),
+    "subspaces": (theirs.Grassmann(4, 2), Grassmann(4, 2)),
+    "oblique": (theirs.Oblique(3, 2), Oblique(3, 2)),
+    "product": (theirs.Product([theirs.Sphere(3), theirs.Grassmann(3, 1)]), Product(Sphere(2), Grassmann(3, 1))),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_spaces_of_pymanopt_have_our_manifolds_of_their_dimension_and_size(name):
+    space, manifold = OTHERS[name]
+    found = from_pymanopt(space)
+    assert found.manifold == manifold
+    assert manifold.dimension == space.dim
+    assert typical_distance(manifold) == pytest.approx(space.typical_dist, rel=1e-15)
