@@ -77,6 +77,13 @@ def pytest_collection_finish():
     gc.set_threshold(100_000, 20, 50)
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    """A worker that has told its results ends at once: to take apart all that its tests made takes seconds."""
+    if hasattr(config, "workerinput"):
+        os._exit(0)
+
+
 # Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting. And
 # the file that compiles the kernel of initial-value problems, for which others would wait.
 FIRST = {"test_changed_functions.py", "test_docs.py", "test_threads.py", "testing"}

@@ -184,6 +184,17 @@ def test_a_byte_that_flips_anywhere_is_refused_or_means_nothing(record, tmp_path
     assert refused > 0.5 * len(content) / 179
 
 
+def test_an_entry_that_is_longer_than_its_array_is_refused(record, tmp_path):
+    path, _ = saved(record[0], tmp_path)
+    with zipfile.ZipFile(path) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content + (b"0" if name == "times.npy" else b""))
+    with pytest.raises(InvalidInputError, match="an entry is longer than its array"):
+        record[1](path)
+
+
 class Dangerous:
     """Something whose pickle writes a file when it is read."""
 
@@ -259,6 +270,15 @@ def test_a_file_that_is_not_there_is_the_usual_error(record, tmp_path):
         ({"times": TIMES[[0, 2, 1, 3]]}, "times are not finite real numbers in ascending or descending order"),
         ({"controls": [[1.0, 2.0]] * N}, "controls is .*expected an array of numbers"),
         ({"momenta": np.ones((N + 1, 3))}, "momenta is an array .*expected values by their names"),
+        ({"checks": 0.5}, "checks is 0.5, expected the fields gap, stationarity"),
+        ({"cost": (1.0, 2.0)}, "cost is a tuple of 2, expected a value of type float"),
+        ({"parameters": {1: 2.0}}, "parameters has a key that is no word"),
+        ({"parameters": {"mass": "heavy"}}, "parameters is 'heavy', expected real numbers and arrays"),
+        (
+            {"stage_times": TIMES, "stage_states": along(N + 1), "stage_costates": along(N + 1)}
+            | {"controls": np.ones((N + 1, 2)), "hamiltonians": np.ones(N + 1)},
+            "it has 4 nodes and 4 stages, expected as many stages for each step between nodes",
+        ),
     ],
 )
 def test_a_solution_that_could_not_be_read_again_is_not_written(changes, words, tmp_path):

@@ -13,26 +13,35 @@ from retrax.manifolds import (
     SE,
     SL,
     SO,
+    SPD,
     SU,
+    AffineInvariantMetric,
+    CanonicalMetric,
     DomainError,
     EmbeddedMetric,
     Euclidean,
     Grassmann,
+    Hyperbolic,
     LeftInvariantMetric,
+    LorentzMetric,
     Oblique,
     Power,
+    PowerMetric,
     Product,
     ScaledMetric,
     Sphere,
+    Stiefel,
     U,
 )
 from retrax.retractions import (
+    Exponential,
     FrobeniusExponential,
     GroupExponential,
     PowerRetraction,
     ProductRetraction,
     SEDecoupled,
     SphereExponential,
+    StiefelCanonicalExponential,
 )
 from scipy.linalg import expm
 
@@ -143,6 +152,26 @@ def test_the_mean_of_two_points_of_a_group_is_half_way(manifold):
     np.testing.assert_allclose(mean, space.metric.exp(v / 2, x), atol=1e-10)
 
 
+COUNTERPARTS = {
+    "positive definite": ("spd_matrices", "SPDMatrices", (2,), AffineInvariantMetric(SPD(2))),
+    "frames": ("stiefel", "Stiefel", (3, 2), CanonicalMetric(Stiefel(3, 2))),
+    "subspaces": ("grassmannian", "Grassmannian", (4, 2), EmbeddedMetric(Grassmann(4, 2))),
+    "hyperboloid": ("hyperboloid", "Hyperboloid", (2,), LorentzMetric(Hyperbolic(2))),
+    "copies": ("nfold_manifold", "NFoldManifold", (Hypersphere(2), 3), PowerMetric(EmbeddedMetric(Sphere(2)), 3)),
+}
+
+
+@pytest.mark.parametrize("name", COUNTERPARTS)
+def test_spaces_with_the_metric_of_geomstats_are_our_own(name):
+    module, kind, arguments, metric = COUNTERPARTS[name]
+    space = getattr(import_peer(f"geomstats.geometry.{module}"), kind)(*arguments)
+    found = from_geomstats(space)
+    assert eqx.tree_equal(found.metric, metric)
+    assert found.manifold == metric.manifold
+    assert found.manifold.dimension == space.dim
+    assert from_geomstats(to_geomstats(*found)).retraction == found.retraction
+
+
 BODY = LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0])
 MAPS = {
     "scaled": (ScaledMetric(EmbeddedMetric(U(2)), 0.5), GroupExponential(U(2))),
@@ -152,6 +181,11 @@ MAPS = {
     "special linear": (natural_metric(SL(2)), FrobeniusExponential(SL(2))),
     "round body": (LeftInvariantMetric(SO(3), [2.0, 2.0, 2.0]), GroupExponential(SO(3))),
     "power": (EmbeddedMetric(Power(SE(2), 3)), PowerRetraction(SEDecoupled(SE(2)), 3)),
+    "natural": (
+        natural_metric(SPD(2) * Power(Hyperbolic(2), 2)),
+        ProductRetraction(Exponential(SPD(2)), PowerRetraction(Exponential(Hyperbolic(2)), 2)),
+    ),
+    "frames": (CanonicalMetric(Stiefel(3, 2)), StiefelCanonicalExponential(Stiefel(3, 2))),
 }
 
 
@@ -167,6 +201,8 @@ def test_other_metrics_have_integrated_geodesics():
     assert isinstance(exponential_map(EmbeddedMetric(SL(2))), GeodesicRetraction)
     assert not is_symmetric(BODY)
     assert is_symmetric(EmbeddedMetric(SO(3)))
+    assert is_symmetric(natural_metric(SPD(2) * Power(Hyperbolic(2), 2)))
+    assert not is_symmetric(natural_metric(SPD(2) * SL(2)))
 
 
 @pytest.mark.slow

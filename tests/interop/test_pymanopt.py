@@ -9,7 +9,20 @@ import pytest
 from hypothesis import given
 from retrax.interop import from_pymanopt, to_pymanopt
 from retrax.interop.isolated_import import import_peer, seeded
-from retrax.manifolds import SO, CotangentBundle, Euclidean, InvalidInputError, Product, Sphere
+from retrax.interop.pymanopt import conventions_of, typical_distance
+from retrax.manifolds import (
+    SO,
+    SPD,
+    CotangentBundle,
+    Euclidean,
+    Grassmann,
+    InvalidInputError,
+    Oblique,
+    Power,
+    Product,
+    Sphere,
+    Stiefel,
+)
 from retrax.retractions import BundleRetraction, Cayley, Exponential, Polar, Projection
 
 from tests.support.cases import NESTED
@@ -255,3 +268,43 @@ def test_an_optimiser_finds_the_nearest_matrix_of_a_rank():
 def test_what_is_no_pair_of_manifold_and_retraction_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         to_pymanopt(*arguments)
+
+
+@pytest.mark.parametrize("manifold", [Grassmann(4, 2), Power(Stiefel(3, 2), 2), Power(Grassmann(3, 1), 2)], ids=str)
+def test_points_and_tangent_vectors_return_from_the_writing_of_pymanopt(manifold):
+    """However a representative is chosen, also near another one; coordinates mean the vector that they are of."""
+    conventions = conventions_of(manifold)
+
+    @jax.jit
+    def facts(seeds):
+        q, other = (manifold.random_point(jax.random.key(seed)) for seed in seeds)
+        w = manifold.random_tangent(jax.random.key(2), q)
+        x = conventions.lift(q)
+        near = conventions.lift(q, conventions.lift(other))
+        back = [conventions.point(each) - q for each in (x, near)]
+        meant = [conventions.tangent(each, conventions.coordinates(each, w)) - w for each in (x, near)]
+        moved = conventions.elsewhere(x, x, conventions.coordinates(x, w))
+        return back, meant, conventions.push(x, moved) - w, w
+
+    *left, w = facts(jnp.arange(2))
+    assert max(np.max(np.abs(a)) for a in jax.tree.leaves(left)) < 1e-12
+    assert np.max(np.abs(w)) > 0.1
+
+
+OTHERS = {
+    "positive definite": (theirs.SymmetricPositiveDefinite(2), SPD(2)),
+    "copies": (theirs.SymmetricPositiveDefinite(2, k=3), Power(SPD(2), 3)),
+    "frames": (theirs.Stiefel(4, 2), Stiefel(4, 2)),
+    "subspaces": (theirs.Grassmann(4, 2), Grassmann(4, 2)),
+    "oblique": (theirs.Oblique(3, 2), Oblique(3, 2)),
+    "product": (theirs.Product([theirs.Sphere(3), theirs.Grassmann(3, 1)]), Product(Sphere(2), Grassmann(3, 1))),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_spaces_of_pymanopt_have_our_manifolds_of_their_dimension_and_size(name):
+    space, manifold = OTHERS[name]
+    found = from_pymanopt(space)
+    assert found.manifold == manifold
+    assert manifold.dimension == space.dim
+    assert typical_distance(manifold) == pytest.approx(space.typical_dist, rel=1e-15)

@@ -149,19 +149,25 @@ def test_find_root_knows_the_size_of_its_unknowns(scale):
     np.testing.assert_allclose(c, np.sqrt(2) * scale, rtol=1e-15)
 
 
+@compiled
+def _beside(size):
+    """A root beside an unknown of a size, and one whose own is given as that."""
+    both = find_root(
+        lambda c: jnp.stack([c[0] - size, jnp.exp(c[1]) - 2]), jnp.array([0.0, 0.69]), jnp.stack([size, 1])
+    )
+    return both, find_root(lambda c: jnp.exp(c) - 2, jnp.array([0.69]), size)
+
+
 @pytest.mark.long("1e-06", "0.01", "100.0", "1000000.0")
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-8, 9, 2))
 def test_find_root_ends_where_the_roots_are_known_whatever_the_sizes_of_other_unknowns(size):
     """Of unknowns with sizes given too large, or beside one that is found at once, the small one is found to rounding
     as well."""
-    c, converged = find_root(
-        lambda c: jnp.stack([c[0] - size, jnp.exp(c[1]) - 2]), jnp.array([0.0, 0.69]), jnp.array([size, 1.0])
-    )
+    (c, converged), (alone, found) = _beside(size)
     assert converged
+    assert found
     assert abs(c[1] - np.log(2)) < 2e-16
-    c, converged = find_root(lambda c: jnp.exp(c) - 2, jnp.array([0.69]), size)
-    assert converged
-    assert abs(c[0] - np.log(2)) < 2e-16 * max(1.0, size)
+    assert abs(alone[0] - np.log(2)) < 2e-16 * max(1.0, size)
 
 
 @compiled
@@ -247,12 +253,10 @@ def test_orthonormalise_keeps_the_span(seed):
     np.testing.assert_allclose(before @ after.T @ after, before, atol=1e-12)
 
 
-@given(seed=SEEDS)
-def test_gradients_and_pullbacks_of_complex_arrays_are_covectors_in_the_real_pairing(seed):
-    # The convention of JAX is the complex conjugate: <gradient, d> = Df d fails with it.
-    a, d, p, weight = (
-        jnp.asarray(w) for w in np.random.default_rng(seed).standard_normal((4, 3, 2)) @ np.array([1, 1j])
-    )
+@compiled
+def _of_complex(a, d, p, weight):
+    """Of a function and of a map: pairings of the gradient and the pullback, and of the slopes; the map's value
+    twice."""
 
     def height(z):
         return jnp.sum(jnp.real(weight * z * z) + jnp.abs(z) ** 4)
@@ -260,12 +264,19 @@ def test_gradients_and_pullbacks_of_complex_arrays_are_covectors_in_the_real_pai
     def square(z):
         return weight * z * jnp.conj(z) + z * z
 
-    slope = jax.jvp(height, (a,), (d,))[1]
-    np.testing.assert_allclose(vec.pairing(vec.gradient(height, a), d), slope, rtol=1e-12, atol=1e-12)
     value, pull = vec.pullback(square, a)
-    np.testing.assert_allclose(value, square(a), rtol=1e-15)
-    pushed = jax.jvp(square, (a,), (d,))[1]
-    np.testing.assert_allclose(vec.pairing(pull(p)[0], d), vec.pairing(p, pushed), rtol=1e-12, atol=1e-12)
+    slope, pushed = (jax.jvp(f, (a,), (d,))[1] for f in (height, square))
+    pairings = vec.pairing(vec.gradient(height, a), d), vec.pairing(pull(p)[0], d)
+    return pairings, (slope, vec.pairing(p, pushed)), value, square(a)
+
+
+@given(seed=SEEDS)
+def test_gradients_and_pullbacks_of_complex_arrays_are_covectors_in_the_real_pairing(seed):
+    # The convention of JAX is the complex conjugate: <gradient, d> = Df d fails with it.
+    drawn = np.random.default_rng(seed).standard_normal((4, 3, 2)) @ np.array([1, 1j])
+    pairings, slopes, value, expected = _of_complex(*drawn)
+    np.testing.assert_allclose(pairings, slopes, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(value, expected, rtol=1e-15)
 
 
 @given(t=ANGLES)

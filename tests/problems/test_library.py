@@ -5,6 +5,7 @@ from functools import cache
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import problems
@@ -89,6 +90,17 @@ def test_ends_and_guesses_are_on_the_manifold(name):
     if entry.guess is not None:
         violations = at_each(manifold.violations, entry.guess.states)
         assert max((float(np.max(v)) for v in violations.values()), default=0.0) < 1e-12
+
+
+@pytest.mark.parametrize("name", problems.names())
+def test_functions_return_a_velocity_and_a_number(name):
+    problem = entries()[name].problem
+    at = problem.manifold.ambient, problem.controls.ambient, *[jnp.zeros(())] * problem.time_dependent
+    velocity = jax.eval_shape(problem.dynamics, *at)
+    assert jax.tree.map(jnp.shape, velocity) == jax.tree.map(jnp.shape, problem.manifold.ambient)
+    assert jnp.shape(jax.eval_shape(problem.running_cost, *at)) == ()
+    if problem.terminal_cost is not None:
+        assert jnp.shape(jax.eval_shape(problem.terminal_cost, *at[:1], *at[2:])) == ()
 
 
 def test_a_name_that_no_problem_has_is_refused():

@@ -58,7 +58,6 @@ def aly_chan(steps: int) -> Solution:
     return solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, steps, classification=classified(ALY_CHAN))
 
 
-@pytest.mark.slow
 def test_aly_chan_turns_in_the_plane_of_the_midpoint_rule():
     """Steps of the midpoint rule turn ``(x1, x2)`` by the angle ``2 arctan(h/2)``: a sine, whatever the step."""
     solution = aly_chan(8)
@@ -98,7 +97,6 @@ def test_a_singular_extremal_is_a_curve_between_its_nodes_and_a_guess_for_anothe
     assert fine.cost == pytest.approx(aly_chan(16).cost, abs=1e-12)
 
 
-@pytest.mark.slow
 def test_a_singular_solution_reports_what_was_checked(tmp_path):
     solution = aly_chan(8)
     arc = solution.singular
@@ -119,7 +117,6 @@ def test_a_singular_solution_reports_what_was_checked(tmp_path):
     assert str(loaded) == str(solution)
 
 
-@pytest.mark.slow
 def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
     options = {"classification": classified(ALY_CHAN)}
     solution = solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, throw=False, **options)
@@ -129,6 +126,12 @@ def test_a_rate_prescribed_on_both_sides_is_refused_with_what_is_missed():
     assert "too coarse" not in str(solution)  # the Hamiltonian of what is no extremal means nothing
     with pytest.raises(ConvergenceError, match=r"(?s)contradict each other.*start, factor 1: state missed by"):
         solve(ALY_CHAN, MIDPOINT, (ZERO, ZERO), (ONE, ZERO), np.pi / 2, 8, **options)
+
+
+def test_an_accuracy_is_for_regular_problems():
+    options = {"classification": classified(ALY_CHAN), "accuracy": 1e-6}
+    with pytest.raises(InvalidInputError, match="the problem is singular, and accuracy is for regular ones"):
+        solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, 8, **options)
 
 
 @pytest.mark.slow

@@ -171,6 +171,14 @@ def test_classes_levels_and_controls(name, classes, names, determined_at):
     assert c.gauge_controls == len(c.gauge_components)
 
 
+def test_a_piece_that_is_not_there_is_named():
+    c = classified("academic")
+    assert c.choose(0).strata == c.strata
+    for index in (-1, 1):
+        with pytest.raises(InvalidInputError, match=rf"there is no stratum {index}; expected one of \[0\]"):
+            c.choose(index)
+
+
 def test_a_chain_of_integrators_loses_one_dimension_per_level():
     c = classified("chain of 2")
     assert [next(iter(level.strata)).codimension for level in c.levels] == [1, 2, 3, 4, 4]

@@ -125,10 +125,6 @@ def _(space: Grassmannian) -> Counterpart:
 
 @_counterpart.register
 def _(space: Hyperboloid) -> Counterpart:
-    if space.intrinsic:
-        raise InvalidInputError(
-            f"{_name(space)} is in intrinsic coordinates, which are not an embedding; use intrinsic=False"
-        )
     return _native(Hyperbolic(space.dim))
 
 
