@@ -29,7 +29,13 @@ from retrax.manifolds import SO, Euclidean, hat  # noqa: E402
 from retrax.retractions import Cayley, Midpoint  # noqa: E402
 
 BODY = SO(3) * Euclidean(3)
-QUIET = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
+QUIET = {
+    "ipopt.print_level": 0,
+    "print_time": False,
+    "ipopt.sb": "yes",
+    "ipopt.tol": 1e-9,
+    "ipopt.bound_relax_factor": 0.0,
+}
 SHARE = 0.6  # of the largest torque without limits
 SAME = 1e-6
 
