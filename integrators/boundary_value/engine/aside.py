@@ -40,11 +40,10 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
 
 
 def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Iterate:
-    """The iterates moved aside, each until half of what the controls move has moved by half its spread, or until what
-    is lacking has changed by as much.
+    """The iterates moved aside, each until half of what the controls move has moved by half its spread.
 
-    The latter alone counts where something that is spread hardly moves, as in Heisenberg's group on the way to a point
-    above the start.
+    Where something that is spread hardly moves, as in Heisenberg's group on the way to a point above the start, until
+    what is lacking has changed by as much.
     """
     step, size, _ = _tried(conditions, iterate, assembled)
     return _moved(conditions, iterate, assembled, step, size)
@@ -63,9 +62,8 @@ def _tried(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tu
     moved = np.where((far > 0) & (spread > 0), far / np.where(spread > 0, spread, 1.0), np.inf)
     shares = np.sort(moved, axis=0)
     middle = shares[np.maximum(np.isfinite(shares).sum(axis=0) - 1, 0) // 2, range(shares.shape[1])]
-    bent = _bent(conditions, iterate, assembled, step)
-    size = np.minimum(np.where(np.isfinite(middle), MOVED / middle, 0.0), bent)
-    held = finite & np.any((spread > 0) & (size * far <= REACHED * spread), axis=0)
+    size, bent = np.where(np.isfinite(middle), MOVED / middle, 0.0), _bent(conditions, iterate, assembled, step)
+    held = finite & np.any((spread > 0) & (np.minimum(size, bent) * far <= REACHED * spread), axis=0)
     return step, np.where(held, bent, np.where(finite, size, 0.0)), held
 
 
