@@ -693,8 +693,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "guesses at rest are moved by what they lack": Planted(
         f"{ENGINE}/aside.py",
-        "lacking, spread = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)",
-        "lacking, spread = np.abs(moved.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)",
+        "lacking = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1)",
+        "lacking = np.abs(moved.gap)[:, :-1].sum(axis=1)",
         (RESTING,),
     ),
     "the defects of points say nothing of a guess at rest": Planted(

@@ -101,8 +101,9 @@ def _changed(
 ) -> np.ndarray:
     """What so many times a step changes that the nodes before the end and the points lack, in spreads of the states,
     shape (B,)."""
-    moved, spread = conditions.assemble(_moved(conditions, iterate, assembled, step, size)), assembled.extent
-    lacking, spread = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1), spread.along(spread.spreads)
+    moved = conditions.assemble(_moved(conditions, iterate, assembled, step, size))
+    spread, _ = assembled.extent.moved(conditions.at_nodes.layout)
+    lacking = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1)
     if assembled.blocks.inner is not None:
         lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))
     return np.where(spread > 0, lacking / np.where(spread > 0, spread, 1.0), 0.0).max(axis=1, initial=0.0)
