@@ -85,15 +85,14 @@ class InequalityRows:
         Those ``at_nodes`` are divided by the lengths of the ``steps``, as the rows are weighted by these.
         """
         found = np.zeros((len(steps), self.places, self.own + 2 * self.nodes))
-        own = [
-            _rows(named, name, len(self.limits.lower))[:, side] for name, side in self.limits.bounded.items() if side
-        ]
-        own += [_rows(named, name, count(size)) for name, size in self.sizes.items()]
+        bounded = ((name, side) for name, side in self.limits.bounded.items() if side)
+        own = [_rows(named, name, len(self.limits.lower), "stage")[:, side] for name, side in bounded]
+        own += [_rows(named, name, count(size), "stage") for name, size in self.sizes.items()]
         if own:
             whole = [np.broadcast_to(rows, (len(steps) * self.stages, rows.shape[1])) for rows in own]
             found[:, : self.stages, : self.own] = np.concatenate(whole, axis=1).reshape(len(steps), self.stages, -1)
         if self.nodes:
-            every = [_rows(at_nodes, name, count(size)) for name, size in self.node_sizes.items()]
+            every = [_rows(at_nodes, name, count(size), "node") for name, size in self.node_sizes.items()]
             rows = np.concatenate([np.broadcast_to(a, (len(steps) + 1, a.shape[1])) for a in every], axis=1)
             found[:, -1, self.own : self.own + self.nodes] = rows[1:] / steps[:, None]
             found[0, -1, self.own + self.nodes :] = rows[0] / steps[0]
@@ -119,12 +118,12 @@ class InequalityRows:
         return found
 
 
-def _rows(named: Mapping[str, np.ndarray], name: str, width: int) -> np.ndarray:
+def _rows(named: Mapping[str, np.ndarray], name: str, width: int, place: str) -> np.ndarray:
     """The multipliers of a name, of this width, or a row of zeros; raises for another width."""
     given = named.get(name, np.zeros((1, width)))
     if given.shape[-1] != width:
         raise InvalidInputError(
-            f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a place, expected {width}; try "
+            f"guess: multipliers of {name!r} have {given.shape[-1]} entries at a {place}, expected {width}; try "
             "guess._replace(multipliers=None), of a solution solution.guess()._replace(multipliers=None)"
         )
     return given

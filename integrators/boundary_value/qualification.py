@@ -21,7 +21,7 @@ from .solution import Solution
 
 FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
 FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
-OUTSIDE = EPS**HALF  # of the largest value, or what it changes by: an end that violates a constraint by less is on it
+OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
 ROUNDED = 16 * EPS  # of what its states change it by from zero: rounding
 FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
 BEYOND = 0.25  # of the derivative squared, ``g g''``: ``max(x, 0)^p`` has ``1 - 1 / p``, and one with a slope nothing
@@ -105,10 +105,10 @@ class Qualification:
         depends = np.any(np.concatenate([slopes, at_ends]) != 0, axis=0)
         free = np.concatenate([~fixed, np.ones((2, self.problem.controls.dimension), bool)], axis=1)
         held = ~np.any(depends & free[:, None], axis=2)
-        extents = (np.concatenate([size(part) for part in (states, controls)]) for size in (_spread, _largest))
-        spread, rounding = (self._bends(*nodes, solution.times[places][:, None], e[None], given)[0] for e in extents)
-        size = np.maximum(np.max(np.abs(np.concatenate([values, ends])), axis=0), np.max(spread, axis=0))
-        over = np.where(held & (ends > OUTSIDE * size + ROUNDED * np.max(rounding, axis=0)), ends, 0.0)
+        reach = np.concatenate([np.max(np.abs(part), axis=0) for part in (states, controls)])
+        changes, _ = self._bends(*nodes, solution.times[places][:, None], reach[None], given)
+        size, changed = np.max(np.abs(np.concatenate([values, ends])), axis=0), np.max(changes, axis=0)
+        over = np.where(held & (ends > np.maximum(OUTSIDE * size, ROUNDED * changed)), ends, 0.0)
         return self._names(solution.parameters), over
 
     def _nearer(self, values: np.ndarray) -> np.ndarray:
@@ -257,14 +257,6 @@ class Qualification:
             return jax.jvp(rate, (rest,), (along,))[1]
 
         return lengths, jnp.array([bend(i) for i in range(len(slopes))])
-
-
-def _spread(rows: np.ndarray) -> np.ndarray:
-    return np.ptp(rows, axis=0)
-
-
-def _largest(rows: np.ndarray) -> np.ndarray:
-    return np.max(np.abs(rows), axis=0)
 
 
 def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:

@@ -382,7 +382,7 @@ def test_functions_that_fail_are_named(function, words):
     [
         ({"other": np.zeros((6, 1))}, "node_multipliers belong to 'other', expected names of inequalities"),
         ({"ceiling": np.zeros((5, 1))}, r"node_multipliers of 'ceiling' must be real numbers of shape \(6, k\)"),
-        ({"ceiling": np.zeros((6, 2))}, "multipliers of 'ceiling' have 2 entries at a place, expected 1"),
+        ({"ceiling": np.zeros((6, 2))}, "multipliers of 'ceiling' have 2 entries at a node, expected 1"),
         ({"ceiling": -np.ones((6, 1))}, "node_multipliers of 'ceiling' must be finite and not negative"),
     ],
 )

@@ -8,6 +8,7 @@ that are random but always the same, and by the states to which they lead to fir
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS, HALF
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
@@ -20,6 +21,7 @@ OPPOSITE = 0.05  # the cosine of half the arc between ends: of their motion as m
 UNMET = 1e-3  # of what the linearised constraints ask for: a step that leaves more solves another problem
 MET = 1e-8  # of the size of the nodes: of a guess that lacks less, what a step leaves is rounding
 REACHED = 0.05  # of its spread: what a step moves by less has hardly moved
+ROUNDED = EPS**HALF  # of what a coordinate moves by: what is lacking changes by less where nothing bends
 ROUNDS = 4
 WAVES = 3  # half periods in the horizon, and less
 
@@ -63,7 +65,7 @@ def _tried(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tu
     shares = np.sort(moved, axis=0)
     middle = shares[np.maximum(np.isfinite(shares).sum(axis=0) - 1, 0) // 2, range(shares.shape[1])]
     size, bent = np.where(np.isfinite(middle), MOVED / middle, 0.0), _bent(conditions, iterate, assembled, step)
-    held = finite & np.any((spread > 0) & (np.minimum(size, bent) * far <= REACHED * spread), axis=0)
+    held = finite & (bent > 0) & np.any((spread > 0) & (np.minimum(size, bent) * far <= REACHED * spread), axis=0)
     return step, np.where(held, bent, np.where(finite, size, 0.0)), held
 
 
@@ -88,12 +90,13 @@ def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.n
 
 def _bent(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
     """How many times a step changes what is lacking by half a spread, which the linearised conditions do not see, shape
-    (B,)."""
-    size = np.ones(len(assembled.gap))
+    (B,); zero where it changes nothing."""
+    size, seen = np.ones(len(assembled.gap)), np.zeros(len(assembled.gap), bool)
     for _ in range(ROUNDS):  # a square at the second, unless the first is too small for more than rounding
         bent = _changed(conditions, iterate, assembled, step, size)
-        size = size * np.sqrt(MOVED / np.where((bent > 0) & np.isfinite(bent), bent, MOVED))
-    return size
+        seen = (bent > 0) & np.isfinite(bent)
+        size = size * np.sqrt(MOVED / np.where(seen, bent, MOVED))
+    return np.where(seen, size, 0.0)
 
 
 def _changed(
@@ -102,11 +105,15 @@ def _changed(
     """What so many times a step changes that the nodes before the end and the points lack, in spreads of the states,
     shape (B,)."""
     moved = conditions.assemble(_moved(conditions, iterate, assembled, step, size))
-    spread, _ = assembled.extent.moved(conditions.at_nodes.layout)
+    pieces, extent = _pieces(conditions, assembled), assembled.extent
+    each = (pieces[:, None] * extent.spreads).max(axis=2)  # of the piece that an entry belongs to
+    spread = extent.along(each.T @ pieces)
     lacking = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1)
     if assembled.blocks.inner is not None:
         lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))
-    return np.where(spread > 0, lacking / np.where(spread > 0, spread, 1.0), 0.0).max(axis=1, initial=0.0)
+    moves = size[:, None] * step.largest[:, : lacking.shape[1]]
+    told = (spread > 0) & (lacking > ROUNDED * moves)
+    return np.where(told, lacking / np.where(spread > 0, spread, 1.0), 0.0).max(axis=1, initial=0.0)
 
 
 def _moved(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step, size: np.ndarray) -> Iterate:
@@ -141,13 +148,15 @@ def _is_far(conditions: Conditions, assembled: Assembled, step: Step) -> np.ndar
 
 
 def _moves(conditions: Conditions, assembled: Assembled, step: Step) -> tuple[np.ndarray, np.ndarray]:
-    """How far the states are moved, and their spreads: (pieces, B).
-
-    Pieces are the arrays, but for the entries that a coordinate of their own moves: they may have other units.
-    """
-    extent, n = assembled.extent, assembled.gap.shape[2]
-    moved = (step.largest[:, :n, None] * extent.support).max(axis=1)
-    single = alone(extent.support.max(axis=0))
-    pieces = np.concatenate([conditions.at_nodes.layout.in_arrays * ~single, np.eye(single.size)[single]])
-    pieces = pieces[pieces.any(axis=1)][:, None]
+    """How far the states are moved, and their spreads, piece by piece: (pieces, B)."""
+    extent, pieces = assembled.extent, _pieces(conditions, assembled)[:, None]
+    moved = (step.largest[:, : extent.support.shape[1], None] * extent.support).max(axis=1)
     return (pieces * moved).max(axis=2), (pieces * extent.spreads).max(axis=2)
+
+
+def _pieces(conditions: Conditions, assembled: Assembled) -> np.ndarray:
+    """The entries of each array, but for those that a coordinate of their own moves, which may have other units and are
+    pieces by themselves: (pieces, E)."""
+    single = alone(assembled.extent.support.max(axis=0))
+    pieces = np.concatenate([conditions.at_nodes.layout.in_arrays * ~single, np.eye(single.size)[single]])
+    return pieces[pieces.any(axis=1)]
