@@ -19,6 +19,7 @@ ENDS = f"{TESTS}/test_boundary_constraints.py"
 PHASES = f"{TESTS}/test_phases.py"
 FREE = f"{TESTS}/test_formulation.py"
 NODES = f"{TESTS}/test_node_constraints.py"
+NODE_ENDS = f"{TESTS}/test_node_ends.py"
 RESTING = f"{TESTS}/test_resting_guesses.py"
 CLAIMS = f"{TESTS}/test_claims.py"
 OPTIMA = f"{TESTS}/test_optima.py"
@@ -677,13 +678,13 @@ PLANTED: dict[str, Planted] = {
         "integrators/boundary_value/inequality_rows.py",
         "holds[0, -1, at_start] &= not repeated",
         "holds[0, -1, at_start] |= repeated",
-        (f"{NODES}::test_a_node_that_two_phases_share_has_its_limit_once",),
+        (f"{NODE_ENDS}::test_a_node_that_two_phases_share_has_its_limit_once",),
     ),
     "the time of an end counts as free": Planted(
         "integrators/boundary_value/inequality_rows.py",
         "last[-1] = first[-1]",
         "last[-1] = last[-1]",
-        (f"{NODES}::test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time",),
+        (f"{NODE_ENDS}::test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time",),
     ),
     "multipliers of nodes are those per unit of time": Planted(
         "integrators/boundary_value/recording.py",

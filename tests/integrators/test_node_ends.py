@@ -1,0 +1,192 @@
+"""Ends of trajectories with constraints at the nodes: prescribed, in part or as a whole, by equations, or shared."""
+
+import re
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import (
+    Free,
+    OptimalControlProblem,
+    Phase,
+    default_guess,
+    solve,
+    solve_phases,
+)
+from retrax.manifolds import Euclidean, Sphere, hat
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
+from scipy.spatial.transform import Rotation
+
+from tests.integrators.problems import IDENTITY, REST, RIGID, half_square
+
+PLANE, LINES = Euclidean(2), Euclidean(1) * Euclidean(1)
+START, END = np.array([0.0, 1.0]), np.array([0.0, -1.0])
+METHODS = Midpoint(Addition(PLANE)), Gauss(2, Addition(PLANE))
+BOTH = pytest.mark.parametrize("method", METHODS, ids=["midpoint", "Gauss"])
+
+
+def particle(q: Any, u: Any) -> Any:
+    """``x'' = u``."""
+    return jnp.stack([q[1], u[0]])
+
+
+def below(ceiling: float, **more: Any) -> OptimalControlProblem:
+    """Bryson, Denham: from ``x = 0`` upwards and back in one second, below a ceiling at the nodes."""
+    return OptimalControlProblem(
+        PLANE, particle, half_square, 1, node_constraints={"ceiling": lambda q: q[0] - ceiling}, **more
+    )
+
+
+BEYOND = {
+    "straight": lambda q: q[1][0] - 7.0,
+    "maximum": lambda q: jnp.maximum(-1.0, q[1][0] - 7.0),
+    "softplus": lambda q: jax.nn.softplus(500 * (q[1][0] - 7.0)) / 500 - 0.01,
+}
+
+
+@pytest.mark.parametrize("name", BEYOND)
+def test_what_is_flat_far_from_an_end_is_asked_for_there(name):
+    """The end is prescribed in part; at most points that somebody would look at, none of the limits has a slope."""
+    start, end, limit = (np.zeros(1), np.zeros(1)), (np.ones(1), None), BEYOND[name]
+    problem = OptimalControlProblem(
+        LINES,
+        lambda q, u: (q[1], u),
+        half_square,
+        1,
+        terminal_cost=lambda q: -40.0 * q[1][0],
+        node_constraints={"speed": limit},
+    )
+    for method in (Midpoint(default_retraction(LINES)), Gauss(2, default_retraction(LINES))):
+        guess = default_guess(problem, method, start, (np.ones(1), np.zeros(1)), 10)
+        found = solve(problem, method, start, end, 1.0, 10, guess=guess)
+        assert float(limit((found.states[0][-1], found.states[1][-1]))) == pytest.approx(0.0, abs=1e-9)
+        assert found.node_multipliers["speed"][-1, 0] > 1
+
+
+@BOTH
+@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e11])
+def test_a_turn_leaves_both_ends_their_limits_in_any_unit(method, unit):
+    problem = OptimalControlProblem(
+        PLANE,
+        particle,
+        lambda q, u: u @ u / 2 / unit**2,
+        1,
+        periodic=lambda q: -q,
+        initial_cost=lambda q: 1e3 * (q[0] / unit - 1) ** 2,
+        node_constraints={"ceiling": lambda q: q[0] - 0.3 * unit},
+    )
+    guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
+    assert solve(problem, method, None, None, 1.0, 10, guess=guess).states[0, 0] == pytest.approx(0.3 * unit, rel=1e-8)
+
+
+@BOTH
+def test_periodic_ends_are_one_node_of_a_ceiling_that_is_optimised(method):
+    problem = OptimalControlProblem(
+        PLANE,
+        particle,
+        lambda q, u, a: u @ u / 2 + 100 * (q[0] - 0.2) ** 2 + 20 * (a - 0.05) ** 2,
+        1,
+        periodic=True,
+        node_constraints={"ceiling": lambda q, a: q[0] - a},
+    )
+    guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
+    found = solve(problem, method, None, None, 1.0, 10, guess=guess, parameters=Free(0.1))
+    assert found.checks.strict_minimum
+    assert found.parameters == pytest.approx(0.175)
+    assert found.node_multipliers["ceiling"][0, 0] == 0
+
+
+@BOTH
+@pytest.mark.parametrize("above", [-1e-3, -1e-9, -1e-12, 0.0, 1e-12, 1e-10, 1e-3])
+def test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time(method, above):
+    """The end, and with the horizon its time, are prescribed."""
+    limits = {"ceiling": lambda q, t: q[0] - 0.1 * (1 - t) + above}
+    problem = OptimalControlProblem(
+        PLANE,
+        lambda q, u, t: particle(q, u),
+        lambda q, u, t: u @ u / 2,
+        1,
+        time_dependent=True,
+        node_constraints=limits,
+    )
+    found = solve(problem, method, START, np.array([0.0, 0.3]), 1.0, 20, throw=False)
+    assert found.success == (above < 1e-5)
+    assert ("The end violates ceiling" in found.result) == (above > 1e-5)
+    assert found.cost == pytest.approx(3.395, rel=2e-2)
+    assert found.statistics.iterations < 25
+
+
+def test_rounding_does_not_put_an_end_beyond_a_limit():
+    """Along a circle of latitude that is the limit."""
+    sphere, angle = Sphere(2), 0.9
+    problem = OptimalControlProblem(
+        sphere,
+        lambda q, u: jnp.cross(u, q),
+        half_square,
+        3,
+        node_constraints={"cap": lambda q: q[2] - np.cos(angle)},
+    )
+    method = Gauss(2, default_retraction(sphere))
+    for first, last in ((1.1, 3.1), (0.3, 1.7), (2.0, 0.1)):
+        ends = [Rotation.from_euler("ZY", [turn, angle]).as_matrix()[:, 2] for turn in (first, last)]
+        assert solve(problem, method, *ends, 1.0, 16).checks.active["cap"] > 0
+
+
+@BOTH
+def test_an_equation_that_puts_an_end_on_a_limit_is_named_with_it(method):
+    problem = below(0.1, boundary_constraints={"pin": lambda a, b: b[0] - 0.1})
+    guess = default_guess(problem, method, START, END, 20)
+    found = solve(problem, method, START, None, 1.0, 20, guess=guess, throw=False)
+    assert "ceiling and boundary_constraints['pin'] hold the trajectory near t = 1" in found.result
+    assert not found.checks.strict_minimum
+    apart = below(0.1, boundary_constraints={"pin": lambda a, b: b[0] - 0.05})
+    assert "hold" not in solve(apart, method, START, None, 1.0, 20, guess=guess).result
+
+
+def test_a_node_that_two_phases_share_has_its_limit_once():
+    problem = OptimalControlProblem(
+        PLANE, particle, lambda q, u: u @ u / 2 + 1, 1, node_constraints={"ceiling": lambda q: q[0] - 0.1}
+    )
+    for method in METHODS:
+        found = solve_phases(
+            [Phase(problem, method, 10, Free(0.5), start=START), Phase(problem, method, 10, Free(0.5), end=END)]
+        )
+        assert found.strict_minimum
+        first, last = (phase.node_multipliers["ceiling"][:, 0] for phase in found.phases)
+        assert last[0] == 0
+        assert first[-1] > 1
+
+
+@pytest.mark.long("Gauss")
+@BOTH
+def test_a_speed_limit_between_switches_that_are_found(method):
+    """The quickest way of a cart: faster, at the limit, slower."""
+    limits = {"speed": lambda q: q[1] - 0.4}
+    problem = OptimalControlProblem(
+        PLANE, particle, lambda q, u: 1.0, 1, control_bounds=(-1, 1), node_constraints=limits
+    )
+    end = np.array([1.0, 0.0])
+    found = solve(problem, method, np.zeros(2), end, Free(3.0), 20, accuracy=1e-3, throw=False)
+    assert found.horizon == pytest.approx(2.9, rel=2e-3)
+    assert found.checks.active["speed"] == np.sum(found.jumps) > 10
+    wide = problem.replaced(constraints=None, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 1.2})
+    assert solve(wide, method, np.zeros(2), end, Free(3.0), 20, accuracy=1e-8).horizon == pytest.approx(2.0, abs=1e-9)
+
+
+def test_what_a_trajectory_without_success_violates_is_named():
+    """Too fast a slew for its rate limit and torques: not shown to be impossible, and said where it ended."""
+    inertia = np.array([2.0, 1.5, 1.0])
+    problem = OptimalControlProblem(
+        RIGID,
+        lambda q, u: (q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia),
+        half_square,
+        3,
+        control_bounds=(-0.3, 0.3),
+        node_constraints={"rate": lambda q: q[1] @ q[1] - 0.01},
+    )
+    end = Rotation.from_euler("ZYX", [100, 30, 40], degrees=True).as_matrix(), REST
+    found = solve(problem, Midpoint(Cayley(RIGID)), (IDENTITY, REST), end, 2.5, 16, throw=False)
+    assert not found.success
+    assert re.search(r"violates control_bounds lower by up to .*, rate by up to 0\.", found.result)
