@@ -136,8 +136,8 @@ def _excesses(traced: Traced, found: Found, k: int) -> str:
     slacks, rows, residuals = found.iterate.slacks, traced.rows, found.residuals
     if slacks is None or found.claimed[k] or not max(residuals.excess[k], residuals.violation[k]) > VIOLATED:
         return ""
-    held = found.assembled.blocks.inequalities
-    excess = np.where(held.asked, np.maximum(held.values, 0.0), 0.0)[k : k + 1]
+    held, own = found.assembled.blocks.inequalities, slice(k, k + 1)
+    excess = np.where(held.weights[own] > 0, np.maximum(held.values[own], 0.0), 0.0)
     worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
     named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
     return (

@@ -180,22 +180,19 @@ class Solution:
     @property
     def jumps(self) -> np.ndarray:
         """At which nodes a constraint holds the trajectory, where the costate jumps, shape ``(N + 1,)``."""
-        return self._held_nodes(self.node_multipliers)
+        return self._held(self.node_multipliers, self.node_multipliers, len(self.times))
 
     def held_by(self, names: Collection[str]) -> np.ndarray:
         """At which stages one of these inequalities holds the trajectory, or at both nodes of their step, shape ``(N
         s,)``; the barrier leaves others multipliers too."""
-        held = np.zeros(len(self.stage_times), bool)
-        for name, rows in self.stage_multipliers.items():
-            if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
-                held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
-        nodes = self._held_nodes(names)
-        return held | np.repeat(nodes[:-1] & nodes[1:], len(held) // self.steps)
+        stages = self._held(names, self.stage_multipliers, len(self.stage_times))
+        nodes = self._held(names, self.node_multipliers, len(self.times))
+        return stages | np.repeat(nodes[:-1] & nodes[1:], len(stages) // self.steps)
 
-    def _held_nodes(self, names: Collection[str]) -> np.ndarray:
-        """At which nodes one of these inequalities holds the trajectory."""
-        held = np.zeros(len(self.times), bool)
-        for name, rows in self.node_multipliers.items():
+    def _held(self, names: Collection[str], multipliers: dict[str, np.ndarray], count: int) -> np.ndarray:
+        """At which of so many places one of these inequalities holds the trajectory."""
+        held = np.zeros(count, bool)
+        for name, rows in multipliers.items():
             if name in names and isinstance(self.checks, RegularChecks) and self.checks.active.get(name, 0):
                 held |= np.any(rows > ACTIVE * np.max(rows), axis=1)
         return held

@@ -90,5 +90,20 @@ def half_square(_: Any, u: Array) -> Array:
     return u @ u / 2
 
 
+PLANE = Euclidean(2)  # position and velocity on a line
+
+
+def particle(q: Array, u: Array) -> Array:
+    """``x'' = u``."""
+    return jnp.stack([q[1], u[0]])
+
+
+def below(ceiling: float, **more: Any) -> OptimalControlProblem:
+    """Bryson, Denham: from ``x = 0`` upwards and back in one second, below a ceiling at the nodes."""
+    return OptimalControlProblem(
+        PLANE, particle, half_square, 1, node_constraints={"ceiling": lambda q: q[0] - ceiling}, **more
+    )
+
+
 KINEMATIC = OptimalControlProblem(SO3, lambda q, u: q @ hat(u), half_square, 3)
 SLEW = OptimalControlProblem(RIGID, spacecraft, half_square, 3)

@@ -7,18 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Phase, Solution, Solver, solve, solve_phases
-from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 
-from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW_END, half_square, spacecraft
+from tests.integrators.problems import IDENTITY, PLANE, REST, RIGID, SLEW_END, half_square, particle, spacecraft
 
-PLANE = Euclidean(2)
 METHODS = Midpoint(Addition(PLANE)), Gauss(2, Addition(PLANE))
-
-
-def particle(q: Any, u: Any, *_: Any) -> Any:
-    """``x'' = u``."""
-    return jnp.stack([q[1], u[0]])
 
 
 def effort(_: Any, u: Any, *__: Any) -> Any:

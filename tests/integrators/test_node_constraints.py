@@ -22,25 +22,13 @@ from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sph
 from retrax.plotting import multipliers, optimality
 from retrax.retractions import Addition, Cayley, Euler, Gauss, Midpoint, Theta, default_retraction
 
-from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW_END, half_square, spacecraft
+from tests.integrators.problems import IDENTITY, PLANE, REST, RIGID, SLEW_END, below, half_square, particle, spacecraft
 
-PLANE, LINES = Euclidean(2), Euclidean(1) * Euclidean(1)
+LINES = Euclidean(1) * Euclidean(1)
 START, END = np.array([0.0, 1.0]), np.array([0.0, -1.0])
 METHODS = Midpoint(Addition(PLANE)), Gauss(2, Addition(PLANE)), Gauss(3, Addition(PLANE))
 QUIET = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
 BOTH = pytest.mark.parametrize("method", METHODS[:2], ids=["midpoint", "Gauss"])
-
-
-def particle(q: Any, u: Any) -> Any:
-    """``x'' = u``."""
-    return jnp.stack([q[1], u[0]])
-
-
-def below(ceiling: float, **more: Any) -> OptimalControlProblem:
-    """Bryson, Denham: from ``x = 0`` upwards and back in one second, below a ceiling at the nodes."""
-    return OptimalControlProblem(
-        PLANE, particle, half_square, 1, node_constraints={"ceiling": lambda q: q[0] - ceiling}, **more
-    )
 
 
 def least(ceiling: float) -> float:

@@ -1,7 +1,6 @@
 """Ends of trajectories with constraints at the nodes: prescribed, in part or as a whole, by equations, or shared."""
 
 import re
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,24 +18,12 @@ from retrax.manifolds import Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
 
-from tests.integrators.problems import IDENTITY, REST, RIGID, half_square
+from tests.integrators.problems import IDENTITY, PLANE, REST, RIGID, below, half_square, particle
 
-PLANE, LINES = Euclidean(2), Euclidean(1) * Euclidean(1)
+LINES = Euclidean(1) * Euclidean(1)
 START, END = np.array([0.0, 1.0]), np.array([0.0, -1.0])
 METHODS = Midpoint(Addition(PLANE)), Gauss(2, Addition(PLANE))
 BOTH = pytest.mark.parametrize("method", METHODS, ids=["midpoint", "Gauss"])
-
-
-def particle(q: Any, u: Any) -> Any:
-    """``x'' = u``."""
-    return jnp.stack([q[1], u[0]])
-
-
-def below(ceiling: float, **more: Any) -> OptimalControlProblem:
-    """Bryson, Denham: from ``x = 0`` upwards and back in one second, below a ceiling at the nodes."""
-    return OptimalControlProblem(
-        PLANE, particle, half_square, 1, node_constraints={"ceiling": lambda q: q[0] - ceiling}, **more
-    )
 
 
 BEYOND = {
