@@ -694,14 +694,14 @@ PLANTED: dict[str, Planted] = {
     ),
     "guesses at rest are moved by what they lack": Planted(
         f"{ENGINE}/aside.py",
-        "lacking = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1)",
-        "lacking = np.abs(moved.gap)[:, :-1].sum(axis=1)",
+        "lacking = np.abs(after.gap - before.gap)[:, :-1].sum(axis=1)",
+        "lacking = np.abs(after.gap)[:, :-1].sum(axis=1)",
         (RESTING,),
     ),
     "the defects of points say nothing of a guess at rest": Planted(
         f"{ENGINE}/aside.py",
-        "lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))",
-        "lacking += 0 * np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))",
+        "lacking += np.abs(after.blocks.inner.defect - before.blocks.inner.defect).sum(axis=(1, 2))",
+        "lacking += 0 * np.abs(after.blocks.inner.defect - before.blocks.inner.defect).sum(axis=(1, 2))",
         (RESTING,),
     ),
     "a family of extremals is left for want of a step": Planted(

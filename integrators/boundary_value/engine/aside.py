@@ -41,23 +41,13 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
     return lost | np.any(wide & (asked < OPPOSITE * gap), axis=1)
 
 
-def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Iterate:
-    """The iterates moved aside, each until half of what the controls move has moved by half its spread.
+def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tuple[Iterate, np.ndarray]:
+    """The iterates moved aside, each until half of what the controls move has moved by half its spread; and whether
+    they hardly move something that is spread, shape (B,).
 
-    Where something that is spread hardly moves, as in Heisenberg's group on the way to a point above the start, until
-    what is lacking has changed by as much.
+    Where that is so, as in Heisenberg's group on the way to a point above the start, until what is lacking has changed
+    by as much.
     """
-    step, size, _ = _tried(conditions, iterate, assembled)
-    return _moved(conditions, iterate, assembled, step, size)
-
-
-def is_held(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> np.ndarray:
-    """Whether controls hardly move something that is spread along the trajectory, shape (B,)."""
-    return _tried(conditions, iterate, assembled)[2]
-
-
-def _tried(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tuple[Step, np.ndarray, np.ndarray]:
-    """A random step, how many times it is made, and whether it hardly moves something that is spread, shape (B,)."""
     step, finite = _at_random(conditions, assembled)
     far, spread = _moves(conditions, assembled, step)
     # In the middle of all: next to nothing moves what controls do not reach, and the spread of what rests is rounding.
@@ -66,7 +56,8 @@ def _tried(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tu
     middle = shares[np.maximum(np.isfinite(shares).sum(axis=0) - 1, 0) // 2, range(shares.shape[1])]
     size, bent = np.where(np.isfinite(middle), MOVED / middle, 0.0), _bent(conditions, iterate, assembled, step)
     held = finite & (bent > 0) & np.any((spread > 0) & (np.minimum(size, bent) * far <= REACHED * spread), axis=0)
-    return step, np.where(held, bent, np.where(finite, size, 0.0)), held
+    size = np.where(held, bent, np.where(finite, size, 0.0))
+    return _moved(conditions, iterate, assembled, step, size), held
 
 
 def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:
@@ -92,26 +83,25 @@ def _bent(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: 
     """How many times a step changes what is lacking by half a spread, which the linearised conditions do not see, shape
     (B,); zero where it changes nothing."""
     size, seen = np.ones(len(assembled.gap)), np.zeros(len(assembled.gap), bool)
+    pieces, extent = _pieces(conditions, assembled), assembled.extent
+    each = (pieces[:, None] * extent.spreads).max(axis=2)  # of the piece that an entry belongs to
+    spread = extent.along(each.T @ pieces)
     for _ in range(ROUNDS):  # a square at the second, unless the first is too small for more than rounding
-        bent = _changed(conditions, iterate, assembled, step, size)
+        moved = conditions.assemble(_moved(conditions, iterate, assembled, step, size))
+        bent = _changed(assembled, moved, spread, size[:, None] * step.largest[:, : spread.shape[1]])
         seen = (bent > 0) & np.isfinite(bent)
         size = size * np.sqrt(MOVED / np.where(seen, bent, MOVED))
     return np.where(seen, size, 0.0)
 
 
-def _changed(
-    conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step, size: np.ndarray
-) -> np.ndarray:
-    """What so many times a step changes that the nodes before the end and the points lack, in spreads of the states,
-    shape (B,)."""
-    moved = conditions.assemble(_moved(conditions, iterate, assembled, step, size))
-    pieces, extent = _pieces(conditions, assembled), assembled.extent
-    each = (pieces[:, None] * extent.spreads).max(axis=2)  # of the piece that an entry belongs to
-    spread = extent.along(each.T @ pieces)
-    lacking = np.abs(moved.gap - assembled.gap)[:, :-1].sum(axis=1)
-    if assembled.blocks.inner is not None:
-        lacking += np.abs(moved.blocks.inner.defect - assembled.blocks.inner.defect).sum(axis=(1, 2))
-    moves = size[:, None] * step.largest[:, : lacking.shape[1]]
+def _changed(before: Assembled, after: Assembled, spread: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """How what the nodes before the end and the points lack has changed, in spreads of the coordinates, shape (B,).
+
+    ``moves``: of the coordinates, shape (B, n), beside which less of it is rounding.
+    """
+    lacking = np.abs(after.gap - before.gap)[:, :-1].sum(axis=1)
+    if before.blocks.inner is not None:
+        lacking += np.abs(after.blocks.inner.defect - before.blocks.inner.defect).sum(axis=(1, 2))
     told = (spread > 0) & (lacking > ROUNDED * moves)
     return np.where(told, lacking / np.where(spread > 0, spread, 1.0), 0.0).max(axis=1, initial=0.0)
 

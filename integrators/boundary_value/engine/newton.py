@@ -18,7 +18,7 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
-from .aside import aside, is_held, is_lost
+from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
 from .first_multipliers import with_first_multipliers
@@ -64,8 +64,9 @@ def newton(
     search = _Search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
-    if (held := search.held(found)).any():
-        found = _again(search, found, aside(conditions, *search.first), np.flatnonzero(held))
+    if (failed := search.failed(found)).any():
+        moved, held = aside(conditions, *search.first)
+        found = _again(search, found, moved, np.flatnonzero(failed & held))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)
     found = _again(search, found, found.iterate.bare, jammed)
     for _ in range(AGAIN):
@@ -123,10 +124,9 @@ class _Search:
             self.stopped = True
         return self.found()
 
-    def held(self, found: Found) -> np.ndarray:
-        """Which members have ended without success from guesses that nothing moved aside, and had to be."""
-        held = ~(found.claimed | found.contradictory | self.lost | self.stopped | self.conditions.joint)
-        return held & is_held(self.conditions, *self.first) if held.any() else held
+    def failed(self, found: Found) -> np.ndarray:
+        """Which members have ended without success from guesses that nothing moved aside."""
+        return ~(found.claimed | found.contradictory | self.lost | self.stopped | self.conditions.joint)
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
@@ -160,7 +160,7 @@ class _Search:
             looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
             if self.lost.any():
-                moved = aside(conditions, *bare)
+                moved, _ = aside(conditions, *bare)
                 if given.slacks is not None:
                     moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
                 return self.begun(merged(self.lost, moved, given))
