@@ -422,14 +422,14 @@ PLANTED: dict[str, Planted] = {
     # Newton's method.
     "anything that is finite is accepted": Planted(
         f"{ENGINE}/acceptance_kernels.py",
-        "accepted = improves or (inside and residual[m] <= max(record * best[m], tolerance))",
-        "accepted = residual[m] < np.inf",
+        "accepted = improves or (inside and residual <= max(record * best, tolerance))",
+        "accepted = residual < np.inf",
         (ACCEPTANCE,),
     ),
     "a record leads anywhere": Planted(
         f"{ENGINE}/acceptance_kernels.py",
-        "inside = shortfall[m] <= max(funnel[m], tolerance)",
-        "inside = shortfall[m] < np.inf",
+        "inside = shortfall <= max(funnel, tolerance)",
+        "inside = shortfall < np.inf",
         (f"{ACCEPTANCE}::test_a_record_counts_inside_the_funnel_only",),
     ),
     "what is rounding measures a coordinate": Planted(
@@ -439,7 +439,7 @@ PLANTED: dict[str, Planted] = {
         (f"{SCALING}::test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not_at_all",),
     ),
     "success is claimed wherever residuals are small": Planted(
-        f"{ENGINE}/newton.py",
+        f"{ENGINE}/descent.py",
         "isolated = arrived & (wanted <= np.sqrt(self.tolerance))",
         "isolated = arrived",
         (f"{CLAIMS}", f"{SOLVER}::test_success_across_a_conjugate_point"),
@@ -451,19 +451,19 @@ PLANTED: dict[str, Planted] = {
         (f"{TESTS}/test_far_ends.py::test_a_trajectory_that_grows_without_end_is_no_success",),
     ),
     "the Hessian is never raised": Planted(
-        f"{ENGINE}/newton.py",
+        f"{ENGINE}/descent.py",
         "going = ~(descends | keep) & (shift < LARGEST_SHIFT)",
         "going = ~(descends | keep) & (shift < 0)",
         (f"{PARTS}::test_from_a_hill_it_goes_down",),
     ),
     "a saddle that is reached is a minimum": Planted(
-        f"{ENGINE}/newton.py",
+        f"{ENGINE}/descent.py",
         "strict & whole.isolated,",
         "whole.isolated,",
         (f"{SECOND}",),
     ),
     "members of a batch come in the order in which they left": Planted(
-        f"{ENGINE}/newton.py",
+        f"{ENGINE}/descent.py",
         "order = np.argsort(whole.member)",
         "order = np.arange(len(whole.member))",
         (
@@ -547,7 +547,7 @@ PLANTED: dict[str, Planted] = {
     # The compiled pass of a trial.
     "covectors of a trial are those before the step": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "f = coordinates[0, k, a] + fraction * multipliers[0, k, a]",
+        "f = coordinates[0, k, a] + fraction * multipliers[k * n + a]",
         "f = coordinates[0, k, a]",
         (TRIAL,),
     ),
@@ -705,7 +705,7 @@ PLANTED: dict[str, Planted] = {
         (RESTING,),
     ),
     "a family of extremals is left for want of a step": Planted(
-        f"{ENGINE}/newton.py",
+        f"{ENGINE}/descent.py",
         "stays &= np.isinf(state.correction)",
         "stays &= state.correction > 0",
         (RESTING,),

@@ -32,6 +32,36 @@ def _improves(
     return now[0] <= well * width, width + half * (now[0] - width)
 
 
+@inner
+def judged(
+    made: tuple, before: tuple, now: tuple, standing: tuple, first: bool, tolerance: float, constants: tuple
+) -> tuple:
+    """The judgement of one trial, as by ``judge``."""
+    (descends, promises, turns, reach, followed, part), (missing, cost, held) = made, before
+    (funnel, best, shift, residual, shortfall, whole), (rules, shifts) = standing, constants
+    narrower, record, fast, shortest = rules[:4]
+    turned = held + part * turns
+    promised, room = -part * (promises - reach * turned), (funnel, 1 - narrower * part * reach)
+    improves, narrowed = _improves(now, (missing, cost, turned), promised, room, rules[4:])
+    probe = first and not descends
+    # All together may lack more than the funnel, as where what an end lacks is shared among the nodes. But
+    # residuals are relative to the multipliers too: where these grow they get less, however much is lacking.
+    inside = shortfall <= max(funnel, tolerance)
+    accepted = improves or (inside and residual <= max(record * best, tolerance))
+    if probe:
+        accepted = residual <= fast * best
+    good = accepted and np.isfinite(residual) and np.isfinite(whole)
+    short = not good and part / 2 < shortest
+    return (
+        (narrowed if improves else max(funnel, now[0])) if good else funnel,
+        _next_shift(shift, part * followed, good, short, shifts),
+        1.0 if good or short or probe else part / 2,
+        min(best, residual) if good else best,
+        good,
+        good or short or probe,
+    )
+
+
 @compiled
 def judge(
     step: tuple,
@@ -54,24 +84,9 @@ def judge(
     descends, promises, turns, reach, followed, fraction = step
     (missing, cost, held), (missing_now, cost_now, held_now) = before, trial
     funnel, best, shift, residual, shortfall, whole = standing
-    rules, shifts = constants
-    narrower, record, fast, shortest = rules[:4]
     for m in range(fraction.size):
-        part, now = fraction[m], (missing_now[m], cost_now[m], held_now[m])
-        turned = held[m] + part * turns[m]
-        promised, room = -part * (promises[m] - reach[m] * turned), (funnel[m], 1 - narrower * part * reach[m])
-        improves, narrowed = _improves(now, (missing[m], cost[m], turned), promised, room, rules[4:])
-        probe = first and not descends[m]
-        # All together may lack more than the funnel, as where what an end lacks is shared among the nodes. But
-        # residuals are relative to the multipliers too: where these grow they get less, however much is lacking.
-        inside = shortfall[m] <= max(funnel[m], tolerance)
-        accepted = improves or (inside and residual[m] <= max(record * best[m], tolerance))
-        if probe:
-            accepted = residual[m] <= fast * best[m]
-        good = accepted and np.isfinite(residual[m]) and np.isfinite(whole[m])
-        short = not good and part / 2 < shortest
-        out[0][m] = (narrowed if improves else max(funnel[m], now[0])) if good else funnel[m]
-        out[1][m] = _next_shift(shift[m], part * followed[m], good, short, shifts)
-        out[2][m] = 1.0 if good or short or probe else part / 2
-        out[3][m] = min(best[m], residual[m]) if good else best[m]
-        out[4][m], out[5][m] = good, good or short or probe
+        made = descends[m], promises[m], turns[m], reach[m], followed[m], fraction[m]
+        old, now = (missing[m], cost[m], held[m]), (missing_now[m], cost_now[m], held_now[m])
+        own = funnel[m], best[m], shift[m], residual[m], shortfall[m], whole[m]
+        found = judged(made, old, now, own, first, tolerance, constants)
+        out[0][m], out[1][m], out[2][m], out[3][m], out[4][m], out[5][m] = found

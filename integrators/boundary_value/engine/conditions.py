@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar, cast, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined
 from .augmented import is_isolated_minimum
-from .barrier import CLOSEST, DEARER, FIRST, KNOWN, LOWEST, Barrier
-from .batches import merged
+from .barrier import DEARER, Barrier
+from .beginning import in_units, started
 from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .extent import extent
-from .first_units import first_units
 from .inequalities import Held, Slacks, Surveyed, fitted, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
 from .meeting import meeting
@@ -20,7 +19,7 @@ from .residuals import Appraisal, appraisal
 from .scaling import SHARE, Units, typical_curvatures
 from .share import followed
 from .transcription import Blocks, Data, Moves, Nodes, Paid
-from .trial import Setting
+from .trial import Setting, Tried
 
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 
@@ -49,6 +48,7 @@ class Conditions:
         self.units, self.barrier, self.wider = units, barrier, wider
         self._survey: tuple[Held, Slacks, np.ndarray] | None = None  # the last one, and of what
         self._appraisal: tuple[tuple, Appraisal] | None = None
+        self.ahead: tuple[Step, Tried] | None = None  # a trial of the whole of a step that is known
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""
@@ -130,15 +130,23 @@ class Conditions:
         self, iterate: Iterate, assembled: Assembled, step: Step, fraction: np.ndarray
     ) -> tuple[Iterate, Assembled]:
         """The iterate moved by fractions of the steps, as by ``move``, and its system."""
-        before, setting = (iterate, assembled, step), self.setting
-        found = setting and setting.trial(setting, self, before, fraction * step.reach)
+        before, setting, found = (iterate, assembled, step), self.setting, None
+        if self.ahead is not None and self.ahead[0] is step and fraction == 1:
+            found = self.ahead[1]
+        elif setting is not None:
+            found = setting.trial(setting, self, before, fraction * step.reach)
         if found is None:
             moved = self.move(*before, fraction)
             return moved, self.assemble(moved)
         if found.iterate.slacks is not None:
             self._survey = found.assembled.blocks.inequalities, found.iterate.slacks, found.surveyed
-        self._appraisal = self._key(found.iterate, found.assembled), found.appraisal
+        self.knows(found)
         return found.iterate, found.assembled
+
+    def knows(self, tried: Tried) -> Appraisal:
+        """The appraisal of a trial, which is known."""
+        self._appraisal = self._key(tried.iterate, tried.assembled), tried.appraisal
+        return tried.appraisal
 
     @cached_property
     def setting(self) -> Setting | None:
@@ -147,38 +155,7 @@ class Conditions:
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
         """The first iterate with its system; takes the units from it."""
-        return self.begun(*self.in_units(guess))
-
-    def in_units(self, guess: Iterate, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
-        """The guess, with inequalities that do not pull yet, and its system, from which the units are taken."""
-        resting = guess
-        if self.transcription.inequalities:
-            shape = *self.data.steps.shape, self.transcription.places, self.transcription.inequalities
-            resting = guess._replace(slacks=Slacks.none(shape))
-        assembled = self.assemble(resting, paid)
-        self.units, self.wider = first_units(self, resting, assembled), None
-        return (resting if guess.slacks is None else guess), assembled
-
-    def begun(self, first: Iterate, assembled: Assembled, paid: Paid | None = None) -> tuple[Iterate, Assembled]:
-        """The first iterate with the slacks of its inequalities, and its system."""
-        if first.slacks is None:
-            return first, assembled
-        held, rate = assembled.blocks.inequalities, self.measured.cost / self.mean_step
-        self.barrier = Barrier.of(held, self.transcription.sizes(self.measured), rate)
-        slacks = self.barrier.first(held)
-        if np.any(first.slacks.multipliers):
-            slacks = self._nearer(first, held, slacks, paid)
-        begun = first._replace(slacks=slacks)
-        return begun, self.assemble(begun, paid)
-
-    def _nearer(self, first: Iterate, held: Held, far: Slacks, paid: Paid | None) -> Slacks:
-        """The slacks of members whose multipliers are known and fit: with a barrier of what they leave unsolved."""
-        barrier, multipliers = cast(Barrier, self.barrier), cast(Slacks, first.slacks).multipliers
-        least = np.full(len(far.barrier), CLOSEST)
-        there = first._replace(slacks=barrier.near(held, multipliers, least))
-        unsolved = self.residuals(there, self.assemble(there, paid)).largest
-        near = barrier.near(held, multipliers, np.maximum(unsolved * np.minimum(unsolved, KNOWN), LOWEST))
-        return merged((unsolved < FIRST) & np.any(multipliers, axis=(1, 2, 3)), near, far)
+        return started(self, *in_units(self, guess))
 
     def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:
         """How far iterates are from satisfying the conditions, and what they are compared by; asked for several times

@@ -90,15 +90,15 @@ def eliminate(
     out = steps, multipliers, finite, largest
 
     def run(part: range) -> None:
-        places = _places(count, n, z, columns)
-        elimination_kernels.solve(part.start, part.stop, *given, WEIGHT * count, *places, out, told)
+        elimination_kernels.solve(part.start, part.stop, *given, *workspace(count, n, z, columns), out, told)
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
     return BlockSolution(steps, multipliers, finite, negative, smallest, curvature, size, largest)
 
 
-def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
-    """Arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow one another."""
+def workspace(count: int, n: int, z: int, columns: int) -> tuple[float, tuple, tuple]:
+    """The weight, and arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow
+    one another."""
     rows, pivots = z + 2 * n, count * (z + n) + n
     width = whole(rows + columns)
     shapes = (
@@ -113,7 +113,8 @@ def _places(count: int, n: int, z: int, columns: int) -> tuple[tuple, tuple]:
     *work, upper, kept, sizes = scratch(shapes)
     for array in work:
         array.fill(0.0)
-    return tuple(work), (kept, upper, np.empty(pivots, np.int64), np.empty(rows, np.int64), sizes)
+    factors = kept, upper, np.empty(pivots, np.int64), np.empty(rows, np.int64), sizes
+    return WEIGHT * count, tuple(work), factors
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
@@ -124,5 +125,10 @@ def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
     exactly if the pivots have as many negative eigenvalues as there are node equations, ``(N + 1) n``, and none is
     zero.
     """
+    return positive_definite(solution.negative, solution.smallest, count)
+
+
+def positive_definite(negative: np.ndarray, smallest: np.ndarray, count: int) -> np.ndarray:
+    """The same from the number of negative eigenvalues of the pivots and the size of the smallest of these."""
     clear = EPS**REGULAR * max(1.0, count / MANY)
-    return (solution.negative == count) & (solution.smallest > clear)
+    return (negative == count) & (smallest > clear)

@@ -9,6 +9,7 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER
+from .beginning import in_units, started
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
@@ -76,7 +77,7 @@ class JointConditions:
     def begin(self, guess: JointIterate) -> tuple[JointIterate, JointAssembled]:
         """The first iterate with its system; takes the units from it, those of the cost from all phases together."""
         coupled, paid = self._coupled(guess)
-        first = [phase.in_units(part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
+        first = [in_units(phase, part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
         counts = [phase.data.steps.shape[1] for phase in self.phases]
         cost = np.max([self._cost(phase, own[1]) for phase, own in zip(self.phases, first, strict=True)], axis=0) / sum(
             counts
@@ -88,7 +89,7 @@ class JointConditions:
         rows = np.sum(np.abs(coupled.jacobian) * ends[:, None], axis=2)
         units = np.concatenate([nodes, np.where((rows > 0) & np.isfinite(rows), rows, 1.0)], axis=1)
         self.units = JointUnits(units, self.phases[0].measured.cost)
-        begun = [phase.begun(*own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
+        begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
         parts, systems = zip(*begun, strict=True)
         return JointIterate(parts, guess.multipliers), JointAssembled(systems, coupled)
 

@@ -1,43 +1,21 @@
-"""Newton's method on the KKT system, made global: nothing is taken that does not improve, and every step descends.
-
-A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]:
-where the step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo
-asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
-bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
-from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
-brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than the funnel. Indefinite
-reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs no inertia [Chiang,
-Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was taken.
-"""
+"""Newton's method on the KKT systems of a batch of trajectories, from their guesses and, where that is worth it, from
+others."""
 
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import joined, taken
-from ....manifolds.numerics.tolerances import EPS
-from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
-from .aside import aside, is_lost
-from .batches import merged, put
+from ....manifolds.numerics.ambient import taken
+from .aside import aside
+from .batches import put
 from .conditions import Conditions
-from .first_multipliers import with_first_multipliers
+from .descent import Descent
 from .found import Found, Iteration
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Iterate
 from .own_units import judged_loosely
-from .widening import rewritten
 
-SHORTER = 0.5  # what a shift has to shorten a step to
-SHRINKS = 0.1
-EXACT = 64.0  # times eps: a residual that is rounding
-GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
-SLOW = 1e-6  # a share of a step that is cut no further
-CURVATURE = 1e-9
 AGAIN = 3  # times at most that a success is judged in other units
-LARGEST_SHIFT = 1e10
-CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing",
     "contradictory", "unit",
@@ -61,7 +39,7 @@ def newton(
     them least is a guess once more: its jam may be of the way there. Success is judged in units of the guess; where
     the cost is another one at the solution, that is a guess once more.
     """
-    search = _Search(conditions, tolerance, max_iterations, callback)
+    search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
@@ -77,13 +55,13 @@ def newton(
     return found
 
 
-def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
+def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
     """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
     if found.stopped or not members.size:
         return found
     callback = search.callback
     seen = callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
-    alone = _Search(search.conditions.of(members), search.tolerance, search.max_iterations, seen, as_it_is=True)
+    alone = Descent(search.conditions.of(members), search.tolerance, search.max_iterations, seen, as_it_is=True)
     again = alone.ended(taken(guess, members))
     again = again._replace(iterations=found.iterations[members] + again.iterations)
     claimed, cost = found.claimed[members], found.assembled.cost[members]
@@ -93,308 +71,3 @@ def _again(search: "_Search", found: Found, guess: Iterate, members: np.ndarray,
     if better.size:
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, **chosen)
-
-
-class _Search:
-    """The members on their way, and those that have left."""
-
-    def __init__(
-        self,
-        conditions: Conditions,
-        tolerance: float,
-        max_iterations: int,
-        callback: Callable[[Iteration], Any] | None,
-        as_it_is: bool = False,
-    ) -> None:
-        self.conditions, self.tolerance = conditions, tolerance
-        self.max_iterations, self.callback = max_iterations, callback
-        self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
-        self.state: State | None = None
-        self.left: list[tuple[State, int]] = []
-        self.trials = 0
-        self.stopped = False
-
-    def ended(self, guess: Iterate) -> Found:
-        """What is found from a guess, until an interrupt at the latest."""
-        try:
-            self.run(guess)
-        except KeyboardInterrupt:
-            if self.state is None:
-                raise
-            self.stopped = True
-        return self.found()
-
-    def failed(self, found: Found) -> np.ndarray:
-        """Which members have ended without success from guesses that nothing moved aside."""
-        return ~(found.claimed | found.contradictory | self.lost | self.stopped | self.conditions.joint)
-
-    def run(self, guess: Iterate) -> None:
-        """Iterate until all members have left, or are stopped."""
-        state = self.begun(guess)
-        while True:
-            self.state = state
-            self.report(state, state.descends)
-            finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
-            finished |= self.contradictory(state)
-            state = self.leave(state, finished)
-            if state is None or self.stopped:
-                return
-            state = self.next(state)
-
-    def begun(self, given: Iterate) -> State:
-        """The state at the guess, with a first step."""
-        conditions = self.conditions
-        guess, assembled = bare = conditions.begin(given)
-        count = len(assembled.cost)
-        zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
-        # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
-        linear = np.full(count, guess.slacks is None)
-        step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0))
-        if guess is not bare[0]:
-            assembled = conditions.assemble(guess)
-            step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        self.first, residuals = (guess, assembled), conditions.residuals(guess, assembled)
-        merit = Merit.of(conditions, guess, assembled)
-        if not self.lost.size:
-            looked = not (conditions.joint or self.as_it_is)
-            self.lost = is_lost(conditions, guess, assembled, step) if looked else no
-            if self.lost.any():
-                moved, _ = aside(conditions, *bare)
-                if given.slacks is not None:
-                    moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
-                return self.begun(merged(self.lost, moved, given))
-        far = np.full(count, np.inf)
-        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
-        promise = descends, *conditions.promise(guess, assembled, step), merit
-        self.trials = 1
-        state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
-        arrived = residuals.final <= self.tolerance
-        return self.settled(state._replace(best=residuals.largest), arrived)
-
-    def next(self, state: State) -> State:
-        """Assemble the trial, judge it, and compute the next step."""
-        conditions = self.conditions.of(state.member)
-        trial, assembled = conditions.tried(state.iterate, state.assembled, state.step, state.fraction)
-        found = conditions.residuals(trial, assembled)
-        before = state
-        state, good, again = self.judged(conditions, before, trial, assembled, found)
-        if trial.slacks is not None and not good.all():
-            met = self.met(conditions, good, (trial, assembled, found))
-            state, good, again = self.judged(conditions, before, *met) if met else (state, good, again)
-        # What rounding refuses beside a solution tells nothing about units.
-        refused = again & ~good & ~before.isolated
-        state, wider = rewritten((self.conditions, conditions), before, state, assembled, refused)
-        self.trials += 1
-        state, lowered = self.lowered(conditions, state)
-        again |= lowered
-        residual = state.residuals.largest
-        arrived = state.residuals.final <= self.tolerance
-        # What Newton's last step leads to is looked at, and not stepped from once more.
-        reached = before.isolated & good & arrived
-        if not (again & ~reached).any():
-            return state._replace(done=reached)
-        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
-        # saddle.
-        keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
-        shift = np.where(arrived, 0.0, state.shift)
-        step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
-        # No shift shortens what the constraints ask for: there the same step is cut further.
-        vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
-        vain &= before.fraction / 2 < SHORTEST
-        if vain.any():
-            vain &= conditions.length(step) > SHORTER * conditions.length(state.step)
-        if vain.any():
-            least = conditions.least_step(state.iterate, state.assembled)
-            vain &= conditions.length(least) > SHORTER * conditions.length(state.step)
-        if vain.any():
-            step, shift, descends = merged(vain, (before.step, before.shift, before.descends), (step, shift, descends))
-            state = state._replace(fraction=np.where(vain, before.fraction / 2, state.fraction))
-        promise, turned = conditions.promise(state.iterate, state.assembled, step)
-        state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
-        return self.settled(state, arrived, conditions)
-
-    def met(
-        self, conditions: Conditions, good: np.ndarray, tried: tuple[Iterate, Assembled, Residuals]
-    ) -> tuple[Iterate, Assembled, Residuals] | None:
-        """The trials, those that are not good with slacks that meet their inequalities; None if they do.
-
-        Slacks went by the slopes of the inequalities: with those of their values the step may be a good one.
-        """
-        iterate, assembled, _ = tried
-        other = conditions.met(iterate, assembled)
-        if other is iterate:
-            return None
-        system = conditions.assemble(other)
-        return merged(good, tried, (other, system, conditions.residuals(other, system)))
-
-    def lowered(self, conditions: Conditions, state: State) -> tuple[State, np.ndarray]:
-        """The state with a lower barrier where its problem is solved, with elastic inequalities where their steps are
-        short.
-
-        What was reached counts no more there.
-        """
-        if state.iterate.slacks is None:
-            return state, np.zeros(len(state.shift), bool)
-        iterate, changed, cheap = conditions.lowered(state.iterate, state.assembled, state.residuals, self.tolerance)
-        stuck = (state.shift >= STIFF) | (state.fraction * state.step.reach <= JAMMED) | ~state.step.finite
-        stuck &= state.residuals.largest > np.sqrt(self.tolerance)
-        if stuck.any():
-            stuck &= conditions.is_hard(iterate, state.assembled)
-        if stuck.any():
-            # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
-            first, assembled = taken(self.first, state.member)
-            iterate = merged(stuck, conditions.softened(first, assembled, stuck), iterate)
-            state = state._replace(shift=np.where(stuck, 0.0, state.shift))
-        if (stuck | cheap).any():
-            state = state._replace(assembled=conditions.assemble(iterate))
-        changed = changed | stuck | cheap
-        if not changed.any():
-            return state, changed
-        residuals = conditions.residuals(iterate, state.assembled)
-        merit = Merit.of(conditions, iterate, state.assembled)
-        state = state._replace(
-            iterate=iterate,
-            residuals=residuals,
-            merit=merit,
-            funnel=np.where(changed, np.maximum(merit.infeasibility, 1.0), state.funnel),
-            best=np.where(changed, residuals.largest, state.best),
-            fraction=np.where(changed, 1.0, state.fraction),
-        )
-        return state, changed
-
-    def judged(
-        self, conditions: Conditions, state: State, trial: Iterate, assembled: Assembled, found: Residuals
-    ) -> tuple[State, np.ndarray, np.ndarray]:
-        """The state with the trial where it improves, whether it does, and whether the step has to be computed
-        again."""
-        merit = Merit.of(conditions, trial, assembled)
-        reached_now = found.largest, conditions.shortfall(trial, assembled), assembled.cost
-        found_now = judged(state, merit, reached_now, self.trials == 1 and trial.slacks is None, self.tolerance)
-        new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
-        iterate, kept, reached, merit = merged(found_now.good, new, old)
-        going_on = dict(zip(Judgement._fields[:4], found_now[:4], strict=True))
-        state = state._replace(iterate=iterate, assembled=kept, residuals=reached, merit=merit, **going_on)
-        return state, found_now.good, found_now.done_with
-
-    def regularised(
-        self,
-        iterate: Iterate,
-        assembled: Assembled,
-        shift: np.ndarray,
-        keep: np.ndarray,
-        conditions: Conditions | None = None,
-    ) -> tuple[Step, np.ndarray, np.ndarray]:
-        """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is
-        positive.
-
-        Where ``keep`` the shift that came is used as it is.
-        """
-        conditions = conditions or self.conditions
-        step, curvature, size = conditions.eliminate(iterate, assembled, shift)
-        loose = np.full(len(shift), iterate.slacks is None)
-        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
-        while True:
-            going = ~(descends | keep) & (shift < LARGEST_SHIFT)
-            if not going.any():
-                return step, shift, descends
-            shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
-            places = np.flatnonzero(going)
-            part = conditions if len(places) == len(going) else conditions.of(places)
-            own, kept = taken((iterate, assembled), places)
-            again, curvature, size = part.eliminate(own, kept, shift[places])
-            step = put(step, places, again)
-            convex = again.convex | (shift[places] >= CONVEX) | loose[places]
-            descends[places] = (curvature >= CURVATURE * size) & convex
-
-    def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
-        """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted
-        there.
-
-        Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory
-        is one of a family of extremals; or it has grown along the null vector until rounding hides that there is none.
-        """
-        if not arrived.any():
-            return state
-        wanted, grown = (conditions or self.conditions).wanted(state.iterate, state.assembled, state.step)
-        isolated = arrived & (wanted <= np.sqrt(self.tolerance))
-        stuck = arrived & (wanted > SHRINKS * state.correction)
-        claimed = isolated | (stuck & (grown <= GROWN))
-        wanted = np.where(arrived, wanted, state.correction)
-        # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
-        exact = state.isolated | (state.residuals.largest <= EXACT * EPS)
-        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
-
-    def hopeless(self, state: State) -> np.ndarray:
-        """Whether no step is left, be it from the guess once more with elastic inequalities."""
-        stuck = ~_solvable(state)
-        if stuck.any():
-            stuck &= ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
-        return stuck
-
-    def elsewhere(self, state: State) -> np.ndarray:
-        """Whether the equations hold at points of which one is not at its end: from there Newton's method does not
-        move.
-
-        Near the end, or where all was met before, the normal part of what is missing is the square of its size: from
-        there it moves.
-        """
-        conditions, residuals = self.conditions.of(state.member), state.residuals
-        stays = (residuals.stationarity <= self.tolerance) & (residuals.gap > np.sqrt(self.tolerance))
-        stays &= np.isinf(state.correction)
-        return stays & conditions.is_met(state.iterate, state.assembled, self.tolerance) if stays.any() else stays
-
-    def contradictory(self, state: State) -> np.ndarray:
-        """Whether inequalities contradict each other, or the ends."""
-        conditions = self.conditions.of(state.member)
-        return conditions.is_infeasible(state.iterate, state.assembled, state.residuals, self.tolerance)
-
-    def report(self, state: State, accepted: np.ndarray) -> None:
-        """Show the state to the callback; where that returns something true, stop."""
-        if self.callback is None:
-            return
-        residuals, length = state.residuals, state.fraction * state.step.reach
-        barrier = self.conditions.of(state.member).barriers(state.iterate)
-        violation = np.maximum(residuals.violation, residuals.excess)
-        seen = residuals.gap, residuals.stationarity, state.shift, length, accepted, violation, barrier
-        self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
-
-    def leave(self, state: State, finished: np.ndarray) -> State | None:
-        """What remains when members leave that have finished."""
-        if not finished.any():
-            return state
-        if finished.all():
-            self.left.append((state, self.trials))
-            self.state = None
-            return None
-        self.left.append((taken(state, np.flatnonzero(finished)), self.trials))
-        return taken(state, np.flatnonzero(~finished))
-
-    def found(self) -> Found:
-        """All members in their order."""
-        if self.state is not None:
-            self.left.append((self.state, self.trials))
-        states = [state for state, _ in self.left]
-        counts = np.concatenate([np.full(len(state.member), trials) for state, trials in self.left])
-        whole = joined(states)
-        order = np.argsort(whole.member)
-        whole = whole if len(states) == 1 else taken(whole, order)
-        strict = whole.step.strict & (whole.shift == 0)
-        if whole.iterate.slacks is not None:
-            strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
-        missing = whole.assembled.extent.lacking / self.conditions.judging.nodes
-        ended = (
-            strict & whole.isolated,
-            counts[order] - 1,
-            whole.claimed & (whole.residuals.final <= self.tolerance),  # it may have gone on from where it was
-            _solvable(whole),
-            self.stopped,
-            missing,
-            self.contradictory(whole),
-            self.conditions.judging.cost,
-        )
-        return Found(whole.iterate, whole.assembled, whole.residuals, *ended)
-
-
-def _solvable(state: State) -> np.ndarray:
-    return state.step.finite & (state.shift < LARGEST_SHIFT)

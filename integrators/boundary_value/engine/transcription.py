@@ -265,6 +265,7 @@ class Nodes:
             if cost is not None
         }
         flat = isinstance(problem.controls, Euclidean)
+        self.flat_controls = flat
         self._directions = None if flat else evaluator.values(self._directions_of, self.control.size)
 
     def in_frames(self, nodes: np.ndarray, fixed: np.ndarray, gaps: np.ndarray, covectors: np.ndarray) -> Arrays:

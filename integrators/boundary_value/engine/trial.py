@@ -1,5 +1,5 @@
-"""A trial of Newton's method on one trajectory in one compiled pass: what ``move``, ``assemble`` and ``appraised``
-find.
+"""Iterations of Newton's method on one trajectory in one compiled pass: a trial is what ``move``, ``assemble`` and
+``appraised`` find, and a pursuit goes on with whole steps from trial to trial as ``next`` does.
 
 Each of these is a few kernels and many small operations of NumPy, which for one trajectory of some hundred steps take
 longer than the kernels. In batches they take next to nothing of each.
@@ -15,6 +15,7 @@ from ....aligned import LINE, scratch
 from ...evaluator import Evaluated, Placed
 from .arrays import plain
 from .barrier import PRICES, Barrier
+from .elimination import positive_definite, workspace
 from .extent import OF_POINTS, Extent
 from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
 from .kkt_system import Assembled, Iterate, Step
@@ -25,13 +26,18 @@ from .transcription import Blocks, Nodes, OneStage, Unknowns
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+STANDING = 8  # numbers that stand between the trials of a pursuit
+NOT_JUDGED = (0.0, ((0.0,) * 8, (0.0,) * 5), 0.0, 0.0, 0.0), np.zeros(STANDING), 0, False
 Shapes = dict[str, tuple[int, ...]]
-# What the kernel writes, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point.
+TOLD = "negative", "smallest", "bends", "size"  # of an elimination
+# What the kernel writes, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point,
+# and where there is a bar, for its one column.
 OUT = (
     *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
     *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
     *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
     *("along", "entries", "numbers", "surveyed", "s", "nu", "t", "pushed", "sums", "points", "zeros"),
+    *("slopes|", "gap|", "steps|", "multipliers|", "finite", "grown", *TOLD, "standing"),
 )
 
 
@@ -42,6 +48,7 @@ class Setting(NamedTuple):
     data: tuple[np.ndarray, np.ndarray]  # lengths of the steps, and parameters
     weights: np.ndarray  # of the inequalities
     ends: tuple[Any, ...]  # what belongs to the nodes, as the kernel takes it
+    work: tuple[float, tuple, tuple]  # of the elimination
 
     @classmethod
     def of(cls, conditions: "Conditions") -> Self | None:
@@ -52,7 +59,11 @@ class Setting(NamedTuple):
         if trial is None:
             return None
         ends = conditions.fixed.ravel(), conditions.both_ends, nodes.layout.columns, conditions.mean_step, FAR
-        return cls(trial, (np.array(data.steps[0]), np.array(data.parameters[0])), steps.weights(data), ends)
+        own, work = (
+            (np.array(data.steps[0]), np.array(data.parameters[0])),
+            workspace(count, nodes.dimension, steps.dimension, 1),
+        )
+        return cls(trial, own, steps.weights(data), ends, work)
 
 
 class Tried(NamedTuple):
@@ -64,6 +75,18 @@ class Tried(NamedTuple):
     surveyed: np.ndarray
 
 
+class Pursuit(NamedTuple):
+    """How many whole steps were taken; the last trial of these, the step from there, and what then stands; and a trial
+    of that step that was not gone on from, if there is one, and whether it is the last."""
+
+    taken: int
+    last: Tried | None
+    step: Step | None
+    standing: np.ndarray
+    ahead: Tried | None
+    arrived: bool
+
+
 @final
 class Trial:
     """The pass for one trajectory of so many steps."""
@@ -71,7 +94,7 @@ class Trial:
     def __init__(self, programs: list[Placed], shapes: Shapes) -> None:
         from . import trial_kernels
 
-        self._run, self._addresses, self._limited = trial_kernels.trial, trial_kernels.addresses, shapes["room"][0] > 0
+        self._kernels, self._limited = trial_kernels, shapes["room"][0] > 0
         arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
         table, self._memory = _table(programs)
         self._programs = *map(np.concatenate, arrays), table
@@ -91,18 +114,64 @@ class Trial:
         self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
         """The trial of a part of a step; None where ends of steps are far apart, which takes more than this."""
-        (iterate, assembled, step), x = before, before[0].unknowns
+        numbers, v = self._fresh()
+        limits = self._limits(v, before[0].slacks, before[2], conditions.barrier, (part, setting.weights))
+        _, end = self._run(setting, conditions, before, part, limits, (numbers, numbers), NOT_JUDGED)
+        return None if end == self._kernels.FAR else _tried(v, before[0].slacks, setting.weights)
+
+    def pursue(
+        self,
+        setting: Setting,
+        conditions: "Conditions",
+        before: tuple[Iterate, Assembled, Step],
+        going: tuple[tuple, np.ndarray, int, bool],
+    ) -> Pursuit:
+        """Iterations with whole steps; ``going``: rules, what stands, how many at most, and whether the first step is
+        Newton's last, as the kernel takes them."""
+        places, none, part = [self._fresh(), self._fresh()], setting.weights, np.ones(1)
+        limits = self._limits(places[0][1], None, before[2], None, (part, none))
+        numbers = places[0][0], places[1][0]
+        count, end = self._run(setting, conditions, before, part, limits, numbers, going)
+        told, ahead = end in (self._kernels.TRIED, self._kernels.ARRIVED), _tried(places[count % 2][1], None, None)
+        if count == 0:
+            last, step = None, None
+        else:
+            v = places[(count - 1) % 2][1]
+            last, step = _tried(v, None, None), _step(v)
+        return Pursuit(count, last, step, going[1], ahead if told else None, end == self._kernels.ARRIVED)
+
+    def _fresh(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        """Room for what a trial finds, and its arrays."""
         numbers = np.empty(self._structure.itemsize // 8)
         structure = np.ndarray((), self._structure, numbers)
-        v = {name: structure[name] for name in self._fields}
+        return numbers, {name: structure[name] for name in self._fields}
+
+    def _run(
+        self,
+        setting: Setting,
+        conditions: "Conditions",
+        before: tuple[Iterate, Assembled, Step],
+        part: np.ndarray,
+        limits: tuple[Any, ...],
+        numbers: tuple[np.ndarray, np.ndarray],
+        going: tuple[tuple, np.ndarray, int, bool],
+    ) -> tuple[int, int]:
+        """Run the kernel: how many steps were taken, and how it ends."""
+        (_, assembled, step), x = before, before[0].unknowns
         unknowns = np.concatenate((x.centres.ravel(), x.controls.ravel()))
-        own = unknowns, assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
-        limits = self._limits(v, iterate.slacks, step, conditions.barrier, (part, setting.weights))
+        steps = step.unknowns.ravel(), step.multipliers.ravel(), part
         tapes = *self._programs, *scratch(((self._memory,),)), numbers
-        given = own, setting.data, setting.ends, (_units(conditions), SHARES), limits
-        if not self._run(self._addresses(self._limited), tapes, *given, self._places):
-            return None
-        return _tried(v, iterate.slacks, setting.weights)
+        given = (unknowns, assembled.coordinates, assembled.frames, *steps), setting.data, setting.ends
+        of_steps, z = conditions.measured, step.unknowns.shape[2]
+        room = (
+            setting.work,
+            (plain(of_steps.unknowns), 1 / of_steps.nodes, plain(of_steps.cost)),
+            (np.zeros(1), np.empty((1, z))),
+        )
+        calls = self._kernels.addresses(self._limited)
+        return self._kernels.pursue(
+            calls, tapes, *given, (_units(conditions), SHARES), limits, self._places, room, *going
+        )
 
     def _limits(
         self,
@@ -148,6 +217,14 @@ def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray 
     return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), v["surveyed"])
 
 
+def _step(v: dict[str, np.ndarray]) -> Step:
+    """The step that the kernel has written."""
+    count, (negative, smallest) = v["multipliers"].size, (v["negative"], v["smallest"])
+    every = np.ones(1, bool)
+    inertia = positive_definite(negative, smallest, count), negative == count
+    return Step(v["steps"], v["multipliers"], v["grown"], *inertia, every, share=np.ones(1), followed=np.ones(1))
+
+
 def _table(programs: list[Placed]) -> tuple[np.ndarray, int]:
     """For each program the begin and the end of its instructions, of its sources, and of its targets; the begin and the
     size of what it reads, and of what it writes; the begin and the shape of its registers; and the size of memory."""
@@ -168,7 +245,9 @@ def _places(shapes: Shapes) -> np.ndarray:
     sizes = [math.prod(shape) for shape in shapes.values()]
     begins = dict(zip(shapes, np.cumsum([0, *sizes]).tolist(), strict=False))
     rows = {name: (begins[name], *shape) for name, shape in shapes.items()}
-    rows |= {f"{name}.": (*row[:3], 1, *row[3:]) for name, row in rows.items()}
+    rows |= {f"{name}.": (*row[:3], 1, *row[3:]) for name, row in rows.items()} | {
+        f"{name}|": (*row, 1) for name, row in rows.items()
+    }
     rows["zeros"] = begins["points"], sum(sizes) - begins["points"]
     return np.array([rows[name] + (0,) * (LONGEST - len(rows[name])) for name in OUT])
 
@@ -197,6 +276,8 @@ def _shapes(steps: OneStage, count: int) -> Shapes:
         "costs": each, "limits": (*each, 1, c),
         "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
         "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
+        "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z), "standing": (STANDING,),
+        **dict.fromkeys(TOLD, (1,)),
         "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
         "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         # These come as zeros.

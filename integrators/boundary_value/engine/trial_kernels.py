@@ -1,4 +1,5 @@
-"""A trial of Newton's method on one trajectory, from its step to what it is judged by, in one compiled pass."""
+"""Iterations of Newton's method on one trajectory in one compiled pass: trials, from the step to what they are judged
+by, and after those that are accepted the next step."""
 
 from functools import cache
 from typing import Any
@@ -10,8 +11,9 @@ from numba.core.typing.templates import signature
 from ....kernels import kernel_part, pasted
 from ....linked import address, array, called, laid, put, view
 from ....tape import machine
-from . import extent_kernels, inequality_kernels
-from .vectors import compiled
+from . import elimination_kernels, extent_kernels, inequality_kernels
+from .acceptance_kernels import judged
+from .vectors import compiled, inner
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
@@ -27,6 +29,7 @@ OUT = (
     EXTENT,
     (F2, F2, F2, F2),
     ((F4, F4, F4), F5, F2, F3, F1),
+    (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1),
 )
 
 MEET = signature(
@@ -55,11 +58,25 @@ HELD_SURVEY = signature(
 )
 RAISE = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F5, F4, F5)
 MOVE = signature(types.none, WHOLE, WHOLE, FIVE, THREE, types.UniTuple(F1, 2), REAL, THREE)
+SOLVE = signature(
+    types.none,
+    WHOLE,
+    WHOLE,
+    types.Tuple((F4, F4, F4, F4, F4, F2, F2)),
+    types.Tuple((F2, F2, F1)),
+    types.Tuple((F1, F2)),
+    REAL,
+    types.UniTuple(F2, 4),
+    types.Tuple((F2, F2, array(1, WHOLE), array(1, WHOLE), F2)),
+    types.Tuple((F4, F4, array(2, TRUTH), F2)),
+    types.UniTuple(F1, 4),
+)
+FAR, TRIED, ARRIVED, GOING = range(4)  # how a pass ends
 
 _out = laid(OUT)
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
-_held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
+_held_survey, _raise, _move, _solve = called(HELD_SURVEY), called(RAISE), called(MOVE), called(SOLVE)
 
 
 @cache
@@ -77,7 +94,7 @@ def addresses(limited: bool) -> tuple[int, ...]:
         (inequality_kernels.move, MOVE),
     ]
     own = [address(*kernel) for kernel in of_limits] if limited else [0] * len(of_limits)
-    return *(address(*kernel) for kernel in kernels), *own
+    return *(address(*kernel) for kernel in kernels), *own, address(elimination_kernels.solve, SOLVE)
 
 
 @pasted
@@ -103,17 +120,15 @@ def _evaluate(place: int, k: int, tapes: tuple, count: int) -> None:
 def _moved(read: np.ndarray, before: tuple, data: tuple, out: np.ndarray) -> None:
     """What the tape of the moved unknowns reads, and the covectors at the nodes after the step."""
     (x, coordinates, frames, steps, multipliers, part), (h, parameters) = before, data
-    at, fraction, size = put(read, 0, x, 0, x.size), part[0], frames.shape[3]
-    for k in range(h.size):
-        for i in range(steps.shape[2]):
-            read[at] = fraction * steps[0, k, i]
-            at += 1
-    put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
+    at, fraction, (n, size) = put(read, 0, x, 0, x.size), part[0], frames.shape[2:]
+    for i in range(steps.size):
+        read[at + i] = fraction * steps[i]
+    put(read, put(read, at + steps.size, h, 0, h.size), parameters, 0, parameters.size)
     for k in range(h.size + 1):
         for e in range(size):
             out[k * size + e] = 0.0
-        for a in range(coordinates.shape[2]):
-            f = coordinates[0, k, a] + fraction * multipliers[0, k, a]
+        for a in range(n):
+            f = coordinates[0, k, a] + fraction * multipliers[k * n + a]
             for e in range(size):
                 out[k * size + e] += f * frames[0, k, a, e]
 
@@ -146,7 +161,7 @@ def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tu
 @pasted
 def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limits: tuple, out: tuple) -> None:
     """Frames at the nodes and blocks of the steps, with the multipliers of the inequalities after their step."""
-    run, _, _, _, _, _, move = calls
+    run, move = calls[0], calls[6]
     (_, _, _, covectors, _, _, _, costates), (nodes, gaps, _, _) = out[0], out[1]
     (slacks, turn, parts, kept), new = limits[:4], out[6][0]
     table, memory, moved, count = tapes[5], tapes[6], view(tapes[7], 0, (tapes[5][0, 9],)), data[0].size
@@ -165,10 +180,10 @@ def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limit
 @pasted
 def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
     """What the trial is judged by, with the shares of the inequalities in the blocks."""
-    _, _, survey, measure, held_survey, raise_points, _ = calls
+    survey, measure, held_survey, raise_points = calls[2:6]
     slacks, _, _, _, (scales, rate, room), weights, value, prices = limits
-    (arrays, (nodes, _, _, largest), blocks, raised, extent, judged, held) = out
-    (along, entries, numbers, surveyed), (new, pushed, sums, none, zeros), barrier = judged, held, slacks[4]
+    (arrays, (nodes, _, _, largest), blocks, raised, extent, told, held, _) = out
+    (along, entries, numbers, surveyed), (new, pushed, sums, none, zeros), barrier = told, held, slacks[4]
     (points_hessian, points_slope, values, pushes, costs, cost), (_, _, _, _, frames, gap, coordinates, _) = (
         raised,
         arrays,
@@ -191,8 +206,64 @@ def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tu
     _measure(measure, (of, none, (largest, mean, cost), units[0], *measured))
 
 
+@inner
+def _accepted(standing: np.ndarray, isolated: bool, numbers: np.ndarray, cost: float, rules: tuple) -> bool:
+    """Whether a whole step is taken and the next is to be a whole one; what stands then follows it.
+
+    ``standing``: the promises of the step, the merit before, funnel, best residual, and 1 before the first trial.
+    """
+    made = True, standing[0], standing[1], 1.0, 1.0, 1.0
+    before, now = (standing[2], standing[3], standing[4]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
+    reached = standing[5], standing[6], 0.0, numbers[8, 0], numbers[14, 0], cost
+    funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[7] > 0, rules[0], rules[1])
+    if not good or shift > 0:
+        return False
+    standing[2], standing[3], standing[4] = now
+    standing[5], standing[6], standing[7] = funnel, best, 0.0
+    return True
+
+
+@inner
+def _scales(curvature: np.ndarray, units: tuple, softest: float, out: np.ndarray) -> None:
+    """Typical curvatures of the coordinates in their units, of which Hessians have a share."""
+    (unknowns, _, cost), most = units, 0.0
+    for i in range(out.shape[1]):
+        out[0, i] = curvature[0, i] * unknowns[0, i] * unknowns[0, i] / cost[0]
+        most = max(most, out[0, i])
+    for i in range(out.shape[1]):
+        out[0, i] = max(out[0, i], softest * most) if softest * most > 0 else 1.0
+
+
+@pasted
+def _stepped(solve: int, fixed: np.ndarray, room: tuple, rules: tuple, standing: np.ndarray, out: tuple) -> bool:
+    """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
+    (weight, work, factors), units, raised = room
+    _, _, (hessian, left, right, _, gradient), _, extent, _, _, found = out
+    (slopes, gaps, steps, multipliers, finite, largest, told, _), n = found, left.shape[2]
+    _scales(extent[9], units, rules[3], raised[1])
+    for i in range(largest.size):
+        largest[0, i] = 0.0
+    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
+    system = hessian, left, right, slopes, gaps, start, end
+    _solve(solve, (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told))
+    if not (finite[0, 0] and told[2][0] >= rules[2] * told[3][0]):
+        return False
+    for a in range(n):
+        if not largest[0, a] <= rules[4] * extent[3][0, a]:
+            return False
+    ahead, turned = 0.0, 0.0
+    for k in range(steps.shape[1]):
+        for i in range(steps.shape[2]):
+            ahead += gradient[0, k, i] * steps[0, k, i, 0]
+    for k in range(gaps.shape[1]):
+        for a in range(n):
+            turned += multipliers[0, k, a, 0] * gaps[0, k, a, 0]
+    standing[0], standing[1] = ahead / units[2][0], turned / units[2][0]
+    return True
+
+
 @compiled
-def trial(
+def pursue(
     calls: tuple,
     tapes: tuple,
     before: tuple,
@@ -201,20 +272,55 @@ def trial(
     units: tuple,
     limits: tuple,
     places: np.ndarray,
-) -> bool:
-    """Whether all ends of steps are near each other where a step leads; then the system there is written.
+    room: tuple,
+    rules: tuple,
+    standing: np.ndarray,
+    most: int,
+    isolated: bool,
+) -> tuple[int, int]:
+    """Iterations of Newton's method while whole steps are taken: how many were, and how the pass ends.
+
+    It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
+    written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0;
+    ``ARRIVED`` where a trial meets the conditions whose step, ``isolated``, was Newton's last; else ``GOING``. Trials
+    are written in turn in two places, each with the step from there where it was gone on from.
 
     ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
-    one after the other, a table of where each stands, reads and writes, memory, and where all is written; ``before``:
-    centres and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them
-    that is made; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates of the nodes that count;
-    the points and which of their entries are prescribed; columns; the mean step; from which share on ends are far
-    apart; ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier
-    is kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``.
+    one after the other, a table of where each stands, reads and writes, memory, and both places; ``before``: centres
+    and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them that is
+    made; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates of the nodes that count; the
+    points and which of their entries are prescribed; columns; the mean step; from which share on ends are far apart;
+    ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier is
+    kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``; ``room``: the weight of an
+    elimination and what it works in, its units, and what raises Hessians; ``rules``: the tolerance, those of ``judge``,
+    the least curvature of a step, the softest one of a coordinate, and by which share of a point's size a coordinate
+    moves at most; ``standing``: as in ``_accepted``.
     """
-    out = _out(tapes[7], places)
-    if not _met(calls[0], calls[1], tapes, before, data, ends, out[0], out[1]):
-        return False
-    _evaluated(calls, tapes, data, ends[0], limits, out)
-    _judged(calls, ends[3], units, limits, out)
-    return True
+    (codes, registers, values, sources, targets, table, memory, both), done = tapes, 0
+    while True:
+        written = both[done % 2]
+        own = codes, registers, values, sources, targets, table, memory, written
+        out = _out(written, places)
+        if not _met(calls[0], calls[1], own, before, data, ends, out[0], out[1]):
+            return done, FAR
+        _evaluated(calls, own, data, ends[0], limits, out)
+        _judged(calls, ends[3], units, limits, out)
+        numbers, cost, (_, _, steps, multipliers, _, _, _, kept) = out[5][2], out[3][5], out[7]
+        for i in range(standing.size):
+            kept[i] = standing[i]
+        if most == 0 or not _accepted(kept, isolated, numbers, cost[0], rules):
+            return done, TRIED
+        arrived = numbers[7, 0] <= rules[0]
+        if not ((isolated and arrived) or _stepped(calls[7], ends[0], room, rules, kept, out)):
+            return done, TRIED
+        for i in range(standing.size):
+            standing[i] = kept[i]
+        if isolated and arrived:
+            return done, ARRIVED
+        done += 1
+        resting = numbers[1, 0] <= rules[0] and numbers[0, 0] > np.sqrt(rules[0])
+        if done == most or resting or arrived:
+            return done, GOING
+        moved = view(written, 0, (before[0].size,))
+        own_steps, others = view(steps, 0, (steps.size,)), view(multipliers, 0, (multipliers.size,))
+        before = moved, out[0][6], out[0][4], own_steps, others, before[5]

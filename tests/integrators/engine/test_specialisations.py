@@ -24,7 +24,7 @@ KERNELS = (
     inequality_kernels.survey,
     inequality_kernels.raise_points,
     inequality_kernels.move,
-    trial_kernels.trial,
+    trial_kernels.pursue,
     machine.run,
     scaling_kernels.gramians,
 )

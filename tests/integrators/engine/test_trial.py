@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver
+from retrax.integrators.boundary_value.engine import descent
 from retrax.integrators.boundary_value.engine.conditions import Conditions
 from retrax.integrators.boundary_value.engine.trial import Trial
 from retrax.manifolds import Euclidean
@@ -71,6 +72,13 @@ def same(found: Any, expected: Any) -> None:
     )
 
 
+@pytest.fixture
+def one_by_one(monkeypatch):
+    """No trial is a part of a pursuit."""
+    monkeypatch.setattr(descent, "pursued", lambda *given: None)
+
+
+@pytest.mark.usefixtures("one_by_one")
 @pytest.mark.parametrize("name", CASES)
 def test_a_trial_is_what_its_parts_are(name, monkeypatch):
     """At every iterate of a solve, whole steps and parts of them."""
@@ -96,6 +104,7 @@ def test_a_trial_is_what_its_parts_are(name, monkeypatch):
     assert bool(calls) == (name != "a free end")
 
 
+@pytest.mark.usefixtures("one_by_one")
 def test_ends_far_apart_go_the_longer_way(monkeypatch):
     """A step many times too long leads to ends of steps that lie more than half their size apart."""
     compiled, call, far = Conditions.tried, Trial.__call__, []

@@ -1,0 +1,116 @@
+"""Compiled passes over whole steps end where one iteration after the other does."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators.boundary_value.engine import descent
+from retrax.integrators.boundary_value.engine.trial import Trial
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
+
+from tests.integrators.engine.test_trial import CASES, SLEWS, same
+from tests.integrators.problems import RIGID, SLEW, SPHERE, half_square
+
+LINE, PLANE = Euclidean(1), Euclidean(2)
+
+
+def pendulum(q: Any, u: Any) -> Any:
+    """A pendulum with a torque."""
+    return jnp.array([q[1], u[0] - jnp.sin(q[0])])
+
+
+def found(solver: Solver, way: tuple, **options: Any) -> tuple[Any, list[Any]]:
+    """What a solve returns, and what its iterations show."""
+    seen: list[Any] = []
+    options = {"callback": lambda iteration: seen.append(iteration) and False} | options
+    return solver.solve(*way, throw=False, **options), seen
+
+
+def alike(one: Any, other: Any) -> None:
+    """Two solutions are the same one."""
+    same((one.states, one.costates, one.controls, one.cost), (other.states, other.costates, other.controls, other.cost))
+    assert (one.success, one.result, one.statistics.iterations) == (
+        other.success, other.result, other.statistics.iterations
+    )  # fmt: skip
+    assert one.checks.strict_minimum == other.checks.strict_minimum
+
+
+@pytest.fixture
+def pursuits(monkeypatch) -> list[Any]:
+    """Those that are run from now on."""
+    made, pursue = [], Trial.pursue
+
+    def heard(self: Trial, *given: Any) -> Any:
+        made.append(pursue(self, *given))
+        return made[-1]
+
+    monkeypatch.setattr(Trial, "pursue", heard)
+    return made
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_pursuit_is_its_iterations(name, pursuits, monkeypatch):
+    """With inequalities, and costs of ends, there is none."""
+    solver, way, options = CASES[name]()
+    short, _ = found(solver, way, callback=None, **options)
+    pursued = sum(own.taken + own.arrived for own in pursuits)
+    assert short.success
+    assert (pursued > 0) == (name not in ("a free end", "a free horizon") and "limits" not in name)
+    shown, seen = found(solver, way, **options)
+    monkeypatch.setattr(descent, "pursued", lambda *given: None)
+    alone, told = found(solver, way, **options)
+    alike(short, alone)
+    alike(shown, alone)
+    same([own._replace(members=0.0) for own in seen], [own._replace(members=0.0) for own in told])
+
+
+@pytest.mark.parametrize("stiffness", [0.0, 3.0, 10.0, 30.0, 100.0])
+def test_what_is_refused_is_left_to_the_rest_of_the_iteration(stiffness, pursuits, monkeypatch):
+    """From a slope that is a cost to one that steps have to be cut and Hessians raised for."""
+    q = OptimalControlProblem(
+        PLANE, pendulum, lambda q, u: u @ u / 2 + stiffness * jnp.cos(3.0 * q[0]), controls=Euclidean(1)
+    )
+    solver, way = Solver(q, Midpoint(Addition(PLANE)), 30), (np.zeros(2), np.array([np.pi, 0.0]), 3.0)
+    short, _ = found(solver, way, callback=None)
+    refused = any(own.ahead is not None and not own.arrived for own in pursuits)
+    assert refused == (stiffness > 5.0)
+    monkeypatch.setattr(descent, "pursued", lambda *given: None)
+    alike(short, found(solver, way)[0])
+    assert short.success
+
+
+@pytest.mark.parametrize("most", [1, 3, 4, 5])
+def test_no_more_iterations_than_asked_for(most, monkeypatch):
+    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
+    short, _ = found(solver, SLEWS, callback=None, max_iterations=most)
+    monkeypatch.setattr(descent, "pursued", lambda *given: None)
+    alone, _ = found(solver, SLEWS, max_iterations=most)
+    alike(short, alone)
+    assert short.success == (most == 5)
+
+
+def test_a_callback_stops_it():
+    solver, seen = Solver(SLEW, Midpoint(Cayley(RIGID)), 30), []
+
+    def stop(iteration: Any) -> bool:
+        seen.append(iteration)
+        return len(seen) == 3
+
+    assert not solver.solve(*SLEWS, callback=stop, throw=False).success
+    assert len(seen) == 3
+
+
+def test_the_last_of_a_batch_goes_on_alone(pursuits):
+    """One is at its end at once, the other is on its way."""
+    solver = Solver(OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3),
+                    Midpoint(default_retraction(SPHERE)), 15)  # fmt: skip
+    north, ends = np.array([0.0, 0.0, 1.0]), np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
+    both = solver.solve_many(north, ends, 1.0)
+    assert both.success.all()
+    assert pursuits
+    alone = solver.solve(north, ends[1], 1.0)
+    same(jax.tree.leaves(both[1].states), jax.tree.leaves(alone.states))
