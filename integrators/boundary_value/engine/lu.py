@@ -3,15 +3,16 @@
 import numpy as np
 
 from .arrays import LANES
-from .vectors import add_vector, inner
+from .vectors import add_vector, entry, inner, put, put_entry, scaled, vector
 
 
 @inner
 def _pivot_row(v: np.ndarray, k: int, weights: np.ndarray) -> int:
-    r, largest = k, abs(v[k, k]) * weights[k]
+    r, largest = k, abs(entry(v, k, k)) * weights[k]
     for i in range(k + 1, v.shape[0]):
-        if abs(v[i, k]) * weights[i] > largest:
-            r, largest = i, abs(v[i, k]) * weights[i]
+        size = abs(entry(v, i, k)) * weights[i]
+        if size > largest:
+            r, largest = i, size
     return r
 
 
@@ -23,18 +24,20 @@ def decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.n
     for i in range(p):
         largest = 0.0
         for j in range(p):
-            largest = max(largest, abs(v[i, j]))
+            largest = max(largest, abs(entry(v, i, j)))
         weights[i] = 1 / largest
     for k in range(p):
         r = _pivot_row(v, k, weights)
         swaps[k] = r
         if r != k:
             weights[k], weights[r] = weights[r], weights[k]
-            for j in range(v.shape[1]):
-                v[k, j], v[r, j] = v[r, j], v[k, j]
+            for j in range(0, v.shape[1], LANES):
+                x = vector(v, k, j)
+                put(v, k, j, vector(v, r, j))
+                put(v, r, j, x)
         for i in range(k + 1, p):
-            f = v[i, k] / v[k, k]
-            lower[i, k] = f
+            f = entry(v, i, k) / entry(v, k, k)
+            put_entry(lower, i, k, f)
             if f != 0:
                 for j in range(k & -LANES, v.shape[1], LANES):
                     add_vector(v, i, j, -f, v, k, j)
@@ -46,14 +49,15 @@ def back_substitute(v: np.ndarray, start: int, upper: np.ndarray) -> None:
     p = v.shape[0]
     for k in range(p - 1, -1, -1):
         for i in range(k + 1, p):
-            f = v[k, i]
+            f = entry(v, k, i)
             if f != 0:
                 for j in range(start, v.shape[1], LANES):
                     add_vector(v, k, j, -f, v, i, j)
-        for j in range(start, v.shape[1]):
-            v[k, j] /= v[k, k]
+        f = 1 / entry(v, k, k)
+        for j in range(start, v.shape[1], LANES):
+            put(v, k, j, scaled(f, vector(v, k, j)))
         for j in range(k, p):
-            upper[k, j] = v[k, j]
+            put_entry(upper, k, j, entry(v, k, j))
 
 
 @inner

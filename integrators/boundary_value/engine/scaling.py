@@ -96,7 +96,7 @@ def _variances(system: "BlockSystem", variance: Float[np.ndarray, "B m"]) -> np.
     batch, count, n, z = system.left.shape
     left, right, variance = plain(system.left), plain(system.right), plain(variance)
     width = whole(n)
-    shapes = (n, 2 * width), (n, n), (n,), (2, n, width), (2, z, width), (2, n, width), (n, z)
+    shapes = (n, 2 * width), (n, n), (n,), (z, width), (2, z, width), (2, n, width), (n, width)
     work, swaps, out = tuple(scratch(shapes)), np.empty(n, np.int64), np.empty((batch, 2, 2, count, n))
     for m in range(batch):
         scaling_kernels.gramians(left[m], right[m], variance[m], work, swaps, out[m])

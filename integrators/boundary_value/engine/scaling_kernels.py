@@ -3,8 +3,8 @@
 import numpy as np
 
 from .arrays import LANES
-from .lu import back_substitute, decompose, product
-from .vectors import add_vector, compiled, inner
+from .lu import back_substitute, decompose
+from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -14,60 +14,62 @@ def _load(v: np.ndarray, near: np.ndarray) -> None:
     """``[near_x | 1]``."""
     n, start = near.shape[0], v.shape[1] // 2
     for a in range(n):
-        for j in range(v.shape[1]):
-            v[a, j] = near[a, j] if j < n else 0.0
-        v[a, start + a] = 1.0
+        for j in range(0, v.shape[1], LANES):
+            put(v, a, j, filled(0.0))
+        for j in range(n):
+            put_entry(v, a, j, entry(near, a, j))
+        put_entry(v, a, start + a, 1.0)
 
 
 @inner
-def _move(v: np.ndarray, near: np.ndarray, far: np.ndarray, own: np.ndarray, terms: np.ndarray) -> None:
+def _move(
+    v: np.ndarray, near: np.ndarray, far: np.ndarray, turned: np.ndarray, terms: np.ndarray, sizes: np.ndarray
+) -> None:
     """``A' = (far_x near_x^-1)'`` in the first rows of the terms, and ``B' = (far_u - A near_u)'`` in those after them;
-    then the same of the sizes of what they are sums of.
+    and the sizes of what they are sums of.
 
-    The inverse stands in the second half of ``v``; ``own``: room for it or its sizes, and for A.
+    The inverse stands in the second half of ``v``; ``turned``: room for the transpose of ``far``.
     """
     (n, z), start = near.shape, v.shape[1] // 2
-    inverse, rows = own[0], own[1]
-    for t in range(2):
-        for a in range(n):
-            for j in range(inverse.shape[1]):
-                inverse[a, j] = v[a, start + j] if t == 0 else abs(v[a, start + j])
-                rows[a, j] = 0.0
+    for a in range(n):
+        for j in range(z):
+            put_entry(turned, j, a, entry(far, a, j))
+    for j in range(0, terms.shape[1], LANES):
         for c in range(n):
-            for a in range(n):
-                f = far[a, c] if t == 0 else abs(far[a, c])
-                for j in range(0, inverse.shape[1], LANES):
-                    add_vector(rows, a, j, f, inverse, c, j)
-        for a in range(n):
+            row, size = filled(0.0), filled(0.0)
+            for b in range(n):
+                f, x = entry(v, b, start + c), vector(turned, b, j)
+                row, size = add(row, f, x), add(size, abs(f), magnitude(x))
+            put(terms, c, j, row)
+            put(sizes, c, j, size)
+        for i in range(n, z):
+            row = vector(turned, i, j)
+            size = magnitude(row)
             for c in range(n):
-                terms[t, c, a] = rows[a, c]
-            for j in range(n, z):
-                terms[t, j, a] = far[a, j] if t == 0 else abs(far[a, j])
-        for c in range(n):
-            for i in range(n, z):
-                f = -near[c, i] if t == 0 else abs(near[c, i])
-                for j in range(0, inverse.shape[1], LANES):
-                    add_vector(terms[t], i, j, f, terms[t], c, j)
+                f = entry(near, c, i)
+                row, size = subtract(row, f, vector(terms, c, j)), add(size, abs(f), vector(sizes, c, j))
+            put(terms, i, j, row)
+            put(sizes, i, j, size)
 
 
 @inner
-def _gramian(terms: np.ndarray, variance: np.ndarray, g: np.ndarray, rows: np.ndarray, scaled: np.ndarray) -> None:
-    """``g = A g A' + B W B'`` in place, ``terms = [A B]'``; ``rows``: room for ``A g``, ``scaled``: for ``[A g, B
-    W]``."""
+def _gramian(terms: np.ndarray, variance: np.ndarray, g: np.ndarray, rows: np.ndarray) -> None:
+    """``g = A g A' + B W B'`` in place, ``terms = [A B]'``; ``rows``: room for ``A g``."""
     n = g.shape[0]
     for i in range(n):
-        for j in range(rows.shape[1]):
-            rows[i, j] = 0.0
-    for k in range(n):
-        for i in range(n):
-            for j in range(0, rows.shape[1], LANES):
-                add_vector(rows, i, j, terms[k, i], g, k, j)
+        for j in range(0, g.shape[1], LANES):
+            row = filled(0.0)
+            for k in range(n):
+                row = add(row, entry(terms, k, i), vector(g, k, j))
+            put(rows, i, j, row)
     for i in range(n):
-        for j in range(n):
-            scaled[i, j] = rows[i, j]
-        for j in range(variance.size):
-            scaled[i, n + j] = terms[n + j, i] * variance[j]
-    product(g, scaled, terms)
+        for j in range(0, g.shape[1], LANES):
+            row = filled(0.0)
+            for k in range(n):
+                row = add(row, entry(rows, i, k), vector(terms, k, j))
+            for k in range(variance.size):
+                row = add(row, entry(terms, n + k, i) * variance[k], vector(terms, n + k, j))
+            put(g, i, j, row)
 
 
 @compiled
@@ -85,8 +87,8 @@ def gramians(
     ``(2, 2, N, n)``: at the far ends, from either side, of the linearised steps and of the sizes of their terms, which
     do not cancel.
     """
-    (v, lower, weights, own, terms, g, scaled), (count, n, _) = work, left.shape
-    terms[:] = 0.0
+    (v, lower, weights, turned, terms, g, rows), (count, n, _) = work, left.shape
+    turned[:] = 0.0
     for way in range(2):
         g[:] = 0.0
         for i in range(count):
@@ -95,8 +97,8 @@ def gramians(
             _load(v, near)
             decompose(v, swaps, lower, weights)
             back_substitute(v, v.shape[1] // 2, lower)
-            _move(v, near, far, own, terms)
+            _move(v, near, far, turned, terms[0], terms[1])
             for t in range(2):
-                _gramian(terms[t], variance, g[t], own[0], scaled)
+                _gramian(terms[t], variance, g[t], rows)
                 for a in range(n):
                     out[way, t, k, a] = g[t, a, a]

@@ -10,6 +10,7 @@ import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from ...layout import Layout
+from .extent import Extent
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Data, Moves, Nodes
 
@@ -37,8 +38,8 @@ def followed(
     if (support := nodes.control_support(unknowns.controls)) is not None:
         moves = step.unknowns[..., n:].reshape(*unknowns.controls.shape[:3], -1)
         parts.append((nodes.control, unknowns.controls, support, moves))
-    # Where no coordinate moves by its share of a diameter, nothing else is to be found out.
-    elif np.all(step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.sizes):
+    # Where no coordinate moves by its share of a diameter, but for arrays that are zero, nothing else is to be found out.
+    elif np.all((step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.sizes) | _idle(nodes.layout, extent)):
         return np.ones(len(along))
     same = [_steady(*part[:2]) for part in parts]
     farthest = _turns(parts, same)
@@ -49,6 +50,12 @@ def followed(
     reached = (moved.centres, moved.controls)[: len(parts)]
     kept = [a & _kept(*part[:2], after) for a, part, after in zip(same, parts, reached, strict=True)]
     return DIAMETER / np.maximum(_turns(parts, kept), DIAMETER)
+
+
+def _idle(layout: Layout, extent: Extent) -> np.ndarray:
+    """Which coordinates move nothing but arrays that are zero all along, as rates at rest: (B, n)."""
+    sizes = extent.values @ layout.in_arrays.T
+    return ~((extent.support @ layout.in_arrays.T) @ sizes[..., None] > 0)[..., 0]
 
 
 Part = tuple[Layout, np.ndarray, np.ndarray, np.ndarray]  # points, their support, and what their coordinates move by
