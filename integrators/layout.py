@@ -35,8 +35,8 @@ class Layout:
         )
         # Of matrices, or whole arrays.
         self.columns: np.ndarray = numbers  # of the entries
-        arrays = self.array_of_columns[numbers]
-        self.in_arrays: np.ndarray = np.equal(arrays, np.arange(len(own))[:, None]).astype(float)
+        self.arrays: np.ndarray = self.array_of_columns[numbers]  # of the entries
+        self.in_arrays: np.ndarray = np.equal(self.arrays, np.arange(len(own))[:, None]).astype(float)
         self.in_columns: np.ndarray = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
 
     @classmethod

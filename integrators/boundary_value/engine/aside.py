@@ -9,6 +9,7 @@ that are random but always the same, and by the states to which they lead to fir
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
+from .arrays import plain
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
@@ -119,15 +120,12 @@ def _moved(conditions: Conditions, iterate: Iterate, assembled: Assembled, step:
 def _is_unmet(conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step) -> np.ndarray:
     """Whether a step leaves much of what the linearised constraints ask for, as where these are dependent, shape
     (B,)."""
-    system, d = conditions.system(iterate, assembled), step.unknowns
-    left = np.array(system.gap[..., 0])
-    left[:, :-1] += np.einsum("bknz,bkz->bkn", system.left, d)
-    left[:, 1:] -= np.einsum("bknz,bkz->bkn", system.right, d)
-    left[:, 0] *= system.fixed_start
-    left[:, -1] *= system.fixed_end
-    left, asked = (
-        np.abs(found / conditions.measured.nodes[:, None]).max(axis=(1, 2)) for found in (left, system.gap[..., 0])
-    )
+    from . import extent_kernels
+
+    system, out = conditions.system(iterate, assembled), np.empty((2, len(step.unknowns)))
+    given = system.gap[..., 0], system.left, system.right, step.unknowns[..., None], conditions.fixed
+    extent_kernels.leave(*map(plain, (*given, conditions.measured.nodes)), out)
+    left, asked = out
     return (asked > MET) & ~(left <= UNMET * asked)
 
 

@@ -25,12 +25,10 @@ from .first_multipliers import with_first_multipliers
 from .found import Found, Iteration
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
-from .pursuit import CURVATURE, pursued
+from .pursuit import CURVATURE, EXACT, SHRINKS, pursued, set_out
 from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
-SHRINKS = 0.1
-EXACT = 64.0  # times eps: a residual that is rounding
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
@@ -74,7 +72,7 @@ class Descent:
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
-        state = self.begun(guess)
+        state = self.set_out(guess)
         while True:
             self.state = state
             self.report(state, state.descends)
@@ -84,6 +82,19 @@ class Descent:
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
+
+    def set_out(self, guess: Iterate) -> State:
+        """The state at the guess, or after whole steps from there."""
+        if self.as_it_is or self.callback is not None or self.lost.size:
+            return self.begun(guess)
+        found = set_out(self.conditions, guess, self.max_iterations, self.tolerance)
+        if found is None:
+            return self.begun(guess)
+        state, trials, known = found
+        if state is None:
+            return self.begun(guess, known)
+        self.first, self.lost, self.trials = known, np.zeros(1, bool), trials + 1
+        return self.settled_after(state, self.conditions)
 
     def pursued(self, state: State) -> State | None:
         """The state after whole steps that are taken; None where the next is not one of these."""
@@ -96,12 +107,18 @@ class Descent:
             return None
         state, trials = found
         self.trials += trials
-        return state if state.done[0] else self.settled(state, state.residuals.final <= self.tolerance, conditions)
+        return self.settled_after(state, conditions)
 
-    def begun(self, given: Iterate) -> State:
-        """The state at the guess, with a first step."""
+    def settled_after(self, state: State, conditions: Conditions) -> State:
+        """The state after whole steps, settled where that was not done on the way."""
+        if state.done[0] or state.isolated[0]:
+            return state
+        return self.settled(state, state.residuals.final <= self.tolerance, conditions)
+
+    def begun(self, given: Iterate, known: tuple[Iterate, Assembled] | None = None) -> State:
+        """The state at the guess, with a first step; ``known``: the guess with its system, whose units are taken."""
         conditions = self.conditions
-        guess, assembled = bare = conditions.begin(given)
+        guess, assembled = bare = known or conditions.begin(given)
         count = len(assembled.cost)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.

@@ -138,6 +138,46 @@ def survey_points(
 
 
 @inner
+def left_over(
+    gap: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    steps: np.ndarray,
+    fixed: np.ndarray,
+    nodes: np.ndarray,
+    m: int,
+) -> tuple[float, float]:
+    """The most that a step leaves of what the linearised constraints of a member ask for, and the most that they ask
+    for, in units of the nodes."""
+    (_, count, n, z), remaining, asked = left.shape, 0.0, 0.0
+    for k in range(count + 1):
+        for a in range(n):
+            value = gap[m, k, a]
+            asked = larger(asked, abs(value) / nodes[m, a])
+            for i in range(z if k < count else 0):
+                value += left[m, k, a, i] * steps[m, k, i, 0]
+            for i in range(z if k > 0 else 0):
+                value -= right[m, k - 1, a, i] * steps[m, k - 1, i, 0]
+            remaining = larger(remaining, abs(value * fixed[m, k, a]) / nodes[m, a])
+    return remaining, asked
+
+
+@compiled
+def leave(
+    gap: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+    steps: np.ndarray,
+    fixed: np.ndarray,
+    nodes: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Of each member what ``left_over`` finds, shape (2, B)."""
+    for m in range(len(gap)):
+        out[0, m], out[1, m] = left_over(gap, left, right, steps, fixed, nodes, m)
+
+
+@inner
 def _measures(extent: tuple, nodes: np.ndarray, shares: tuple, m: int, along: np.ndarray, entries: np.ndarray) -> None:
     """What gaps are measured by, in the coordinates and entry by entry."""
     (highest, lowest, support), (value, share, rounding), (n, size) = extent[:3], shares, extent[2].shape[1:]

@@ -1,18 +1,49 @@
 """Newton's method on one trajectory while its whole steps are taken, in compiled passes, which decide nothing else."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS
 from .acceptance import RULES, SHIFTS, Merit, State
+from .aside import FAR, MET, UNMET
+from .first_units import first_units
+from .kkt_system import Assembled, Iterate
 from .scaling import SOFTEST
-from .share import DIAMETER
-from .trial import Pursuit
+from .share import DIAMETER, UNCHANGED
+from .trial import Pursuit, Standing
 
 if TYPE_CHECKING:
     from .conditions import Conditions
 
 CURVATURE = 1e-9  # relative: a step of less does not descend
+SHRINKS = 0.1
+EXACT = 64.0  # times eps: a residual that is rounding
+
+
+def set_out(
+    conditions: "Conditions", guess: Iterate, most: int, tolerance: float
+) -> tuple[State | None, int, tuple[Iterate, Assembled]] | None:
+    """The state after whole steps from a guess, if the first is one, how many trials that took, and the guess with its
+    system, from which units are taken; None where it has no compiled pass."""
+    if conditions.joint or conditions.transcription.inequalities or guess.slacks is not None:
+        return None
+    if not conditions.at_nodes.flat_controls or (setting := conditions.setting) is None:
+        return None
+    begun = setting.trial.begin(setting, guess)
+    if begun is None:
+        return None
+    (tried, place), one, no = begun, np.ones(1), np.zeros(1, bool)
+    conditions.units, conditions.wider = first_units(conditions, tried.iterate, tried.assembled), None
+    first, going = (tried.iterate, tried.assembled), (_rules(conditions, tolerance), Standing(), most)
+    found = setting.trial.pursue(setting, conditions, (*first, None), going, place)
+    if found is None or found.step is None:
+        return None, 0, first
+    merit, infinite = Merit(one, one, one), np.full(1, np.inf)
+    numbers = one, one, merit, one, one, np.zeros(1), one, infinite, no, no, no
+    state = State(np.arange(1), *first, tried.appraisal.residuals, found.step, one > 0, *numbers)
+    state, trials = _reached(conditions, state, found) or (_standing(state, found.standing), 0)
+    return state, trials, first
 
 
 def pursued(
@@ -20,22 +51,28 @@ def pursued(
 ) -> tuple[State, int] | None:
     """The state after whole steps, at most so many, and how many trials that took; None where there is none to take.
 
-    It is the state to which ``next`` leads, but that it is not settled. ``first``: no trial was judged before.
+    It is the state to which ``next`` leads, but that it is settled only if it goes on from there. ``first``: no trial
+    was judged before.
     """
     if not _is_plain(conditions, state) or (setting := conditions.setting) is None:
         return None
-    n, merit = state.assembled.gap.shape[2], state.merit
-    rules = tolerance, (RULES, SHIFTS), CURVATURE, SOFTEST, DIAMETER / np.sqrt(max(n, 1))
-    numbers = state.promised, state.turned, *merit, state.funnel, state.best
-    standing = np.array([*(number.item() for number in numbers), float(first)])
-    going = rules, standing, most, bool(state.isolated[0])
+    numbers = state.promised, state.turned, *state.merit, state.funnel, state.best
+    standing = Standing(*(number.item() for number in numbers), first, state.correction.item(), bool(state.isolated[0]))
+    going = _rules(conditions, tolerance), standing, most
     before = state.iterate, state.assembled, state.step
     found = setting.trial.pursue(setting, conditions, before, going)
-    return _reached(conditions, state, found)
+    return None if found is None else _reached(conditions, state, found)
+
+
+def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
+    """What decides about whole steps, as the kernel takes it."""
+    share = DIAMETER / np.sqrt(max(conditions.at_nodes.dimension, 1))
+    own = (CURVATURE, SOFTEST, share, UNCHANGED), (FAR, UNMET, MET), (np.sqrt(tolerance), SHRINKS)
+    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS
 
 
 def _is_plain(conditions: "Conditions", state: State) -> bool:
-    """Whether this is one trajectory without inequalities whose next step is a whole one that descends."""
+    """Whether this is a trajectory without inequalities whose next step is a whole one that descends."""
     if conditions.joint or state.iterate.slacks is not None or not state.descends[0]:
         return False
     whole = state.shift[0] == 0 and state.fraction[0] == 1 and np.all(state.step.reach == 1.0)
@@ -44,24 +81,21 @@ def _is_plain(conditions: "Conditions", state: State) -> bool:
 
 def _reached(conditions: "Conditions", state: State, found: Pursuit) -> tuple[State, int] | None:
     """The state that a pursuit has led to."""
-    promised, turned, *merit, funnel, best, _ = found.standing[:, None]
     step = state.step if found.step is None else found.step
     tried = found.ahead if found.arrived else found.last
     if found.ahead is not None and not found.arrived:
         conditions.ahead = step, found.ahead
-    if tried is None:
+    if tried is None or not found.taken + found.arrived:
         return None
     appraisal = conditions.knows(tried)
-    state = state._replace(
-        iterate=tried.iterate,
-        assembled=tried.assembled,
-        residuals=appraisal.residuals,
-        step=step,
-        merit=Merit(*merit),
-        promised=promised,
-        turned=turned,
-        funnel=funnel,
-        best=best,
-        done=np.array([found.arrived]),
-    )
+    own = {"iterate": tried.iterate, "assembled": tried.assembled, "residuals": appraisal.residuals, "step": step}
+    state = _standing(state, found.standing)._replace(**own, done=np.array([found.arrived]))
     return state, found.taken + found.arrived
+
+
+def _standing(state: State, standing: Standing) -> State:
+    """The state with what stands."""
+    promised, turned, *merit, funnel, best, _, correction, isolated = (np.array([number]) for number in standing)
+    settled = isolated > 0
+    numbers = {"promised": promised, "turned": turned, "merit": Merit(*merit), "funnel": funnel, "best": best}
+    return state._replace(**numbers, correction=correction, isolated=settled, claimed=state.claimed | settled)

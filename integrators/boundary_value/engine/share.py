@@ -38,7 +38,7 @@ def followed(
     if (support := nodes.control_support(unknowns.controls)) is not None:
         moves = step.unknowns[..., n:].reshape(*unknowns.controls.shape[:3], -1)
         parts.append((nodes.control, unknowns.controls, support, moves))
-    # Where no coordinate moves by its share of a diameter, but for arrays that are zero, nothing else is to be found out.
+    # Where no coordinate moves by its share of a diameter, or but arrays that are zero, nothing else is to be found.
     elif np.all((step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.sizes) | _idle(nodes.layout, extent)):
         return np.ones(len(along))
     same = [_steady(*part[:2]) for part in parts]

@@ -21,14 +21,14 @@ from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
 from .residuals import NUMBERS, SHARES, Appraisal
+from .scaling import Units
 from .transcription import Blocks, Nodes, OneStage, Unknowns
 
 if TYPE_CHECKING:
     from .conditions import Conditions
 
-STANDING = 8  # numbers that stand between the trials of a pursuit
-NOT_JUDGED = (0.0, ((0.0,) * 8, (0.0,) * 5), 0.0, 0.0, 0.0), np.zeros(STANDING), 0, False
 Shapes = dict[str, tuple[int, ...]]
+Place = tuple[np.ndarray, dict[str, np.ndarray]]
 TOLD = "negative", "smallest", "bends", "size"  # of an elimination
 # What the kernel writes, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point,
 # and where there is a bar, for its one column.
@@ -58,7 +58,8 @@ class Setting(NamedTuple):
         trial = steps.trial(nodes, count) if batch == 1 and not nodes.pays else None
         if trial is None:
             return None
-        ends = conditions.fixed.ravel(), conditions.both_ends, nodes.layout.columns, conditions.mean_step, FAR
+        layout, given = nodes.layout, (conditions.fixed.ravel(), conditions.both_ends)
+        ends = *given, layout.columns, conditions.mean_step, FAR, layout.arrays
         own, work = (
             (np.array(data.steps[0]), np.array(data.parameters[0])),
             workspace(count, nodes.dimension, steps.dimension, 1),
@@ -75,16 +76,35 @@ class Tried(NamedTuple):
     surveyed: np.ndarray
 
 
+class Standing(NamedTuple):
+    """What stands between the trials of a pursuit, in the order of ``pursuit_kernels``."""
+
+    promised: float = 0.0
+    turned: float = 0.0
+    missing: float = 0.0
+    cost: float = 0.0
+    held: float = 0.0
+    funnel: float = 0.0
+    best: float = 0.0
+    first: bool = False  # no trial was judged before
+    correction: float = np.inf
+    isolated: bool = False
+
+
 class Pursuit(NamedTuple):
-    """How many whole steps were taken; the last trial of these, the step from there, and what then stands; and a trial
-    of that step that was not gone on from, if there is one, and whether it is the last."""
+    """How many whole steps were taken; where these end, the step from there, and what then stands; and a trial of that
+    step that was not gone on from, if there is one, and whether it is the last."""
 
     taken: int
-    last: Tried | None
+    last: Tried | None  # if it is not where it set out from
     step: Step | None
-    standing: np.ndarray
+    standing: Standing
     ahead: Tried | None
     arrived: bool
+
+
+NO_RULES = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0
+NOT_JUDGED = NO_RULES, np.array(Standing(), float), 0, False
 
 
 @final
@@ -92,9 +112,9 @@ class Trial:
     """The pass for one trajectory of so many steps."""
 
     def __init__(self, programs: list[Placed], shapes: Shapes) -> None:
-        from . import trial_kernels
+        from . import pursuit_kernels, trial_kernels
 
-        self._kernels, self._limited = trial_kernels, shapes["room"][0] > 0
+        self._kernels, self._addresses, self._limited = pursuit_kernels, trial_kernels.addresses, shapes["room"][0] > 0
         arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
         table, self._memory = _table(programs)
         self._programs = *map(np.concatenate, arrays), table
@@ -114,33 +134,57 @@ class Trial:
         self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
         """The trial of a part of a step; None where ends of steps are far apart, which takes more than this."""
-        numbers, v = self._fresh()
-        limits = self._limits(v, before[0].slacks, before[2], conditions.barrier, (part, setting.weights))
-        _, end = self._run(setting, conditions, before, part, limits, (numbers, numbers), NOT_JUDGED)
-        return None if end == self._kernels.FAR else _tried(v, before[0].slacks, setting.weights)
+        (iterate, assembled, step), place = before, self._place()
+        limits = self._limits(place[1], iterate.slacks, step, conditions.barrier, (part, setting.weights))
+        given = assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
+        own = conditions.judging, conditions.measured, conditions.barrier is not None
+        _, end = self._run(setting, own, _flat(iterate, given), limits, [place] * 3, NOT_JUDGED)
+        return None if end == self._kernels.FAR else _tried(place[1], iterate.slacks, setting.weights)
+
+    def begin(self, setting: Setting, iterate: Iterate) -> tuple[Tried, Place] | None:
+        """The iterate with its system, which is not judged yet, and where it is written; None where ends of steps are
+        far apart."""
+        place, costates = self._place(), plain(iterate.costates)
+        zero, one = np.zeros((1, 0, 0)), np.ones((1, costates.shape[1], 1))
+        given = one, costates[:, :, None], zero, np.zeros(costates.shape[1]), np.zeros(1)
+        n, z = place[1]["left"].shape[2:]
+        of = Units(np.ones((1, z)), np.ones((1, n)), np.ones(1))
+        limits = self._limits(place[1], None, None, None, (given[4], setting.weights))
+        _, end = self._run(setting, (of, of, False), _flat(iterate, given), limits, [place] * 3, NOT_JUDGED)
+        return None if end == self._kernels.FAR else (_tried(place[1], None, None), place)
 
     def pursue(
         self,
         setting: Setting,
         conditions: "Conditions",
-        before: tuple[Iterate, Assembled, Step],
-        going: tuple[tuple, np.ndarray, int, bool],
-    ) -> Pursuit:
-        """Iterations with whole steps; ``going``: rules, what stands, how many at most, and whether the first step is
-        Newton's last, as the kernel takes them."""
-        places, none, part = [self._fresh(), self._fresh()], setting.weights, np.ones(1)
-        limits = self._limits(places[0][1], None, before[2], None, (part, none))
-        numbers = places[0][0], places[1][0]
-        count, end = self._run(setting, conditions, before, part, limits, numbers, going)
-        told, ahead = end in (self._kernels.TRIED, self._kernels.ARRIVED), _tried(places[count % 2][1], None, None)
-        if count == 0:
-            last, step = None, None
-        else:
-            v = places[(count - 1) % 2][1]
-            last, step = _tried(v, None, None), _step(v)
-        return Pursuit(count, last, step, going[1], ahead if told else None, end == self._kernels.ARRIVED)
+        before: tuple[Iterate, Assembled, Step | None],
+        going: tuple[tuple, Standing, int],
+        begun: Place | None = None,
+    ) -> Pursuit | None:
+        """Iterations with whole steps; None where the first step of a search is not one of these.
 
-    def _fresh(self) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+        ``going``: rules, what stands, and how many at most; ``begun``: where a system is written that has no step yet.
+        """
+        (iterate, assembled, step), (rules, standing, most), part = before, going, np.ones(1)
+        places = [self._place(), self._place()]
+        places.append(places[0] if begun is None else begun)
+        if step is None:
+            given = assembled.coordinates, assembled.frames, np.zeros(0), np.zeros(0), part
+        else:
+            given = assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
+        stands, own = np.array(standing, float), (conditions.judging, conditions.measured, False)
+        limits = self._limits(places[0][1], None, None, None, (part, setting.weights))
+        now = rules, stands, most, begun is not None
+        count, end = self._run(setting, own, _flat(iterate, given), limits, places, now)
+        if end == self._kernels.LOST:
+            return None
+        written = places[(count - 1) % 2][1] if count else None if begun is None else begun[1]
+        last, new = (None, step) if written is None else (_tried(written, None, None), _step(written))
+        told = end in (self._kernels.TRIED, self._kernels.ARRIVED)
+        ahead = _tried(places[count % 2][1], None, None) if told else None
+        return Pursuit(count, last, new, Standing(*stands.tolist()), ahead, end == self._kernels.ARRIVED)
+
+    def _place(self) -> Place:
         """Room for what a trial finds, and its arrays."""
         numbers = np.empty(self._structure.itemsize // 8)
         structure = np.ndarray((), self._structure, numbers)
@@ -149,41 +193,42 @@ class Trial:
     def _run(
         self,
         setting: Setting,
-        conditions: "Conditions",
-        before: tuple[Iterate, Assembled, Step],
-        part: np.ndarray,
+        of: tuple[Units, Units, bool],
+        before: tuple[np.ndarray, ...],
         limits: tuple[Any, ...],
-        numbers: tuple[np.ndarray, np.ndarray],
+        places: list[Place],
         going: tuple[tuple, np.ndarray, int, bool],
     ) -> tuple[int, int]:
-        """Run the kernel: how many steps were taken, and how it ends."""
-        (_, assembled, step), x = before, before[0].unknowns
-        unknowns = np.concatenate((x.centres.ravel(), x.controls.ravel()))
-        steps = step.unknowns.ravel(), step.multipliers.ravel(), part
-        tapes = *self._programs, *scratch(((self._memory,),)), numbers
-        given = (unknowns, assembled.coordinates, assembled.frames, *steps), setting.data, setting.ends
-        of_steps, z = conditions.measured, step.unknowns.shape[2]
-        room = (
-            setting.work,
-            (plain(of_steps.unknowns), 1 / of_steps.nodes, plain(of_steps.cost)),
-            (np.zeros(1), np.empty((1, z))),
-        )
-        calls = self._kernels.addresses(self._limited)
+        """Run the kernel: how many steps were taken, and how it ends; ``of``: units of success, of steps, and whether
+        there is a barrier, with which the curvature of the Hessian has no bound."""
+        (judging, measured, limited), tapes = of, (*self._programs, *scratch(((self._memory,),)))
+        least, nodes = judging.cost if limited else np.zeros(1), plain(measured.nodes)
+        units = plain(judging.nodes), plain(judging.unknowns), least, nodes, measured.cost
+        raised = np.zeros(1), np.empty((1, measured.unknowns.shape[1]))
         return self._kernels.pursue(
-            calls, tapes, *given, (_units(conditions), SHARES), limits, self._places, room, *going
+            self._addresses(self._limited),
+            (*tapes, tuple(numbers for numbers, _ in places)),
+            before,
+            setting.data,
+            setting.ends,
+            (units, SHARES),
+            limits,
+            self._places,
+            (setting.work, (plain(measured.unknowns), 1 / nodes, plain(measured.cost)), raised),
+            *going,
         )
 
     def _limits(
         self,
         v: dict[str, np.ndarray],
         slacks: Slacks | None,
-        step: Step,
+        step: Step | None,
         barrier: Barrier | None,
         own: tuple[np.ndarray, np.ndarray],
     ) -> tuple[Any, ...]:
         """Slacks and their steps, and what they are judged by, as the kernel takes them; ``own``: the part, weights."""
         part, weights = own
-        if slacks is None or barrier is None or step.turn is None:
+        if slacks is None or barrier is None or step is None or step.turn is None:
             no, zero, flat = self._none
             one = np.ones(1)
             return (no, no, no, no, zero), (no, no, no), (part, one), KEPT, (flat, one, v["room"]), no, VALUE, PRICES
@@ -193,12 +238,11 @@ class Trial:
         return (*given, KEPT, units, weights, VALUE, PRICES)
 
 
-def _units(conditions: "Conditions") -> tuple[np.ndarray, ...]:
-    """Units of success and of steps, as the kernel takes them."""
-    judging, measured = conditions.judging, conditions.measured
-    # With a barrier the curvature of the Hessian has no bound.
-    least = np.zeros(1) if conditions.barrier is None else judging.cost
-    return plain(judging.nodes), plain(judging.unknowns), least, plain(measured.nodes), measured.cost
+def _flat(iterate: Iterate, given: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+    """What a trial sets out from, as the kernel takes it; ``given``: coordinates, frames, steps, and the part."""
+    coordinates, frames, steps, multipliers, part = given
+    unknowns = np.concatenate((iterate.unknowns.centres.ravel(), iterate.unknowns.controls.ravel()))
+    return unknowns, coordinates, frames, steps.ravel(), multipliers.ravel(), part
 
 
 def _tried(v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray | None) -> Tried:
@@ -276,8 +320,8 @@ def _shapes(steps: OneStage, count: int) -> Shapes:
         "costs": each, "limits": (*each, 1, c),
         "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
         "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
-        "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z), "standing": (STANDING,),
-        **dict.fromkeys(TOLD, (1,)),
+        "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
+        "standing": (len(Standing._fields),), **dict.fromkeys(TOLD, (1,)),
         "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
         "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         # These come as zeros.

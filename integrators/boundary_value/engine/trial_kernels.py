@@ -1,5 +1,4 @@
-"""Iterations of Newton's method on one trajectory in one compiled pass: trials, from the step to what they are judged
-by, and after those that are accepted the next step."""
+"""A trial of Newton's method on one trajectory, from its step to what it is judged by, as parts of a compiled pass."""
 
 from functools import cache
 from typing import Any
@@ -12,8 +11,6 @@ from ....kernels import kernel_part, pasted
 from ....linked import address, array, called, laid, put, view
 from ....tape import machine
 from . import elimination_kernels, extent_kernels, inequality_kernels
-from .acceptance_kernels import judged
-from .vectors import compiled, inner
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
@@ -71,17 +68,16 @@ SOLVE = signature(
     types.Tuple((F4, F4, array(2, TRUTH), F2)),
     types.UniTuple(F1, 4),
 )
-FAR, TRIED, ARRIVED, GOING = range(4)  # how a pass ends
 
-_out = laid(OUT)
+laid_out, solve = laid(OUT), called(SOLVE)
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
-_held_survey, _raise, _move, _solve = called(HELD_SURVEY), called(RAISE), called(MOVE), called(SOLVE)
+_held_survey, _raise, _move = called(HELD_SURVEY), called(RAISE), called(MOVE)
 
 
 @cache
 def addresses(limited: bool) -> tuple[int, ...]:
-    """Where the kernels stand in this process that a trial calls; those of inequalities only if there are any."""
+    """Where the kernels stand in this process that a pass calls; those of inequalities only if there are any."""
     kernels: list[tuple[Any, Any]] = [
         (machine.run, machine.RUN),
         (extent_kernels.meet, MEET),
@@ -145,12 +141,17 @@ def _read_row(read: np.ndarray, moved: np.ndarray, nodes: np.ndarray, costates: 
 
 
 @pasted
-def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tuple, arrays: tuple, met: tuple) -> bool:
+def meet_ends(
+    run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tuple, arrays: tuple, met: tuple
+) -> bool:
     """Move the unknowns, and whether the ends of the steps are near each other; then the nodes are known."""
-    (_, points, columns, _, far), (begins, finishes, work, covectors, _, _, _, _), count = ends, arrays, data[0].size
+    (_, points, columns, _, far, _), (begins, finishes, work, covectors, _, _, _, _), count = ends, arrays, data[0].size
     table, memory = tapes[5], tapes[6]
     _moved(view(memory, table[0, 6], (table[0, 7],)), before, data, covectors)
-    _evaluate(run, 0, tapes, count)
+    if before[3].size > 0:
+        _evaluate(run, 0, tapes, count)
+    else:
+        put(tapes[7], 0, before[0], 0, before[0].size)
     read = view(memory, table[1, 6], (table[1, 7],))
     at = put(read, put(read, 0, tapes[7], 0, table[0, 9]), data[0], 0, count)
     put(read, at, data[1], 0, data[1].size)
@@ -159,7 +160,7 @@ def _met(run: int, meet: int, tapes: tuple, before: tuple, data: tuple, ends: tu
 
 
 @pasted
-def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limits: tuple, out: tuple) -> None:
+def evaluate(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limits: tuple, out: tuple) -> None:
     """Frames at the nodes and blocks of the steps, with the multipliers of the inequalities after their step."""
     run, move = calls[0], calls[6]
     (_, _, _, covectors, _, _, _, costates), (nodes, gaps, _, _) = out[0], out[1]
@@ -178,7 +179,7 @@ def _evaluated(calls: tuple, tapes: tuple, data: tuple, fixed: np.ndarray, limit
 
 
 @pasted
-def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
+def measure(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
     """What the trial is judged by, with the shares of the inequalities in the blocks."""
     survey, measure, held_survey, raise_points = calls[2:6]
     slacks, _, _, _, (scales, rate, room), weights, value, prices = limits
@@ -204,123 +205,3 @@ def _judged(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tu
     of = highest, lowest, support, missing, lacking, total, parts, slopes, curvature
     measured = (surveyed, barrier, rate), units[1], (along, entries, numbers)
     _measure(measure, (of, none, (largest, mean, cost), units[0], *measured))
-
-
-@inner
-def _accepted(standing: np.ndarray, isolated: bool, numbers: np.ndarray, cost: float, rules: tuple) -> bool:
-    """Whether a whole step is taken and the next is to be a whole one; what stands then follows it.
-
-    ``standing``: the promises of the step, the merit before, funnel, best residual, and 1 before the first trial.
-    """
-    made = True, standing[0], standing[1], 1.0, 1.0, 1.0
-    before, now = (standing[2], standing[3], standing[4]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
-    reached = standing[5], standing[6], 0.0, numbers[8, 0], numbers[14, 0], cost
-    funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[7] > 0, rules[0], rules[1])
-    if not good or shift > 0:
-        return False
-    standing[2], standing[3], standing[4] = now
-    standing[5], standing[6], standing[7] = funnel, best, 0.0
-    return True
-
-
-@inner
-def _scales(curvature: np.ndarray, units: tuple, softest: float, out: np.ndarray) -> None:
-    """Typical curvatures of the coordinates in their units, of which Hessians have a share."""
-    (unknowns, _, cost), most = units, 0.0
-    for i in range(out.shape[1]):
-        out[0, i] = curvature[0, i] * unknowns[0, i] * unknowns[0, i] / cost[0]
-        most = max(most, out[0, i])
-    for i in range(out.shape[1]):
-        out[0, i] = max(out[0, i], softest * most) if softest * most > 0 else 1.0
-
-
-@pasted
-def _stepped(solve: int, fixed: np.ndarray, room: tuple, rules: tuple, standing: np.ndarray, out: tuple) -> bool:
-    """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
-    (weight, work, factors), units, raised = room
-    _, _, (hessian, left, right, _, gradient), _, extent, _, _, found = out
-    (slopes, gaps, steps, multipliers, finite, largest, told, _), n = found, left.shape[2]
-    _scales(extent[9], units, rules[3], raised[1])
-    for i in range(largest.size):
-        largest[0, i] = 0.0
-    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
-    system = hessian, left, right, slopes, gaps, start, end
-    _solve(solve, (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told))
-    if not (finite[0, 0] and told[2][0] >= rules[2] * told[3][0]):
-        return False
-    for a in range(n):
-        if not largest[0, a] <= rules[4] * extent[3][0, a]:
-            return False
-    ahead, turned = 0.0, 0.0
-    for k in range(steps.shape[1]):
-        for i in range(steps.shape[2]):
-            ahead += gradient[0, k, i] * steps[0, k, i, 0]
-    for k in range(gaps.shape[1]):
-        for a in range(n):
-            turned += multipliers[0, k, a, 0] * gaps[0, k, a, 0]
-    standing[0], standing[1] = ahead / units[2][0], turned / units[2][0]
-    return True
-
-
-@compiled
-def pursue(
-    calls: tuple,
-    tapes: tuple,
-    before: tuple,
-    data: tuple,
-    ends: tuple,
-    units: tuple,
-    limits: tuple,
-    places: np.ndarray,
-    room: tuple,
-    rules: tuple,
-    standing: np.ndarray,
-    most: int,
-    isolated: bool,
-) -> tuple[int, int]:
-    """Iterations of Newton's method while whole steps are taken: how many were, and how the pass ends.
-
-    It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
-    written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0;
-    ``ARRIVED`` where a trial meets the conditions whose step, ``isolated``, was Newton's last; else ``GOING``. Trials
-    are written in turn in two places, each with the step from there where it was gone on from.
-
-    ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
-    one after the other, a table of where each stands, reads and writes, memory, and both places; ``before``: centres
-    and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them that is
-    made; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates of the nodes that count; the
-    points and which of their entries are prescribed; columns; the mean step; from which share on ends are far apart;
-    ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier is
-    kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``; ``room``: the weight of an
-    elimination and what it works in, its units, and what raises Hessians; ``rules``: the tolerance, those of ``judge``,
-    the least curvature of a step, the softest one of a coordinate, and by which share of a point's size a coordinate
-    moves at most; ``standing``: as in ``_accepted``.
-    """
-    (codes, registers, values, sources, targets, table, memory, both), done = tapes, 0
-    while True:
-        written = both[done % 2]
-        own = codes, registers, values, sources, targets, table, memory, written
-        out = _out(written, places)
-        if not _met(calls[0], calls[1], own, before, data, ends, out[0], out[1]):
-            return done, FAR
-        _evaluated(calls, own, data, ends[0], limits, out)
-        _judged(calls, ends[3], units, limits, out)
-        numbers, cost, (_, _, steps, multipliers, _, _, _, kept) = out[5][2], out[3][5], out[7]
-        for i in range(standing.size):
-            kept[i] = standing[i]
-        if most == 0 or not _accepted(kept, isolated, numbers, cost[0], rules):
-            return done, TRIED
-        arrived = numbers[7, 0] <= rules[0]
-        if not ((isolated and arrived) or _stepped(calls[7], ends[0], room, rules, kept, out)):
-            return done, TRIED
-        for i in range(standing.size):
-            standing[i] = kept[i]
-        if isolated and arrived:
-            return done, ARRIVED
-        done += 1
-        resting = numbers[1, 0] <= rules[0] and numbers[0, 0] > np.sqrt(rules[0])
-        if done == most or resting or arrived:
-            return done, GOING
-        moved = view(written, 0, (before[0].size,))
-        own_steps, others = view(steps, 0, (steps.size,)), view(multipliers, 0, (multipliers.size,))
-        before = moved, out[0][6], out[0][4], own_steps, others, before[5]

@@ -8,8 +8,8 @@ from retrax.integrators.boundary_value.engine import (
     elimination_kernels,
     extent_kernels,
     inequality_kernels,
+    pursuit_kernels,
     scaling_kernels,
-    trial_kernels,
 )
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint
@@ -24,7 +24,7 @@ KERNELS = (
     inequality_kernels.survey,
     inequality_kernels.raise_points,
     inequality_kernels.move,
-    trial_kernels.pursue,
+    pursuit_kernels.pursue,
     machine.run,
     scaling_kernels.gramians,
 )

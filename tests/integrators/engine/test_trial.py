@@ -72,16 +72,16 @@ def same(found: Any, expected: Any) -> None:
     )
 
 
-@pytest.fixture
-def one_by_one(monkeypatch):
-    """No trial is a part of a pursuit."""
-    monkeypatch.setattr(descent, "pursued", lambda *given: None)
+def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No trial is a part of a pursuit from now on."""
+    for name in ("set_out", "pursued"):
+        monkeypatch.setattr(descent, name, lambda *given: None)
 
 
-@pytest.mark.usefixtures("one_by_one")
 @pytest.mark.parametrize("name", CASES)
 def test_a_trial_is_what_its_parts_are(name, monkeypatch):
     """At every iterate of a solve, whole steps and parts of them."""
+    one_by_one(monkeypatch)
     solver, way, options = CASES[name]()
     compiled, calls = Conditions.tried, []
 
@@ -104,9 +104,9 @@ def test_a_trial_is_what_its_parts_are(name, monkeypatch):
     assert bool(calls) == (name != "a free end")
 
 
-@pytest.mark.usefixtures("one_by_one")
 def test_ends_far_apart_go_the_longer_way(monkeypatch):
     """A step many times too long leads to ends of steps that lie more than half their size apart."""
+    one_by_one(monkeypatch)
     compiled, call, far = Conditions.tried, Trial.__call__, []
 
     def heard(self: Trial, *given: Any) -> Any:

@@ -1,0 +1,227 @@
+"""Iterations of Newton's method on one trajectory in one compiled pass: trials, and after those that are accepted the
+next step."""
+
+import numpy as np
+
+from ....kernels import pasted
+from ....linked import view
+from .acceptance_kernels import judged
+from .extent_kernels import left_over
+from .trial_kernels import evaluate, laid_out, measure, meet_ends, solve
+from .vectors import compiled, inner
+
+FAR, TRIED, ARRIVED, GOING, LOST = range(5)  # how a pass ends
+# What stands between the trials of a pass.
+PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED = range(10)
+
+
+@inner
+def _set_out(standing: np.ndarray, numbers: np.ndarray) -> bool:
+    """The merit where a search begins, and a funnel as wide."""
+    standing[MISSING], standing[COST], standing[HELD] = numbers[9, 0], numbers[10, 0], numbers[11, 0]
+    standing[FUNNEL], standing[BEST], standing[FIRST] = max(numbers[9, 0], 1.0), numbers[8, 0], 1.0
+    return True
+
+
+@inner
+def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, rules: tuple) -> bool:
+    """Whether a whole step is taken and the next is to be a whole one; what stands then follows it."""
+    made = True, standing[PROMISED], standing[TURNED], 1.0, 1.0, 1.0
+    before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
+    reached = standing[FUNNEL], standing[BEST], 0.0, numbers[8, 0], numbers[14, 0], cost
+    funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
+    if not good or shift > 0:
+        return False
+    standing[MISSING], standing[COST], standing[HELD] = now
+    standing[FUNNEL], standing[BEST], standing[FIRST] = funnel, best, 0.0
+    return True
+
+
+@inner
+def _scales(curvature: np.ndarray, units: tuple, softest: float, out: np.ndarray) -> None:
+    """Typical curvatures of the coordinates in their units, of which Hessians have a share."""
+    (unknowns, _, cost), most = units, 0.0
+    for i in range(out.shape[1]):
+        out[0, i] = curvature[0, i] * unknowns[0, i] * unknowns[0, i] / cost[0]
+        most = max(most, out[0, i])
+    for i in range(out.shape[1]):
+        out[0, i] = max(out[0, i], softest * most) if softest * most > 0 else 1.0
+
+
+@inner
+def _are_steady(points: np.ndarray, groups: np.ndarray, e: int, unchanged: float) -> bool:
+    """Whether the entries of the group that an entry belongs to keep their size from point to point."""
+    least, most = np.inf, 0.0
+    for k in range(points.shape[0]):
+        square = 0.0
+        for i in range(groups.size):
+            if groups[i] == groups[e]:
+                square += points[k, i] * points[k, i]
+        least, most = min(least, square), max(most, square)
+    return np.sqrt(most) - np.sqrt(least) <= unchanged * np.sqrt(most)
+
+
+@inner
+def _is_unbound(a: int, extent: tuple, points: np.ndarray, groups: tuple, unchanged: float) -> bool:
+    """Whether a coordinate moves a column that does not keep its size, nor does its array; or nothing but arrays that
+    are zero all along, as rates at rest."""
+    (highest, lowest, support), (columns, arrays), idle = extent, groups, True
+    for e in range(arrays.size):
+        if support[0, a, e] > 0:
+            if not (_are_steady(points, columns, e, unchanged) or _are_steady(points, arrays, e, unchanged)):
+                return True
+            for i in range(arrays.size):
+                idle &= arrays[i] != arrays[e] or max(highest[0, i], lowest[0, i]) == 0
+    return idle
+
+
+@pasted
+def _stepped(
+    place: int, ends: tuple, room: tuple, rules: tuple, standing: np.ndarray, written: np.ndarray, out: tuple
+) -> bool:
+    """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
+    (weight, work, factors), units, raised = room
+    _, _, (hessian, left, right, _, gradient), _, extent, _, _, found = out
+    (slopes, gaps, steps, multipliers, finite, largest, told, _), (_, count, n, _) = found, left.shape
+    fixed, columns, arrays = ends[0], ends[2], ends[5]
+    _scales(extent[9], units, rules[1], raised[1])
+    for i in range(largest.size):
+        largest[0, i] = 0.0
+    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
+    system = hessian, left, right, slopes, gaps, start, end
+    solve(place, (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told))
+    if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0]):
+        return False
+    for a in range(n):
+        followed = largest[0, a] <= rules[2] * extent[3][0, a]
+        points, of = view(written, 0, (count, arrays.size)), (extent[0], extent[1], extent[2])
+        if not (followed or _is_unbound(a, of, points, (columns, arrays), rules[3])):
+            return False
+    ahead, turned = 0.0, 0.0
+    for k in range(steps.shape[1]):
+        for i in range(steps.shape[2]):
+            ahead += gradient[0, k, i] * steps[0, k, i, 0]
+    for k in range(gaps.shape[1]):
+        for a in range(n):
+            turned += multipliers[0, k, a, 0] * gaps[0, k, a, 0]
+    standing[PROMISED], standing[TURNED] = ahead / units[2][0], turned / units[2][0]
+    return True
+
+
+@inner
+def _leads_on(system: tuple, step: tuple, extent: tuple, nodes: np.ndarray, rules: tuple) -> bool:
+    """Whether a step neither leads far off nor leaves what the linearised constraints ask for."""
+    (fixed, gap, left, right), (steps, largest), (highest, lowest, support) = system, step, extent
+    far, unmet, met = rules
+    spread, moved = 0.0, 0.0
+    for e in range(support.shape[2]):
+        spread = max(spread, highest[0, e] + lowest[0, e])
+        for a in range(support.shape[1]):
+            moved = max(moved, largest[0, a] * support[0, a, e])
+    over, asked = left_over(gap, left, right, steps, fixed, nodes, 0)
+    return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)
+
+
+@inner
+def _settled(
+    standing: np.ndarray, extent: tuple, grown: np.ndarray, controls: np.ndarray, units: tuple, rules: tuple
+) -> bool:
+    """Whether the step that is still wanted where the residuals meet the tolerance is Newton's last but one."""
+    (highest, lowest, support), (unknowns, share), (least, shrinks) = extent, units, rules
+    (_, n, size), wanted = support.shape, 0.0
+    for i in range(grown.shape[1]):
+        own = share * unknowns[0, i]
+        if i < n:
+            for e in range(size):
+                value = max(highest[0, e], lowest[0, e])
+                own = max(own, support[0, i, e] * (highest[0, e] + lowest[0, e] + value))
+        else:
+            for k in range(controls.shape[0]):
+                own = max(own, abs(controls[k, i - n]))
+        wanted = max(wanted, grown[0, i] / own)
+    if not wanted <= least or wanted > shrinks * standing[CORRECTION]:
+        return False
+    standing[CORRECTION], standing[ISOLATED] = wanted, 1.0
+    return True
+
+
+@compiled
+def pursue(
+    calls: tuple,
+    tapes: tuple,
+    before: tuple,
+    data: tuple,
+    ends: tuple,
+    units: tuple,
+    limits: tuple,
+    places: np.ndarray,
+    room: tuple,
+    rules: tuple,
+    standing: np.ndarray,
+    most: int,
+    fresh: bool,
+) -> tuple[int, int]:
+    """Iterations of Newton's method while whole steps are taken: how many were, and how the pass ends.
+
+    It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
+    written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0; ``LOST``
+    where the first step of a search is not; ``ARRIVED`` where a trial meets the conditions whose step was Newton's
+    last; else ``GOING``. Trials are written in turn in two places, each with the step from there where it was gone on
+    from. ``fresh``: a system without a step is written in a third place, from which the search sets out.
+
+    ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
+    one after the other, a table of where each stands, reads and writes, memory, and the places; ``before``: centres
+    and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them that is
+    made; without steps the unknowns stay; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates
+    of the nodes that count; the points and which of their entries are prescribed; columns; the mean step; from which
+    share on ends are far apart; arrays of the entries; ``units``: of ``measure``, and its shares; ``limits``: slacks,
+    their steps, parts of these, what a multiplier is kept within, units, weights, what measures values, prices;
+    ``places``: those of ``OUT``; ``room``: the weight of an elimination and what it works in, its units, and what
+    raises Hessians; ``rules``: the tolerance; those of ``judge``; the least curvature of a step, the softest one of a
+    coordinate, by which share of a point's size a coordinate moves at most, and by which share sizes differ; those of
+    ``_leads_on``; those of ``_settled``; and a residual that is rounding.
+    """
+    (codes, registers, values, sources, targets, table, memory, rooms), done = tapes, 0
+    tolerance, ends_near = rules[0], ends[0]
+    while True:
+        written = rooms[2] if fresh else rooms[done % 2]
+        own = codes, registers, values, sources, targets, table, memory, written
+        out = laid_out(written, places)
+        if not fresh:
+            if not meet_ends(calls[0], calls[1], own, before, data, ends, out[0], out[1]):
+                return done, FAR
+            evaluate(calls, own, data, ends[0], limits, out)
+        measure(calls, ends[3], units, limits, out)
+        numbers, cost, (_, gaps, steps, multipliers, _, grown, _, kept) = out[5][2], out[3][5], out[7]
+        for i in range(standing.size):
+            kept[i] = standing[i]
+        if most == 0 or not (_set_out(kept, numbers) if fresh else _accepted(kept, numbers, cost[0], rules)):
+            return done, TRIED
+        arrived = numbers[7, 0] <= tolerance
+        last = arrived and kept[ISOLATED] > 0
+        if not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out)):
+            return done, LOST if fresh else TRIED
+        if fresh:
+            fixed = view(ends_near, 0, (1, gaps.shape[1], gaps.shape[2]))
+            system, taken = (fixed, out[0][5], out[2][1], out[2][2]), (steps, grown)
+            if arrived or not _leads_on(system, taken, (out[4][0], out[4][1], out[4][2]), units[0][3], rules[3]):
+                return done, LOST
+        for i in range(standing.size):
+            standing[i] = kept[i]
+        if last:
+            return done, ARRIVED
+        if not fresh:
+            done += 1
+            resting = numbers[1, 0] <= tolerance and numbers[0, 0] > np.sqrt(tolerance)
+            if done == most or resting:
+                return done, GOING
+            if arrived:
+                size = data[0].size * out[1][0].shape[2]
+                controls = view(written, size, (data[0].size, (before[0].size - size) // data[0].size))
+                of, scale = (out[4][0], out[4][1], out[4][2]), (units[0][1], units[1][1])
+                if numbers[8, 0] <= rules[5] or not _settled(standing, of, grown, controls, scale, rules[4]):
+                    return done, GOING
+        fresh = False
+        moved = view(written, 0, (before[0].size,))
+        own_steps, others = view(steps, 0, (steps.size,)), view(multipliers, 0, (multipliers.size,))
+        before = moved, out[0][6], out[0][4], own_steps, others, before[5]
