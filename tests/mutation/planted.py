@@ -8,6 +8,7 @@ CONDENSING = f"{TESTS}/engine/test_condensing.py"
 ELIMINATION = f"{TESTS}/engine/test_elimination.py"
 BARRIERS = f"{TESTS}/engine/test_barrier.py"
 TRIAL = f"{TESTS}/engine/test_trial.py"
+PURSUIT = f"{TESTS}/engine/test_pursuit.py"
 ACCEPTANCE = f"{TESTS}/engine/test_acceptance.py"
 SCALING = f"{TESTS}/engine/test_scaling.py"
 LIMITS = f"{TESTS}/test_inequalities.py"
@@ -562,6 +563,30 @@ PLANTED: dict[str, Planted] = {
         "return not _meet(meet, (begins, finishes, points, columns, far, work, met))",
         "return not _meet(meet, (begins, finishes, points, columns, far, work, met)) or count > 0",
         (TRIAL,),
+    ),
+    "a pursuit takes what a trial is refused for": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "if not good or shift > 0:",
+        "if shift > 0:",
+        (f"{PURSUIT}::test_what_is_refused_is_left_to_the_rest_of_the_iteration",),
+    ),
+    "a search sets out wherever its first step leads": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)",
+        "return True",
+        (RESTING, PURSUIT),
+    ),
+    "any last step is Newton's last": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "if not wanted <= least or wanted > shrinks * standing[CORRECTION]:",
+        "if not wanted <= least * 1e300:",
+        (CLAIMS, PURSUIT),
+    ),
+    "a pursuit turns by more than a half turn": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "within &= size == 0 or by <= size",
+        "within &= size == 0 or by >= 0",
+        (PURSUIT,),
     ),
     # Inequalities.
     "the barrier ends far above its last value": Planted(

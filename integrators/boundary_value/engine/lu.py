@@ -3,7 +3,7 @@
 import numpy as np
 
 from .arrays import LANES
-from .vectors import add_vector, entry, inner, put, put_entry, scaled, vector
+from .vectors import add_vector, entry, inner, over, put, put_entry, vector
 
 
 @inner
@@ -53,9 +53,8 @@ def back_substitute(v: np.ndarray, start: int, upper: np.ndarray) -> None:
             if f != 0:
                 for j in range(start, v.shape[1], LANES):
                     add_vector(v, k, j, -f, v, i, j)
-        f = 1 / entry(v, k, k)
         for j in range(start, v.shape[1], LANES):
-            put(v, k, j, scaled(f, vector(v, k, j)))
+            put(v, k, j, over(vector(v, k, j), entry(v, k, k)))
         for j in range(k, p):
             put_entry(upper, k, j, entry(v, k, j))
 

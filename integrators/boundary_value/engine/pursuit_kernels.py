@@ -49,8 +49,8 @@ def _scales(curvature: np.ndarray, units: tuple, softest: float, out: np.ndarray
 
 
 @inner
-def _are_steady(points: np.ndarray, groups: np.ndarray, e: int, unchanged: float) -> bool:
-    """Whether the entries of the group that an entry belongs to keep their size from point to point."""
+def _kept_size(points: np.ndarray, groups: np.ndarray, e: int, unchanged: float) -> float:
+    """The size of the entries of the group that an entry belongs to, if they keep it from point to point, else -1."""
     least, most = np.inf, 0.0
     for k in range(points.shape[0]):
         square = 0.0
@@ -58,21 +58,24 @@ def _are_steady(points: np.ndarray, groups: np.ndarray, e: int, unchanged: float
             if groups[i] == groups[e]:
                 square += points[k, i] * points[k, i]
         least, most = min(least, square), max(most, square)
-    return np.sqrt(most) - np.sqrt(least) <= unchanged * np.sqrt(most)
+    most = np.sqrt(most)
+    return most if most - np.sqrt(least) <= unchanged * most else -1.0
 
 
 @inner
-def _is_unbound(a: int, extent: tuple, points: np.ndarray, groups: tuple, unchanged: float) -> bool:
-    """Whether a coordinate moves a column that does not keep its size, nor does its array; or nothing but arrays that
-    are zero all along, as rates at rest."""
-    (highest, lowest, support), (columns, arrays), idle = extent, groups, True
+def _may_move(a: int, by: float, support: np.ndarray, points: np.ndarray, groups: tuple, unchanged: float) -> bool:
+    """Whether a coordinate moves nothing of constant size by more than this size; an array that is zero all along, as
+    rates at rest, does not count."""
+    (columns, arrays), within = groups, True
     for e in range(arrays.size):
         if support[0, a, e] > 0:
-            if not (_are_steady(points, columns, e, unchanged) or _are_steady(points, arrays, e, unchanged)):
+            size = _kept_size(points, arrays, e, unchanged)
+            if size < 0:
+                size = _kept_size(points, columns, e, unchanged)
+            if size < 0:
                 return True
-            for i in range(arrays.size):
-                idle &= arrays[i] != arrays[e] or max(highest[0, i], lowest[0, i]) == 0
-    return idle
+            within &= size == 0 or by <= size
+    return within
 
 
 @pasted
@@ -94,8 +97,8 @@ def _stepped(
         return False
     for a in range(n):
         followed = largest[0, a] <= rules[2] * extent[3][0, a]
-        points, of = view(written, 0, (count, arrays.size)), (extent[0], extent[1], extent[2])
-        if not (followed or _is_unbound(a, of, points, (columns, arrays), rules[3])):
+        points, by = view(written, 0, (count, arrays.size)), largest[0, a] / rules[2]
+        if not (followed or _may_move(a, by, extent[2], points, (columns, arrays), rules[3])):
             return False
     ahead, turned = 0.0, 0.0
     for k in range(steps.shape[1]):

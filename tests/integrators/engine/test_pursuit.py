@@ -113,3 +113,42 @@ def test_the_last_of_a_batch_goes_on_alone(pursuits):
     assert pursuits
     alone = solver.solve(north, ends[1], 1.0)
     same(jax.tree.leaves(both[1].states), jax.tree.leaves(alone.states))
+
+
+def both_ways(solver: Solver, way: tuple, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tuple[Any, Any]:
+    """What a solve returns with pursuits, and one iteration after the other."""
+    short = solver.solve(*way, throw=False, **options)
+    with monkeypatch.context() as other:
+        one_by_one(other)
+        return short, solver.solve(*way, throw=False, **options)
+
+
+@pytest.mark.parametrize("height", [1e-9, 1e-6, 1e-3, 0.03, 0.3, 3.0])
+def test_a_guess_that_is_lost_is_moved_aside(height, monkeypatch):
+    """In Heisenberg's group, on the way to points from beside the start to above it."""
+    space = Euclidean(3)
+    group = OptimalControlProblem(
+        space, lambda q, u: jnp.array([u[0], u[1], (q[0] * u[1] - q[1] * u[0]) / 2]), half_square, controls=2
+    )
+    solver = Solver(group, Midpoint(Addition(space)), 30)
+    for end in (np.array([1.0, 0.0, height]), np.array([height, 0.0, 1.0])):
+        alike(*both_ways(solver, (np.zeros(3), end, 1.0), monkeypatch, max_iterations=30))
+
+
+@pytest.mark.parametrize(("spin", "far"), [(0.1, False), (1.0, False), (4.0, False), (8.0, True), (16.0, True)])
+def test_a_step_that_turns_too_far_is_cut(spin, far, pursuits, monkeypatch):
+    """A direction that turns by itself, from slowly to many times round in the horizon."""
+    axis = spin * jnp.array([1.0, 2.0, 2.0]) / 3.0
+    turning = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u + axis, q), half_square, controls=3)
+    solver = Solver(turning, Midpoint(default_retraction(SPHERE)), 40)
+    way = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), 1.0
+    alike(*both_ways(solver, way, monkeypatch))
+    assert (pursuits[0] is None) == far
+
+
+@pytest.mark.parametrize("beside", [0.3, 1e-3, 1e-6, 1e-9, 1e-12, 1e-14])
+def test_a_last_step_is_one_beside_opposite_points_too(beside, monkeypatch):
+    """From a turn that is isolated to one of many that rounding does not tell apart."""
+    way = np.array([0.0, 0.0, 1.0]), np.array([np.sin(beside), 0.0, -np.cos(beside)]), 1.0
+    free = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, controls=3)
+    alike(*both_ways(Solver(free, Midpoint(default_retraction(SPHERE)), 20), way, monkeypatch))
