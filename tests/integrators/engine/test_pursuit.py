@@ -152,3 +152,13 @@ def test_a_last_step_is_one_beside_opposite_points_too(beside, monkeypatch):
     way = np.array([0.0, 0.0, 1.0]), np.array([np.sin(beside), 0.0, -np.cos(beside)]), 1.0
     free = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, controls=3)
     alike(*both_ways(Solver(free, Midpoint(default_retraction(SPHERE)), 20), way, monkeypatch))
+
+
+@pytest.mark.parametrize("tolerance", [0.1, 0.01])
+def test_a_tolerance_that_is_met_far_off_at_a_conjugate_point_does_not_end_it(tolerance, monkeypatch):
+    """A pendulum's action over half a period and somewhat less and more: steps are long where residuals are small."""
+    action = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2 + jnp.cos(q[0]), controls=1)
+    solver = Solver(action, Midpoint(Addition(LINE)), 20)
+    for horizon in (2.8, 3.1, 3.14, 3.2, 3.5, 4.0):
+        way = np.zeros(1), np.array([0.5]), horizon
+        alike(*both_ways(solver, way, monkeypatch, tolerance=tolerance, max_iterations=40))
