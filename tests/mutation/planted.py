@@ -574,13 +574,13 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/pursuit_kernels.py",
         "return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)",
         "return True",
-        (RESTING, PURSUIT),
+        (f"{PURSUIT}::test_a_step_that_leads_far_off_is_not_followed",),
     ),
     "any last step is Newton's last": Planted(
         f"{ENGINE}/pursuit_kernels.py",
         "if not wanted <= least or wanted > shrinks * standing[CORRECTION]:",
         "if not wanted <= least * 1e300:",
-        (CLAIMS, PURSUIT),
+        (PURSUIT,),
     ),
     "a pursuit turns by more than a half turn": Planted(
         f"{ENGINE}/pursuit_kernels.py",

@@ -13,6 +13,7 @@ from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
 
 from tests.integrators.engine.test_trial import CASES, SLEWS, one_by_one, same
 from tests.integrators.problems import RIGID, SLEW, SPHERE, half_square
+from tests.integrators.test_claims import HALF_PERIOD, OSCILLATOR, STEPS
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
@@ -162,3 +163,10 @@ def test_a_tolerance_that_is_met_far_off_at_a_conjugate_point_does_not_end_it(to
     for horizon in (2.8, 3.1, 3.14, 3.2, 3.5, 4.0):
         way = np.zeros(1), np.array([0.5]), horizon
         alike(*both_ways(solver, way, monkeypatch, tolerance=tolerance, max_iterations=40))
+
+
+@pytest.mark.parametrize("distance", [-1e-6, -1e-13, 0.0, 1e-15, 1e-14, 1e-12, 1e-6])
+def test_a_step_that_leads_far_off_is_not_followed(distance, monkeypatch):
+    """An oscillator over half a period, as far as the horizon is known: the system is singular to rounding."""
+    solver = Solver(OSCILLATOR, Midpoint(Addition(LINE)), STEPS)
+    alike(*both_ways(solver, (np.zeros(1), np.ones(1), HALF_PERIOD + distance), monkeypatch))
