@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators import Guess, OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.engine.trial import Trial
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
@@ -14,6 +14,7 @@ from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
 from tests.integrators.engine.test_trial import CASES, SLEWS, one_by_one, same
 from tests.integrators.problems import RIGID, SLEW, SPHERE, half_square
 from tests.integrators.test_claims import HALF_PERIOD, OSCILLATOR, STEPS
+from tests.integrators.test_long_steps import TURNED, N, rotation, turning
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
@@ -163,6 +164,16 @@ def test_a_tolerance_that_is_met_far_off_at_a_conjugate_point_does_not_end_it(to
     for horizon in (2.8, 3.1, 3.14, 3.2, 3.5, 4.0):
         way = np.zeros(1), np.array([0.5]), horizon
         alike(*both_ways(solver, way, monkeypatch, tolerance=tolerance, max_iterations=40))
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-15, 1e-8, 1e-2, 0.1, 1.0])
+def test_a_step_that_leaves_what_constraints_ask_for_is_not_followed(size, monkeypatch):
+    """A turn by two controls about the third axis, from guesses at rest to far from it."""
+    solver, times = turning(), np.linspace(0, 1, N)
+    controls = size * np.stack([np.cos(times), np.sin(2 * times)], axis=1)
+    guess = Guess.from_controls(TURNED, solver.method, np.eye(3), controls, 1.0, N)
+    way = np.eye(3), rotation([0.4, -0.3, 1.6]), 1.0
+    alike(*both_ways(solver, way, monkeypatch, guess=guess))
 
 
 @pytest.mark.parametrize("distance", [-1e-6, -1e-13, 0.0, 1e-15, 1e-14, 1e-12, 1e-6])
