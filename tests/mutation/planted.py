@@ -574,7 +574,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/pursuit_kernels.py",
         "return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)",
         "return True",
-        (f"{PURSUIT}::test_a_step_that_leads_far_off_is_not_followed",),
+        (f"{PURSUIT}::test_how_far_a_first_step_may_lead_is_swept",),
     ),
     "any last step is Newton's last": Planted(
         f"{ENGINE}/pursuit_kernels.py",

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solver
+from retrax.integrators.boundary_value.engine import pursuit
 from retrax.integrators.boundary_value.engine.trial import Trial
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
@@ -181,3 +182,17 @@ def test_a_step_that_leads_far_off_is_not_followed(distance, monkeypatch):
     """An oscillator over half a period, as far as the horizon is known: the system is singular to rounding."""
     solver = Solver(OSCILLATOR, Midpoint(Addition(LINE)), STEPS)
     alike(*both_ways(solver, (np.zeros(1), np.ones(1), HALF_PERIOD + distance), monkeypatch))
+
+
+@pytest.mark.parametrize(("rule", "bounds"), [("FAR", [100.0, 10.0, 1.0, 0.1, 0.0]), ("UNMET", [1.0, 1e-9, -1.0])])
+def test_how_far_a_first_step_may_lead_is_swept(rule, bounds, pursuits, monkeypatch):
+    """It moves the slew by some times its spread, and leaves rounding of what the constraints ask for."""
+    solver, followed = Solver(SLEW, Midpoint(Cayley(RIGID)), 30), []
+    for bound in bounds:
+        monkeypatch.setattr(pursuit, rule, bound)
+        alike(*both_ways(solver, SLEWS, monkeypatch))
+        followed.append(pursuits[0] is not None)
+        pursuits.clear()
+    assert followed[0]
+    assert not followed[-1]
+    assert followed == sorted(followed, reverse=True)
