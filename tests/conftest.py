@@ -81,6 +81,24 @@ def pytest_collection_finish():
     gc.set_threshold(1_000_000, 20, 50)
 
 
+def with_room(run, *arguments):
+    """Call a function."""
+    return run(*arguments)
+
+
+# CPython keeps frames in chunks of 16 kB, and asks the system for one, and gives it back, whenever calls cross the end
+# of the last: thousands of times a second, where that is within a trace. A frame this large has a chunk of its own, in
+# which there is room for all that it calls.
+with_room.__code__ = with_room.__code__.replace(co_stacksize=70_000)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item, nextitem):
+    """Run a test as pytest does, with room for its frames."""
+    runner = item.config.pluginmanager.get_plugin("runner")
+    return with_room(runner.pytest_runtest_protocol, item, nextitem)
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_unconfigure(config):
     """A worker that has told its results ends at once: to take apart all that its tests made takes seconds."""
