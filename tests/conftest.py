@@ -19,6 +19,8 @@ FASTER = "--xla_cpu_parallel_codegen_split_count=1 --xla_cpu_use_fusion_emitters
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {FASTER}"
 # Kernels that run a few times need no places in the code for a profiler.
 jax.config.update("jax_traceback_in_locations_limit", 0)
+# So in the processes that tests start.
+os.environ |= {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAX_TRACEBACK_IN_LOCATIONS_LIMIT": "0"}
 # Workers, which fill the processors, begin with this: threads of BLAS would wait for small matrices in a busy loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -27,8 +29,10 @@ MEMORY_MAPS = Path("/proc/self/maps")
 MOST_MEMORY_MAPS = 30_000
 
 
-# Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache.
+# Kernels that another worker or an earlier run compiled are read from the folder of pytest's cache, but the smallest
+# ones: to compile those takes no longer than to read them, and to write them is added.
 KERNELS = "kernels"
+LEAST_SECONDS = 0.03
 
 
 def pytest_addoption(parser):
@@ -43,9 +47,9 @@ def pytest_configure(config):
     if hasattr(config, "cache"):
         # Processes that tests start read them from there too.
         folder = os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(config.cache.mkdir(KERNELS)))
-        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+        os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = str(LEAST_SECONDS)
         jax.config.update("jax_compilation_cache_dir", folder)
-        jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
+        jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
 
     config.addinivalue_line(
         "markers", "usual(*cases): of the cases of this test these are run by default, the others are slow"
@@ -74,7 +78,25 @@ def pytest_collection_finish():
     """What is there before the first test is not looked through for garbage again and again."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(100_000, 20, 50)
+    gc.set_threshold(1_000_000, 20, 50)
+
+
+def with_room(run, *arguments):
+    """Call a function."""
+    return run(*arguments)
+
+
+# CPython keeps frames in chunks of 16 kB, and asks the system for one, and gives it back, whenever calls cross the end
+# of the last: thousands of times a second, where that is within a trace. A frame this large has a chunk of its own, in
+# which there is room for all that it calls.
+with_room.__code__ = with_room.__code__.replace(co_stacksize=70_000)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item, nextitem):
+    """Run a test as pytest does, with room for its frames."""
+    runner = item.config.pluginmanager.get_plugin("runner")
+    return with_room(runner.pytest_runtest_protocol, item, nextitem)
 
 
 @pytest.hookimpl(trylast=True)

@@ -41,6 +41,7 @@ def within(most: float, method: Any) -> Solution:
 POWERS = {power: lambda q, u, most, power=power: (u[0] / most) ** power - 1 for power in (2, 4)}
 
 
+@pytest.mark.long("4-5.0", "4-6.2", "4-10.0", "4-30.0")
 @pytest.mark.parametrize("most", [4.6, 5.0, 5.699, 5.701, 6.2, 10.0, 30.0, 1000.0])
 @pytest.mark.parametrize("power", POWERS)
 def test_a_power_of_the_control_is_limited_as_the_control_is(most, power):

@@ -30,6 +30,7 @@ def missed(solution):
     return max(np.max(np.abs(inside) / size), np.max(np.abs(after) / size))
 
 
+@pytest.mark.long("1", "3", "5", "7", "9")
 @pytest.mark.parametrize("decade", range(12))
 def test_a_success_solves_the_equations(spring, decade):
     solved = 0

@@ -69,6 +69,7 @@ def test_no_strict_minimum_is_shown_where_a_limit_is_flat_in_any_unit():
             check(solved(squared(), share, unit, LARGEST), share == 0)
 
 
+@pytest.mark.long("2.5", "4.0")
 @pytest.mark.parametrize("power", [1.1, 1.5, 2.0, 2.5, 3.0, 4.0])
 def test_no_strict_minimum_is_shown_by_a_power_of_a_limit(power):
     """On one side, or on both; without success nothing is claimed."""

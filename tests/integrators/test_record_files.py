@@ -130,6 +130,11 @@ def differs(one: np.ndarray, other: np.ndarray) -> bool:
     return one.shape != other.shape or one.dtype.kind != other.dtype.kind or finite[0] != finite[1]
 
 
+# Of the entries of a trajectory all, of those of a solution one of each kind: a number, another kind, size, order.
+ALIKE = "a word", "words", "yes", "whole numbers", "truth values", "bytes", "one more", "one axis more", "infinite"
+
+
+@pytest.mark.long(*(f"solution with polynomials-{mutation}" for mutation in ALIKE))
 @pytest.mark.parametrize("mutation", MUTATIONS)
 def test_an_entry_that_is_something_else_is_refused(record, mutation, tmp_path):
     """Each entry in turn, also a pickle that would be executed by a loader that allowed it."""

@@ -14,9 +14,14 @@ from .functions import SMOOTH, SPECIAL
 POINTS = 0.05 + 0.9 * np.random.default_rng(0).random((3, 5))
 
 
-def weighted(function):
+def weights(values):
     """One value whose derivatives show those of all of a function's."""
-    return lambda x: jnp.sum(jnp.sin(jnp.arange(1.0, 4.0) * function(x)))
+    return jnp.sum(jnp.sin(jnp.arange(1.0, 4.0) * values))
+
+
+def weighted(function):
+    """The same, of the argument of the function."""
+    return lambda x: weights(function(x))
 
 
 CASES = {
@@ -27,22 +32,27 @@ CASES = {
 
 @pytest.fixture(scope="module")
 def by_xla():
-    """Values, gradients and Hessians of all functions, twenty compiled together: all in one take longer."""
+    """Values, gradients and Hessians of all functions, each traced once, and ten compiled together: all in one take
+    longer."""
 
     def all_of(function, points):
+        def value(x):
+            values = function(x)
+            return weights(values), values
+
         def slope(x):
-            found = jax.grad(weighted(function))(x)
-            return found, found
+            found, values = jax.grad(value, has_aux=True)(x)
+            return found, (found, values)
 
         def at(x):
-            curvature, found = jax.jacfwd(slope, has_aux=True)(x)
-            return function(x), found, curvature
+            curvature, (found, values) = jax.jacfwd(slope, has_aux=True)(x)
+            return values, found, curvature
 
         return jax.vmap(at, -1, -1)(points)
 
     found, names = {}, list(CASES)
-    for first in range(0, len(names), 20):
-        points = {name: CASES[name][1] for name in names[first : first + 20]}
+    for first in range(0, len(names), 10):
+        points = {name: CASES[name][1] for name in names[first : first + 10]}
         found |= jax.jit(lambda data: {name: all_of(CASES[name][0], x) for name, x in data.items()})(points)
     return found
 
