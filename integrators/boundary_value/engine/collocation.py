@@ -60,7 +60,9 @@ class Collocation:
     def __init__(self, problem: OptimalControlProblem, method: Gauss, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self.method, self.stages = problem, method, method.stages
         self.manifold, self.controls = problem.manifold, problem.controls
+        # Of a product they are sums that are taken again each time.
         n, m = self.manifold.dimension, self.controls.dimension
+        self.directions = n
         self.dimension = n + self.stages * m
         self.tableau = Tableau(np.array(method.centred), np.array(method.weights))
         self.state, self.control, self.parameter = (
@@ -165,7 +167,7 @@ class Collocation:
             return raised(*points, held, slacks), np.stack([ends[1], np.zeros_like(ends[1])], axis=-1)
         within, last = np.s_[:, :, : self.stages, : self.own], np.s_[:, :, self.stages :, self.own :]
         of_ends = Held(*(a[last] for a in held))
-        of_ends = of_ends._replace(jacobian=of_ends.jacobian[..., : 2 * self.manifold.dimension])
+        of_ends = of_ends._replace(jacobian=of_ends.jacobian[..., : 2 * self.directions])
         columns = raised(*points, Held(*(a[within] for a in held)), slacks.at(within))
         return columns, raised(ends[0][:, :, None], ends[1][:, :, None], of_ends, slacks.at(last))[:, :, 0]
 
@@ -202,9 +204,9 @@ class Collocation:
         """The unknowns moved by fractions of the steps of the condensed system."""
         steps, part, inner, whole = step.steps, step.fraction, blocks.inner, step.inner
         some = part[:, None, None]
-        centres, turns = self._centre.at(2, unknowns.centres, some * steps[..., : self.manifold.dimension])
+        centres, turns = self._centre.at(2, unknowns.centres, some * steps[..., : self.directions])
         velocities = np.einsum("bkac,bkic->bkia", turns, unknowns.velocities + some[..., None] * whole[0])
-        turned = some[..., None] * steps[..., self.manifold.dimension :].reshape(*unknowns.controls.shape[:3], -1)
+        turned = some[..., None] * steps[..., self.directions :].reshape(*unknowns.controls.shape[:3], -1)
         (controls,) = self._control.at(3, unknowns.controls, turned)
         costates = np.einsum("bkine,bkin->bkie", inner.frames, inner.multipliers + some[..., None] * whole[1])
         return GaussUnknowns(centres, velocities, controls, costates)
@@ -230,7 +232,7 @@ class Collocation:
     def at_each(self, moves: Moves, data: Data) -> np.ndarray:
         """The steps of the unknowns ``(dx, dxi, dnu, du)`` of each point, and of those of the ends, shape (B, N, r, 3 n
         + m)."""
-        n, velocities = self.manifold.dimension, moves.inner[0]
+        n, velocities = self.directions, moves.inner[0]
         centres = np.broadcast_to(moves.steps[:, :, None, :n], velocities.shape)
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, velocities)
         controls = moves.steps[:, :, n:].reshape(*velocities.shape[:3], -1)
@@ -245,7 +247,7 @@ class Collocation:
     def sizes(self, units: Units) -> np.ndarray:
         """Units of the unknowns of each point, and of the ends, that an inequality depends on, shape (B, 1, r, 3 n +
         m)."""
-        n, s = self.manifold.dimension, self.stages
+        n, s = self.directions, self.stages
         controls = units.unknowns[:, n:].reshape(len(units.unknowns), s, -1)
         nodes = np.repeat(units.nodes[:, None], s, axis=1)
         found = np.concatenate([nodes, nodes, np.zeros_like(nodes), controls], axis=2)
@@ -260,7 +262,7 @@ class Collocation:
         change them.
         """
         held, points, ends = blocks.inequalities, blocks.inner.points, blocks.inner.ends
-        n, s, z = self.manifold.dimension, self.stages, self.dimension
+        n, s, z = self.directions, self.stages, self.dimension
         maps = blocks.inner.kept[2][..., :z] if maps is None else maps
         slope = np.einsum("ij,bkicq->bkiqjc", np.eye(self.places), held.jacobian)
         slope = slope.reshape(*slope.shape[:4], -1)
@@ -298,7 +300,7 @@ class Collocation:
 
     def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Any, ...]:
         xi, nu, control, costate, weight, parameters, pull = given
-        n, u = self.manifold.dimension, self.control.point(control)
+        n, u = self.directions, self.control.point(control)
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         here = self.state.point(x)
         e = self.manifold.basis(self.method.retraction(here, vec.combine(self.manifold.basis(here), xi)))
@@ -315,7 +317,7 @@ class Collocation:
 
     def _both_of(self, z: Array, x: Array, eta: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
         q0, q1, p0, p1 = map(self.state.point, given[:4])
-        n = self.manifold.dimension
+        n = self.directions
         centre, carried = self._moved(x, z[:n])
         begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
         values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
@@ -330,7 +332,7 @@ class Collocation:
     def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
         moved, carried = self._moved(x, dx)
         frame = self.manifold.basis(moved)
-        turns = jax.vmap(lambda c: vec.components(frame, carried(c)))(jnp.eye(self.manifold.dimension))
+        turns = jax.vmap(lambda c: vec.components(frame, carried(c)))(jnp.eye(self.directions))
         return self.state.flat(moved), turns.T
 
     def _control_moved(self, u: Array, du: Array) -> tuple[Array]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from .arrays import LANES
 from .lu import back_substitute, decompose, product, solve_transposed
-from .vectors import add_vector, compiled, inner
+from .vectors import add_vector, compiled, entry, filled, inner, put, put_entry, vector
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -21,21 +21,22 @@ def _assemble(v: np.ndarray, start: int, t: int, points: Arrays, table: Table) -
     (s, n, q), columns = constraints.shape[1:], defect.shape[3]
     m = q - 3 * n
     for i in range(s):
+        own, lacking = constraints[t, i], defect[t, i]
         for a in range(n):
             r = i * n + a
-            for j in range(v.shape[1]):
-                v[r, j] = 0.0
+            for j in range(0, v.shape[1], LANES):
+                put(v, r, j, filled(0.0))
             for j in range(s):
                 f = h[t] * matrix[i, j]
                 for b in range(n):
-                    v[r, j * n + b] = f * constraints[t, i, a, n + b]
+                    put_entry(v, r, j * n + b, f * entry(own, a, n + b))
             for b in range(n):
-                v[r, i * n + b] += constraints[t, i, a, 2 * n + b]
-                v[r, start + b] = -constraints[t, i, a, b]
+                put_entry(v, r, i * n + b, entry(v, r, i * n + b) + entry(own, a, 2 * n + b))
+                put_entry(v, r, start + b, -entry(own, a, b))
             for b in range(m):
-                v[r, start + n + i * m + b] = -constraints[t, i, a, 3 * n + b]
+                put_entry(v, r, start + n + i * m + b, -entry(own, a, 3 * n + b))
             for j in range(columns):
-                v[r, start + n + s * m + j] = -defect[t, i, a, j]
+                put_entry(v, r, start + n + s * m + j, -entry(lacking, a, j))
 
 
 @inner
@@ -44,10 +45,10 @@ def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray
     one."""
     n, m, i = sizes
     for a in range(x.shape[0]):
-        for j in range(x.shape[1]):
-            x[a, j] = 0.0
+        for j in range(0, x.shape[1], LANES):
+            put(x, a, j, filled(0.0))
     for a in range(n):
-        x[a, a] = 1.0
+        put_entry(x, a, a, 1.0)
         for j in range(0, x.shape[1], LANES):
             for k in range(weights.size):
                 add_vector(x, n + a, j, h * weights[k], v, k * n + a, start + j)
@@ -55,7 +56,7 @@ def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray
                 add_vector(x, 2 * n + a, j, 1.0, v, i * n + a, start + j)
     if i >= 0:
         for b in range(m):
-            x[3 * n + b, n + i * m + b] = 1.0
+            put_entry(x, 3 * n + b, n + i * m + b, 1.0)
 
 
 @inner
@@ -65,9 +66,9 @@ def _pull(out: np.ndarray, y: np.ndarray, block: np.ndarray, slope: np.ndarray, 
     z = out.shape[0]
     for a in range(block.shape[0]):
         for j in range(slope.shape[1]):
-            y[a, z + j] += slope[a, j]
+            put_entry(y, a, z + j, entry(y, a, z + j) + entry(slope, a, j))
         for b in range(z):
-            f = x[a, b]
+            f = entry(x, a, b)
             if f != 0:
                 for j in range(b & -LANES, out.shape[1], LANES):
                     add_vector(out, b, j, f, y, a, j)
@@ -78,9 +79,9 @@ def _store(y: np.ndarray, matrix: np.ndarray, columns: np.ndarray) -> None:
     (rows, z), k = matrix.shape, columns.shape[1]
     for a in range(rows):
         for j in range(z):
-            matrix[a, j] = y[a, j]
+            put_entry(matrix, a, j, entry(y, a, j))
         for j in range(k):
-            columns[a, j] = y[a, z + j]
+            put_entry(columns, a, j, entry(y, a, z + j))
 
 
 @compiled
@@ -100,11 +101,11 @@ def condense(
         decompose(v, kept[1][t], kept[0][t], weights)
         back_substitute(v, start, kept[0][t])
         for i in range(s * n):
-            for j in range(total.shape[1]):
-                kept[2][t, i, j] = v[i, start + j]
+            for j in range(0, total.shape[1], LANES):
+                put(kept[2][t], i, j, vector(v, i, start + j))
         for i in range(total.shape[0]):
-            for j in range(total.shape[1]):
-                total[i, j] = 0.0
+            for j in range(0, total.shape[1], LANES):
+                put(total, i, j, filled(0.0))
         for i in range(s + 1):
             at_ends = i == s
             _map(x, v, start, h[t], b if at_ends else matrix[i], (n, m, -1 if at_ends else i))
@@ -112,7 +113,7 @@ def condense(
             _pull(total, y, block, slope, x)
         for i in range(total.shape[0]):
             for j in range(i):
-                total[i, j] = total[j, i]
+                put_entry(total, i, j, entry(total, j, i))
         _store(total, out[0][t], out[3][t])
         for i in range(2):
             product(y, ends[1][t] if i == 0 else ends[2][t], x)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .arrays import LANES
-from .vectors import add_vector, entry, inner, over, put, put_entry, vector
+from .vectors import add_vector, entry, filled, inner, over, put, put_entry, vector
 
 
 @inner
@@ -77,11 +77,11 @@ def solve_transposed(factors: np.ndarray, swaps: np.ndarray, x: np.ndarray) -> N
 def product(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
     """``y = block x``, rows of ``x`` and ``y`` padded to whole vectors."""
     for a in range(block.shape[0]):
-        for j in range(x.shape[1]):
-            y[a, j] = 0.0
+        for j in range(0, x.shape[1], LANES):
+            put(y, a, j, filled(0.0))
     for c in range(block.shape[1]):  # row after row of ``y``: the next one does not wait for what is added to this
         for a in range(block.shape[0]):
-            f = block[a, c]
+            f = entry(block, a, c)
             if f != 0:
                 for j in range(0, x.shape[1], LANES):
                     add_vector(y, a, j, f, x, c, j)
