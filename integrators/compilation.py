@@ -14,6 +14,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.compiler import Option, known_options
 from ..reading import one_reading, traced
+from ..undisturbed import with_room
 from .functions import is_transformed
 from .program_keys import PLAIN, content_key, program_key
 
@@ -145,7 +146,7 @@ def _executable(program: _Program, data: list) -> Any:
         def run(constants: list, data: list) -> list:
             return jaxpr_as_fun(ClosedJaxpr(program.closed.jaxpr, constants))(*data)
 
-        lowered = jax.jit(run).lower(program.closed.consts, data)
+        lowered = with_room(jax.jit(run).lower, program.closed.consts, data)
         if len(_compiled) >= MOST_COMPILED:
             del _compiled[next(iter(_compiled))]
         _compiled[key] = lowered.compile(compiler_options())

@@ -10,6 +10,7 @@ import jax
 import pytest
 from hypothesis import HealthCheck, settings
 from retrax.reading import Reading, resumed
+from retrax.undisturbed import with_room
 
 jax.config.update("jax_enable_x64", True)
 # Most of the time of these tests is compilation: in one piece a kernel takes an eighth less, of all processors
@@ -79,17 +80,6 @@ def pytest_collection_finish():
     gc.collect()
     gc.freeze()
     gc.set_threshold(1_000_000, 20, 50)
-
-
-def with_room(run, *arguments):
-    """Call a function."""
-    return run(*arguments)
-
-
-# CPython keeps frames in chunks of 16 kB, and asks the system for one, and gives it back, whenever calls cross the end
-# of the last: thousands of times a second, where that is within a trace. A frame this large has a chunk of its own, in
-# which there is room for all that it calls.
-with_room.__code__ = with_room.__code__.replace(co_stacksize=70_000)
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -6,8 +6,8 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
-from ...collection import put_off
 from ...retractions import Gauss, Midpoint
+from ...undisturbed import undisturbed
 from ..controls import resting_control
 from ..evaluator import Evaluator
 from ..layout import Layout
@@ -73,8 +73,7 @@ class Posing:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
         if key not in self._found:
-            with put_off():
-                self._found[key] = self._traced(parameters)
+            self._found[key] = undisturbed(self._traced)(parameters)
         return self._found[key]
 
     def _traced(self, parameters: Any) -> Traced:

@@ -4,11 +4,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...collection import put_off
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
 from ...reading import one_reading
+from ...undisturbed import undisturbed
 from .integrator import Integrator
 
 if TYPE_CHECKING:
@@ -49,8 +49,7 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     try:
         from .lanes import TracedSteps
 
-        with put_off():
-            return TracedSteps(system, integrator)
+        return undisturbed(TracedSteps)(system, integrator)
     except (NotTraceableError, UnknownInstructionError) as error:
         return str(error)
     except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for what it compiles

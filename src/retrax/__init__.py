@@ -10,7 +10,7 @@ from .threads import ask_for_threads
 ask_for_threads()  # before anything below makes JAX compute
 
 from ._version import __version__
-from .collection import put_off
+from .undisturbed import put_off
 
 with put_off():
     from . import integrators, manifolds, retractions

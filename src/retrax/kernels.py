@@ -16,7 +16,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
 
-from .collection import put_off
+from .undisturbed import undisturbed
 
 
 class _Code(JITCodeLibrary):
@@ -150,7 +150,7 @@ def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
         passes = {"pipeline_class": _VectorsCompiler, "_nrt": False} if vectors else {"pipeline_class": _LoopsCompiler}
         own = {"cache": True, "no_cfunc_wrapper": True, **passes}
         found = _njit(error_model="numpy", nogil=True, **own, **options)(function)
-        found.compile = put_off()(found.compile)
+        found.compile = undisturbed(found.compile)
         return found
 
     return made

@@ -15,6 +15,8 @@ import jax
 from jax._src.interpreters import partial_eval
 from jax.extend.core import ClosedJaxpr
 
+from .undisturbed import with_room
+
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -103,4 +105,4 @@ def reads_once(function: Callable[P, R]) -> Callable[P, R]:
 def traced(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
     """The program of a function as it is now, a closed jaxpr; ``examples``: arrays, or their shapes."""
     with one_reading() as reading:
-        return reading.traced(function, *examples)
+        return with_room(reading.traced, function, *examples)

@@ -14,8 +14,8 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..collection import put_off
 from ..threads import in_threads, worth_threads
+from ..undisturbed import put_off
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
