@@ -161,6 +161,21 @@ def test_a_callback_sees_every_iteration_and_can_stop(bound):
         assert (stopped.statistics.iterations, stopped.cost) == (last, seen[last].cost[0])
 
 
+def test_a_batch_is_stopped_in_any_iteration_also_where_members_leave(solver):
+    """The first is at rest and linear: it arrives before the others."""
+    ends, horizons, parameters = batch(4)
+    parameters["drag"][0][0] = 0
+    for last in range(8):
+        stopped = solver.solve_many(
+            START, ends, horizons, parameters=parameters, callback=lambda i, last=last: i.number >= last
+        )
+        assert len(stopped) == len(stopped.result) == 4
+        assert np.isfinite(stopped.cost).all()
+        words = [Result[Result.stopped], Result[Result.successful]]
+        assert {*stopped.result} <= {*words}, stopped.result
+    assert not any(solver.solve_many(START, ends, horizons, parameters=parameters, callback=lambda i: True).success)
+
+
 def test_an_interrupt_returns_the_best_iterate(bound):
     """It comes after the second iteration; the third would have converged further."""
     seen = []

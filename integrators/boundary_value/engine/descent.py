@@ -342,7 +342,8 @@ class Descent:
             self.state = None
             return None
         self.left.append((taken(state, np.flatnonzero(finished)), self.trials))
-        return taken(state, np.flatnonzero(~finished))
+        self.state = taken(state, np.flatnonzero(~finished))
+        return self.state
 
     def found(self) -> Found:
         """All members in their order."""
