@@ -1,8 +1,9 @@
-"""Compiled recursion of the Gramians that tell what controls reach."""
+"""Compiled units of trajectories, with the recursion of the Gramians that tell what controls reach."""
 
 import numpy as np
 
 from .arrays import LANES
+from .extent_kernels import larger
 from .lu import back_substitute, decompose
 from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
@@ -72,20 +73,15 @@ def _gramian(terms: np.ndarray, variance: np.ndarray, g: np.ndarray, rows: np.nd
             put(g, i, j, row)
 
 
-@compiled
-def gramians(
-    left: np.ndarray,
-    right: np.ndarray,
-    variance: np.ndarray,
-    work: Work,
-    swaps: np.ndarray,
-    out: np.ndarray,
+@inner
+def _gramians(
+    left: np.ndarray, right: np.ndarray, variance: np.ndarray, work: Work, swaps: np.ndarray, out: np.ndarray
 ) -> None:
     """Diagonals of the Gramians ``G_k = A G_{k-1} A' + B W B'`` along the steps, from the start and then from the end.
 
     ``left``, ``right``: the ends of the steps, shape ``(N, n, z)``; ``variance``: the diagonal of ``W``. ``out``, shape
-    ``(2, 2, N, n)``: at the far ends, from either side, of the linearised steps and of the sizes of their terms, which
-    do not cancel.
+    ``(4, N, n)``: at the far ends, from either side, of the linearised steps and of the sizes of their terms, which do
+    not cancel. A step whose near end is singular leaves what is not finite.
     """
     (v, lower, weights, turned, terms, g, rows), (count, n, _) = work, left.shape
     turned[:] = 0.0
@@ -101,4 +97,81 @@ def gramians(
             for t in range(2):
                 _gramian(terms[t], variance, g[t], rows)
                 for a in range(n):
-                    out[way, t, k, a] = g[t, a, a]
+                    out[2 * way + t, k, a] = g[t, a, a]
+
+
+@inner
+def _reached(gramians: np.ndarray, a: int, t: int) -> float:
+    """How far controls move a coordinate of a node between two fixed ends; one step has no node between its ends."""
+    count, largest = gramians.shape[1], -np.inf
+    for k in range(count if count == 1 else count - 1):
+        ahead, back = gramians[t, k, a], gramians[t if count == 1 else 2 + t, k if count == 1 else k + 1, a]
+        both = back if back < ahead or back != back else ahead
+        largest = larger(largest, both)
+    return np.sqrt(max(largest, 0.0)) if np.isfinite(largest) else 0.0
+
+
+@inner
+def _or_one(size: float) -> float:
+    return size if size > 0 and np.isfinite(size) else 1.0
+
+
+@inner
+def _sums(hessian: np.ndarray, gradient: np.ndarray, curvature: np.ndarray, slope: np.ndarray) -> None:
+    """Of all steps, of the sizes of the curvatures and of the slopes of the cost."""
+    for i in range(slope.size):
+        curvature[i], slope[i] = 0.0, 0.0
+        for k in range(gradient.shape[0]):
+            curvature[i] += abs(hessian[k, i, i])
+            slope[i] += abs(gradient[k, i])
+
+
+@inner
+def _size(sums: tuple, own: np.ndarray, room: np.ndarray, push: np.ndarray, reach: np.ndarray, convex: bool) -> float:
+    """The size of a trajectory, what its ends, its guess and the slope of the cost ask for, within its room."""
+    (curvature, slope), asked, most, n = sums, 0.0, 0.0, own.size - room.size
+    for i in range(own.size):
+        if reach[i] > 0:
+            asked = larger(asked, own[i] / reach[i])
+        if convex:
+            asked = larger(asked, slope[i] * reach[i] / (1 + curvature[i] * reach[i] * reach[i]))
+    for j in range(room.size):
+        most = larger(most, room[j] / push[n + j] if convex else np.inf)
+    return most if 0 < most < asked else asked
+
+
+@compiled
+def units(
+    system: tuple, own: tuple, curved: np.ndarray, work: tuple, swaps: np.ndarray, rounding: float, out: tuple
+) -> None:
+    """Units of the unknowns, of the nodes, and of the cost of each member.
+
+    ``system``: Hessians, left, right, gradients of the cost; ``own``: sizes of states and controls, those of what
+    nothing moves, and how far inequalities let the controls go; ``curved``: where curvature in the controls is not
+    rounding; ``rounding``: a share of its terms by which something is not reached.
+    """
+    (hessian, left, right, gradient), (sizes, values, room), (unknowns, nodes, cost) = system, own, out
+    (batch, count, n, z), numbers, gramians = left.shape, work[7], work[8]
+    curvature, slope, push, reach, variance = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    recursion = work[0], work[1], work[2], work[3], work[4], work[5], work[6]
+    for m in range(batch):
+        _sums(hessian[m], gradient[m], curvature, slope)
+        convex = curved[m]
+        for i in range(n, z):
+            convex &= curvature[i] > 0
+        for i in range(n, z):
+            push[i] = 1 / np.sqrt(curvature[i]) if convex else sizes[m, i]
+            reach[i], variance[i - n] = push[i], count * push[i] * push[i]
+        _gramians(left[m], right[m], variance[: z - n], recursion, swaps, gramians)
+        for a in range(n):
+            reached = _reached(gramians, a, 0)
+            reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
+        size, most = _size((curvature, slope), sizes[m], room[m], push, reach, convex), 0.0
+        for i in range(z):
+            unit = larger(sizes[m, i], size * reach[i])
+            unit = _or_one(unit if unit > 0 else values[m, i])
+            most = larger(most, larger(curvature[i] * unit * unit, slope[i] * unit))
+            unknowns[m, i] = unit
+            if i < n:
+                nodes[m, i] = unit
+        cost[m] = _or_one(most / count)

@@ -26,7 +26,7 @@ KERNELS = (
     inequality_kernels.move,
     pursuit_kernels.pursue,
     machine.run,
-    scaling_kernels.gramians,
+    scaling_kernels.units,
 )
 
 
