@@ -38,8 +38,7 @@ def followed(
     if (support := nodes.control_support(unknowns.controls)) is not None:
         moves = step.unknowns[..., n:].reshape(*unknowns.controls.shape[:3], -1)
         parts.append((nodes.control, unknowns.controls, support, moves))
-    # Where no coordinate moves by its share of a diameter, or but arrays that are zero, nothing else is to be found.
-    elif np.all((step.largest[:, :n] <= DIAMETER / np.sqrt(max(n, 1)) * extent.sizes) | _idle(nodes.layout, extent)):
+    elif _all_small(nodes.layout, extent, step.largest[:, :n]):
         return np.ones(len(along))
     same = [_steady(*part[:2]) for part in parts]
     farthest = _turns(parts, same)
@@ -52,10 +51,15 @@ def followed(
     return DIAMETER / np.maximum(_turns(parts, kept), DIAMETER)
 
 
-def _idle(layout: Layout, extent: Extent) -> np.ndarray:
-    """Which coordinates move nothing but arrays that are zero all along, as rates at rest: (B, n)."""
-    sizes = extent.values @ layout.in_arrays.T
-    return ~((extent.support @ layout.in_arrays.T) @ sizes[..., None] > 0)[..., 0]
+def _all_small(layout: Layout, extent: Extent, moves: np.ndarray) -> bool:
+    """Whether no coordinate moves by its share of a diameter, but for those that move nothing but arrays that are zero
+    all along, as rates at rest: then nothing else is to be found out."""
+    small = moves <= DIAMETER / np.sqrt(max(moves.shape[1], 1)) * extent.sizes
+    if np.all(small):
+        return True
+    arrays = extent.values @ layout.in_arrays.T
+    idle = ~((extent.support @ layout.in_arrays.T) @ arrays[..., None] > 0)[..., 0]
+    return bool(np.all(small | idle))
 
 
 Part = tuple[Layout, np.ndarray, np.ndarray, np.ndarray]  # points, their support, and what their coordinates move by
