@@ -5,7 +5,13 @@ are made of small functions the most time goes into code that never runs by itse
 and only there, and kernels once.
 """
 
+import re
+import sys
 from collections.abc import Callable
+from functools import cache
+from hashlib import blake2b
+from importlib.util import resolve_name
+from pathlib import Path
 from typing import Any, ClassVar, Literal, final
 
 import numba
@@ -134,6 +140,31 @@ class _PartCompiler(_Compiler):
     lowering = _PartLowering
 
 
+IMPORT = re.compile(r"^from (\.+[\w.]*) import (.*)$", re.MULTILINE)
+
+
+@cache
+def _digest(module: str) -> str:
+    """A digest of the source of a module and of all that it imports of this package.
+
+    Numba takes a compiled function from the disk again unless the file changes that it stands in: not where a part does
+    that stands in another.
+    """
+    sources, left = dict[str, bytes](), [module]
+    while left:
+        name = left.pop()
+        own = sys.modules.get(name)
+        if name in sources or own is None or not getattr(own, "__file__", None):
+            continue
+        sources[name] = Path(str(own.__file__)).read_bytes()
+        package = name if hasattr(own, "__path__") else name.rpartition(".")[0]
+        for where, names in IMPORT.findall(sources[name].decode()):
+            found = resolve_name(where, package)
+            within = [f"{found}.{word.strip()}" for word in names.split(",")]
+            left += [part if part in sys.modules else found for part in within]
+    return blake2b(b"".join(sources[name] for name in sorted(sources)), digest_size=16).hexdigest()
+
+
 # Numba's own types do not know all of its options.
 _njit: Any = numba.njit
 pasted: Callable[[Any], Any] = _njit(inline="always")  # where a call takes longer than what it computes
@@ -151,6 +182,9 @@ def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
         own = {"cache": True, "no_cfunc_wrapper": True, **passes}
         found = _njit(error_model="numpy", nogil=True, **own, **options)(function)
         found.compile = undisturbed(found.compile)
+        kept = getattr(found._cache, "_cache_file", None)
+        if kept is not None:
+            kept._source_stamp = _digest(function.__module__)
         return found
 
     return made
