@@ -56,8 +56,18 @@ def pursued(
     """
     if not _is_plain(conditions, state) or (setting := conditions.setting) is None:
         return None
-    numbers = state.promised, state.turned, *state.merit, state.funnel, state.best
-    standing = Standing(*(number.item() for number in numbers), first, state.correction.item(), bool(state.isolated[0]))
+    merit, known = state.merit, {"first": first, "isolated": bool(state.isolated[0])}
+    standing = Standing(
+        promised=state.promised.item(),
+        turned=state.turned.item(),
+        missing=merit.infeasibility.item(),
+        cost=merit.cost.item(),
+        held=merit.held.item(),
+        funnel=state.funnel.item(),
+        best=state.best.item(),
+        correction=state.correction.item(),
+        **known,
+    )
     going = _rules(conditions, tolerance), standing, most
     before = state.iterate, state.assembled, state.step
     found = setting.trial.pursue(setting, conditions, before, going)
