@@ -25,6 +25,7 @@ OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint b
 ROUNDED = 16 * EPS  # of what its states change it by from zero: rounding
 FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
 BEYOND = 0.25  # of the derivative squared, ``g g''``: ``max(x, 0)^p`` has ``1 - 1 / p``, and one with a slope nothing
+SLIGHT = 1e-2  # relative: far beyond a limit its slope may vanish, as in the middle of an obstacle
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
 
@@ -54,7 +55,7 @@ class Qualification:
         flat = (
             pulling
             & (np.max(own * lengths, axis=0) > FELT * size)
-            & _is_flat(solution.success * values, lengths, bends)
+            & _is_flat((solution.checks.violation <= SLIGHT) * values, lengths, bends)
         )
         active = pulling & (np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.

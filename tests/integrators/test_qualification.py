@@ -62,12 +62,13 @@ def test_a_limit_without_slope_is_named():
     """``a v + v^3`` through the slopes at which a multiplier is large, and at which there is none."""
 
     def cubic(q: Array, u: Array, slope: Array) -> Array:
-        v = q[1] - 1.3
-        return slope * v + v**3
+        v = q[1] - 1.3 - slope[1]
+        return slope[0] * v + v**3
 
     solver = solver_of({"speed": cubic})
-    for slope in (1.0, 1e-2, 0.0):
-        found = solved(solver, slope)
+    # Where there is none, the iteration ends now here, now there, as little things decide.
+    for slope, aside in ((1.0, 0.0), (1e-2, 0.0), *((0.0, 1e-7 * k) for k in range(8))):
+        found = solved(solver, (slope, aside))
         assert found.success == (slope > 0)
         assert ("The derivative of speed vanishes where it holds the trajectory" in found.result) == (slope == 0)
 

@@ -48,7 +48,8 @@ class Conditions:
         self.units, self.barrier, self.wider = units, barrier, wider
         self._survey: tuple[Held, Slacks, np.ndarray] | None = None  # the last one, and of what
         self._appraisal: tuple[tuple, Appraisal] | None = None
-        self.ahead: tuple[Step, Tried] | None = None  # a trial of the whole of a step that is known
+        # A trial of the whole of a step that is known; None where it takes more than a compiled pass.
+        self.ahead: tuple[Step, Tried | None] | None = None
 
     def of(self, members: np.ndarray) -> "Conditions":
         """The conditions of some members."""

@@ -52,6 +52,7 @@ class Descent:
         self.max_iterations, self.callback = max_iterations, callback
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
+        self._own: tuple[np.ndarray, Conditions] | None = None
         self.left: list[tuple[State, int]] = []
         self.trials = 0
         self.stopped = False
@@ -61,9 +62,9 @@ class Descent:
         try:
             self.run(guess)
         except KeyboardInterrupt:
-            if self.state is None:
-                raise
             self.stopped = True
+            if self.state is None:  # the first pass is lost, of some iterations, or the first system
+                self.state = self.begun(guess)
         return self.found()
 
     def failed(self, found: Found) -> np.ndarray:
@@ -101,13 +102,19 @@ class Descent:
         if len(state.member) > 1:
             return None
         most = 1 if self.callback else self.max_iterations + 1 - self.trials
-        conditions = self.conditions.of(state.member)
+        conditions = self.own(state)
         found = pursued(conditions, state, self.trials == 1, most, self.tolerance)
         if found is None:
             return None
         state, trials = found
         self.trials += trials
         return self.settled_after(state, conditions)
+
+    def own(self, state: State) -> Conditions:
+        """The conditions of the members on their way, the same ones as long as these are the same."""
+        if self._own is None or self._own[0] is not state.member:
+            self._own = state.member, self.conditions.of(state.member)
+        return self._own[1]
 
     def settled_after(self, state: State, conditions: Conditions) -> State:
         """The state after whole steps, settled where that was not done on the way."""
@@ -148,7 +155,7 @@ class Descent:
 
     def next(self, state: State) -> State:
         """Assemble the trial, judge it, and compute the next step."""
-        conditions = self.conditions.of(state.member)
+        conditions = self.own(state)
         trial, assembled = conditions.tried(state.iterate, state.assembled, state.step, state.fraction)
         found = conditions.residuals(trial, assembled)
         before = state

@@ -16,6 +16,7 @@ from .trial import Pursuit, Standing
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+MOST = 10  # iterations of a pass, which an interrupt waits for
 CURVATURE = 1e-9  # relative: a step of less does not descend
 SHRINKS = 0.1
 EXACT = 64.0  # times eps: a residual that is rounding
@@ -35,10 +36,11 @@ def set_out(
         return None
     (tried, place), one, no = begun, np.ones(1), np.zeros(1, bool)
     conditions.units, conditions.wider = first_units(conditions, tried.iterate, tried.assembled), None
-    first, going = (tried.iterate, tried.assembled), (_rules(conditions, tolerance), Standing(), most)
+    first, going = (tried.iterate, tried.assembled), (_rules(conditions, tolerance), Standing(), min(most, MOST))
     found = setting.trial.pursue(setting, conditions, (*first, None), going, place)
     if found is None or found.step is None:
         return None, 0, first
+    # The pass has measured the guess again, in these units, where it lies.
     merit, infinite = Merit(one, one, one), np.full(1, np.inf)
     numbers = one, one, merit, one, one, np.zeros(1), one, infinite, no, no, no
     state = State(np.arange(1), *first, tried.appraisal.residuals, found.step, one > 0, *numbers)
@@ -51,10 +53,11 @@ def pursued(
 ) -> tuple[State, int] | None:
     """The state after whole steps, at most so many, and how many trials that took; None where there is none to take.
 
-    It is the state to which ``next`` leads, but that it is settled only if it goes on from there. ``first``: no trial
-    was judged before.
+    The state is that of ``next``, but that the last one is not settled yet. ``first``: no trial was judged before.
     """
     if not _is_plain(conditions, state) or (setting := conditions.setting) is None:
+        return None
+    if conditions.ahead is not None and conditions.ahead[0] is state.step:  # its trial is refused already
         return None
     merit, known = state.merit, {"first": first, "isolated": bool(state.isolated[0])}
     standing = Standing(
@@ -68,7 +71,7 @@ def pursued(
         correction=state.correction.item(),
         **known,
     )
-    going = _rules(conditions, tolerance), standing, most
+    going = _rules(conditions, tolerance), standing, min(most, MOST)
     before = state.iterate, state.assembled, state.step
     found = setting.trial.pursue(setting, conditions, before, going)
     return None if found is None else _reached(conditions, state, found)
@@ -93,7 +96,7 @@ def _reached(conditions: "Conditions", state: State, found: Pursuit) -> tuple[St
     """The state that a pursuit has led to."""
     step = state.step if found.step is None else found.step
     tried = found.ahead if found.arrived else found.last
-    if found.ahead is not None and not found.arrived:
+    if found.far or (found.ahead is not None and not found.arrived):
         conditions.ahead = step, found.ahead
     if tried is None or not found.taken + found.arrived:
         return None

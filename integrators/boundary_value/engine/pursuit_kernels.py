@@ -16,11 +16,10 @@ PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED
 
 
 @inner
-def _set_out(standing: np.ndarray, numbers: np.ndarray) -> bool:
+def _set_out(standing: np.ndarray, numbers: np.ndarray) -> None:
     """The merit where a search begins, and a funnel as wide."""
     standing[MISSING], standing[COST], standing[HELD] = numbers[9, 0], numbers[10, 0], numbers[11, 0]
     standing[FUNNEL], standing[BEST], standing[FIRST] = max(numbers[9, 0], 1.0), numbers[8, 0], 1.0
-    return True
 
 
 @inner
@@ -68,7 +67,7 @@ def _may_move(a: int, by: float, support: np.ndarray, points: np.ndarray, groups
     rates at rest, does not count."""
     (columns, arrays), within = groups, True
     for e in range(arrays.size):
-        if support[0, a, e] > 0:
+        if support[0, a, e] > unchanged:
             size = _kept_size(points, arrays, e, unchanged)
             if size < 0:
                 size = _kept_size(points, columns, e, unchanged)
@@ -123,6 +122,13 @@ def _leads_on(system: tuple, step: tuple, extent: tuple, nodes: np.ndarray, rule
             moved = max(moved, largest[0, a] * support[0, a, e])
     over, asked = left_over(gap, left, right, steps, fixed, nodes, 0)
     return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)
+
+
+@inner
+def _is_resting(numbers: np.ndarray, tolerance: float) -> bool:
+    """Whether the equations hold and nothing is lacking at a node, but the ends do not meet."""
+    holds = numbers[1, 0] <= tolerance and numbers[12, 0] <= tolerance
+    return holds and numbers[13, 0] <= np.sqrt(tolerance) and numbers[0, 0] > np.sqrt(tolerance)
 
 
 @inner
@@ -198,16 +204,20 @@ def pursue(
         numbers, cost, (_, gaps, steps, multipliers, _, grown, _, kept) = out[5][2], out[3][5], out[7]
         for i in range(standing.size):
             kept[i] = standing[i]
-        if most == 0 or not (_set_out(kept, numbers) if fresh else _accepted(kept, numbers, cost[0], rules)):
+        if fresh:
+            _set_out(kept, numbers)
+        elif most == 0 or not _accepted(kept, numbers, cost[0], rules):
             return done, TRIED
         arrived = numbers[7, 0] <= tolerance
+        resting = _is_resting(numbers, tolerance)
         last = arrived and kept[ISOLATED] > 0
         if not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out)):
             return done, LOST if fresh else TRIED
         if fresh:
             fixed = view(ends_near, 0, (1, gaps.shape[1], gaps.shape[2]))
             system, taken = (fixed, out[0][5], out[2][1], out[2][2]), (steps, grown)
-            if arrived or not _leads_on(system, taken, (out[4][0], out[4][1], out[4][2]), units[0][3], rules[3]):
+            of = out[4][0], out[4][1], out[4][2]
+            if arrived or resting or not _leads_on(system, taken, of, units[0][3], rules[3]):
                 return done, LOST
         for i in range(standing.size):
             standing[i] = kept[i]
@@ -215,7 +225,6 @@ def pursue(
             return done, ARRIVED
         if not fresh:
             done += 1
-            resting = numbers[1, 0] <= tolerance and numbers[0, 0] > np.sqrt(tolerance)
             if done == most or resting:
                 return done, GOING
             if arrived:

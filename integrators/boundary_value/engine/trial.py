@@ -1,5 +1,5 @@
-"""Iterations of Newton's method on one trajectory in one compiled pass: a trial is what ``move``, ``assemble`` and
-``appraised`` find, and a pursuit goes on with whole steps from trial to trial as ``next`` does.
+"""What a compiled pass on one trajectory takes and gives: a trial is what ``move``, ``assemble`` and ``appraised``
+find, and a pursuit goes on with whole steps from trial to trial as ``next`` does.
 
 Each of these is a few kernels and many small operations of NumPy, which for one trajectory of some hundred steps take
 longer than the kernels. In batches they take next to nothing of each.
@@ -93,14 +93,15 @@ class Standing(NamedTuple):
 
 class Pursuit(NamedTuple):
     """How many whole steps were taken; where these end, the step from there, and what then stands; and a trial of that
-    step that was not gone on from, if there is one, and whether it is the last."""
+    step that was not gone on from, if there is one; how the pass ended with it."""
 
     taken: int
     last: Tried | None  # if it is not where it set out from
     step: Step | None
     standing: Standing
     ahead: Tried | None
-    arrived: bool
+    arrived: bool  # it is the last
+    far: bool  # it takes more than a pass
 
 
 NO_RULES = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0
@@ -144,7 +145,7 @@ class Trial:
     def begin(self, setting: Setting, iterate: Iterate) -> tuple[Tried, Place] | None:
         """The iterate with its system, which is not judged yet, and where it is written; None where ends of steps are
         far apart."""
-        place, costates = self._place(), plain(iterate.costates)
+        place, costates = self._place(), np.array(iterate.costates, float, order="C")  # a guess may be read-only
         zero, one = np.zeros((1, 0, 0)), np.ones((1, costates.shape[1], 1))
         given = one, costates[:, :, None], zero, np.zeros(costates.shape[1]), np.zeros(1)
         n, z = place[1]["left"].shape[2:]
@@ -180,9 +181,9 @@ class Trial:
             return None
         written = places[(count - 1) % 2][1] if count else None if begun is None else begun[1]
         last, new = (None, step) if written is None else (_tried(written, None, None), _step(written))
-        told = end in (self._kernels.TRIED, self._kernels.ARRIVED)
-        ahead = _tried(places[count % 2][1], None, None) if told else None
-        return Pursuit(count, last, new, Standing(*stands.tolist()), ahead, end == self._kernels.ARRIVED)
+        kinds = self._kernels
+        ahead = _tried(places[count % 2][1], None, None) if end in (kinds.TRIED, kinds.ARRIVED) else None
+        return Pursuit(count, last, new, Standing(*stands.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
 
     def _place(self) -> Place:
         """Room for what a trial finds, and its arrays."""
@@ -205,6 +206,8 @@ class Trial:
         least, nodes = judging.cost if limited else np.zeros(1), plain(measured.nodes)
         units = plain(judging.nodes), plain(judging.unknowns), least, nodes, measured.cost
         raised = np.zeros(1), np.empty((1, measured.unknowns.shape[1]))
+        for array in setting.work[1]:  # others work there too
+            array.fill(0.0)
         return self._kernels.pursue(
             self._addresses(self._limited),
             (*tapes, tuple(numbers for numbers, _ in places)),

@@ -4,11 +4,14 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numba
 import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine import pursuit
+from retrax.integrators.boundary_value.engine import pursuit, pursuit_kernels
+from retrax.integrators.boundary_value.engine.share import UNCHANGED
 from retrax.integrators.boundary_value.engine.trial import Trial
+from retrax.integrators.results import Result
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Midpoint, default_retraction
 
@@ -93,6 +96,71 @@ def test_no_more_iterations_than_asked_for(most, monkeypatch):
     alone, _ = found(solver, SLEWS, max_iterations=most)
     alike(short, alone)
     assert short.success == (most == 5)
+
+
+@pytest.mark.parametrize("beside", [8e-6, 1e-3, 1e-2, 0.1])
+@pytest.mark.parametrize("tolerance", [1e-5, 1e-3])
+def test_a_guess_at_which_the_equations_hold_elsewhere_ends_there(beside, tolerance, monkeypatch):
+    """A solution is the guess for an end so far from its own: by less than the tolerance it is not stepped from."""
+    solver = Solver(OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2), Midpoint(Addition(PLANE)), 10)
+    near = solver.solve(np.zeros(2), np.array([1.0, 0.0]), 1.0)
+    way = np.zeros(2), np.array([1.0, beside]), 1.0
+    alike(*both_ways(solver, way, monkeypatch, guess=near, tolerance=tolerance))
+
+
+def test_an_interrupt_of_a_pass_has_a_record(monkeypatch):
+    """It comes once the first pass has ended, whose iterations it loses."""
+    pursue = Trial.pursue
+
+    def interrupted(self: Trial, *given: Any) -> Any:
+        pursue(self, *given)
+        raise KeyboardInterrupt
+
+    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
+    monkeypatch.setattr(Trial, "pursue", interrupted)
+    found = solver.solve(*SLEWS, throw=False)
+    assert not found.success
+    assert found.result == Result[Result.stopped]
+    assert np.isfinite(found.cost)
+
+
+def test_a_pass_has_so_many_iterations_at_most(pursuits, monkeypatch):
+    """An interrupt waits for no more."""
+    monkeypatch.setattr(pursuit, "MOST", 2)
+    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
+    alike(*both_ways(solver, SLEWS, monkeypatch))
+    assert [own.taken for own in pursuits][:2] == [2, 2]
+    assert max(own.taken for own in pursuits) == 2
+
+
+def test_a_refused_trial_is_not_evaluated_again(pursuits, monkeypatch):
+    """After whole steps the rest of the iteration goes on with it."""
+    tried = []
+    call = Trial.__call__
+    monkeypatch.setattr(Trial, "__call__", lambda self, *given: tried.append(given[3]) or call(self, *given))
+    hill = OptimalControlProblem(PLANE, pendulum, lambda q, u: u @ u / 2 + 10.0 * jnp.cos(3.0 * q[0]), controls=1)
+    solver = Solver(hill, Midpoint(Addition(PLANE)), 30)
+    assert solver.solve(np.zeros(2), np.array([np.pi, 0.0]), 3.0).success
+    refused = [own for own in pursuits if own is not None and own.ahead is not None and not own.arrived]
+    assert any(own.taken for own in refused)
+    assert all(part < 1 for part in tried)
+
+
+def test_a_solution_as_a_guess_compiles_nothing_anew():
+    """Its arrays are read-only."""
+    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
+    found = solver.solve(*SLEWS)
+    assert solver.solve(*SLEWS, guess=found).success
+    assert len(pursuit_kernels.pursue.signatures) == 1
+
+
+@pytest.mark.parametrize(("support", "may"), [(0.0, False), (1e-12, False), (0.1, True)])
+def test_rounding_in_a_frame_frees_nothing_from_the_sphere_that_it_is_on(support, may):
+    """A coordinate of a sphere with an entry in a line beside it, which is not of constant size."""
+    points = np.stack([np.array([np.cos(t), np.sin(t), t]) for t in np.linspace(0, 1, 5)])
+    frame, groups = np.array([[[1.0, 1.0, support]]]), np.array([0, 0, 1])
+    asked = numba.njit(lambda *given: pursuit_kernels._may_move(*given))
+    assert asked(0, 3.0, frame, points, (groups, groups), UNCHANGED) == may
 
 
 def test_a_callback_stops_it():
