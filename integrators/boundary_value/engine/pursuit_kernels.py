@@ -110,17 +110,23 @@ def _stepped(
     return True
 
 
-@inner
-def _leads_on(system: tuple, step: tuple, extent: tuple, nodes: np.ndarray, rules: tuple) -> bool:
+@pasted
+def _leads_on(fixed: np.ndarray, nodes: np.ndarray, rules: tuple, out: tuple) -> bool:
     """Whether a step neither leads far off nor leaves what the linearised constraints ask for."""
-    (fixed, gap, left, right), (steps, largest), (highest, lowest, support) = system, step, extent
-    far, unmet, met = rules
+    gap, left, right, (_, gaps, steps, _, _, largest, _, _), (far, unmet, met) = (
+        out[0][5],
+        out[2][1],
+        out[2][2],
+        out[7],
+        rules,
+    )
+    highest, lowest, support = out[4][0], out[4][1], out[4][2]
     spread, moved = 0.0, 0.0
     for e in range(support.shape[2]):
         spread = max(spread, highest[0, e] + lowest[0, e])
         for a in range(support.shape[1]):
             moved = max(moved, largest[0, a] * support[0, a, e])
-    over, asked = left_over(gap, left, right, steps, fixed, nodes, 0)
+    over, asked = left_over(gap, left, right, steps, view(fixed, 0, (1, gaps.shape[1], gaps.shape[2])), nodes, 0)
     return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)
 
 
@@ -131,15 +137,14 @@ def _is_resting(numbers: np.ndarray, tolerance: float) -> bool:
     return holds and numbers[13, 0] <= np.sqrt(tolerance) and numbers[0, 0] > np.sqrt(tolerance)
 
 
-@inner
-def _settled(
-    standing: np.ndarray, extent: tuple, grown: np.ndarray, controls: np.ndarray, units: tuple, rules: tuple
-) -> bool:
+@pasted
+def _settled(standing: np.ndarray, unknowns: np.ndarray, units: tuple, rules: tuple, out: tuple) -> bool:
     """Whether the step that is still wanted where the residuals meet the tolerance is Newton's last but one."""
-    (highest, lowest, support), (unknowns, share), (least, shrinks) = extent, units, rules
-    (_, n, size), wanted = support.shape, 0.0
-    for i in range(grown.shape[1]):
-        own = share * unknowns[0, i]
+    grown, (least, shrinks), highest, lowest, support = out[7][5], rules, out[4][0], out[4][1], out[4][2]
+    (_, count, z, _), (_, n, size), wanted = out[2][0].shape, support.shape, 0.0
+    controls, ((_, judging, _, _, _), (_, share, _)) = view(unknowns, count * size, (count, z - n)), units
+    for i in range(z):
+        own = share * judging[0, i]
         if i < n:
             for e in range(size):
                 value = max(highest[0, e], lowest[0, e])
@@ -152,6 +157,13 @@ def _settled(
         return False
     standing[CORRECTION], standing[ISOLATED] = wanted, 1.0
     return True
+
+
+@inner
+def _copied(to: np.ndarray, numbers: np.ndarray) -> None:
+    """Copy numbers."""
+    for i in range(numbers.size):
+        to[i] = numbers[i]
 
 
 @compiled
@@ -190,8 +202,7 @@ def pursue(
     coordinate, by which share of a point's size a coordinate moves at most, and by which share sizes differ; those of
     ``_leads_on``; those of ``_settled``; and a residual that is rounding.
     """
-    (codes, registers, values, sources, targets, table, memory, rooms), done = tapes, 0
-    tolerance, ends_near = rules[0], ends[0]
+    (codes, registers, values, sources, targets, table, memory, rooms), done, tolerance = tapes, 0, rules[0]
     while True:
         written = rooms[2] if fresh else rooms[done % 2]
         own = codes, registers, values, sources, targets, table, memory, written
@@ -201,26 +212,20 @@ def pursue(
                 return done, FAR
             evaluate(calls, own, data, ends[0], limits, out)
         measure(calls, ends[3], units, limits, out)
-        numbers, cost, (_, gaps, steps, multipliers, _, grown, _, kept) = out[5][2], out[3][5], out[7]
-        for i in range(standing.size):
-            kept[i] = standing[i]
+        numbers, cost, (_, _, steps, multipliers, _, _, _, kept) = out[5][2], out[3][5], out[7]
+        _copied(kept, standing)
         if fresh:
             _set_out(kept, numbers)
         elif most == 0 or not _accepted(kept, numbers, cost[0], rules):
             return done, TRIED
-        arrived = numbers[7, 0] <= tolerance
-        resting = _is_resting(numbers, tolerance)
+        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, tolerance)
         last = arrived and kept[ISOLATED] > 0
-        if not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out)):
-            return done, LOST if fresh else TRIED
-        if fresh:
-            fixed = view(ends_near, 0, (1, gaps.shape[1], gaps.shape[2]))
-            system, taken = (fixed, out[0][5], out[2][1], out[2][2]), (steps, grown)
-            of = out[4][0], out[4][1], out[4][2]
-            if arrived or resting or not _leads_on(system, taken, of, units[0][3], rules[3]):
-                return done, LOST
-        for i in range(standing.size):
-            standing[i] = kept[i]
+        refused = not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out))
+        if fresh and (refused or arrived or resting or not _leads_on(ends[0], units[0][3], rules[3], out)):
+            return done, LOST
+        if refused:
+            return done, TRIED
+        _copied(standing, kept)
         if last:
             return done, ARRIVED
         if not fresh:
@@ -228,12 +233,9 @@ def pursue(
             if done == most or resting:
                 return done, GOING
             if arrived:
-                size = data[0].size * out[1][0].shape[2]
-                controls = view(written, size, (data[0].size, (before[0].size - size) // data[0].size))
-                of, scale = (out[4][0], out[4][1], out[4][2]), (units[0][1], units[1][1])
-                if numbers[8, 0] <= rules[5] or not _settled(standing, of, grown, controls, scale, rules[4]):
+                unknowns = view(written, 0, (before[0].size,))
+                if numbers[8, 0] <= rules[5] or not _settled(standing, unknowns, units, rules[4], out):
                     return done, GOING
-        fresh = False
-        moved = view(written, 0, (before[0].size,))
+        fresh, moved = False, view(written, 0, (before[0].size,))
         own_steps, others = view(steps, 0, (steps.size,)), view(multipliers, 0, (multipliers.size,))
         before = moved, out[0][6], out[0][4], own_steps, others, before[5]
