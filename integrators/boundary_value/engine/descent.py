@@ -63,8 +63,8 @@ class Descent:
             self.run(guess)
         except KeyboardInterrupt:
             self.stopped = True
-            if self.state is None:  # the first pass is lost, of some iterations, or the first system
-                self.state = self.begun(guess)
+            if self.state is None:  # what the first pass has found takes milliseconds to find again
+                self.state = self.set_out(guess)
         return self.found()
 
     def failed(self, found: Found) -> np.ndarray:

@@ -109,19 +109,24 @@ def test_a_guess_at_which_the_equations_hold_elsewhere_ends_there(beside, tolera
 
 
 def test_an_interrupt_of_a_pass_has_a_record(monkeypatch):
-    """It comes once the first pass has ended, whose iterations it loses."""
-    pursue = Trial.pursue
+    """It comes once the first pass has ended: of two iterations, or of all."""
+    pursue, solver = Trial.pursue, Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
+    for most in (2, 10):
+        calls: list[Any] = []
 
-    def interrupted(self: Trial, *given: Any) -> Any:
-        pursue(self, *given)
-        raise KeyboardInterrupt
+        def interrupted(self: Trial, *given: Any, calls: list[Any] = calls) -> Any:
+            calls.append(pursue(self, *given))
+            if len(calls) == 1:
+                raise KeyboardInterrupt
+            return calls[-1]
 
-    solver = Solver(SLEW, Midpoint(Cayley(RIGID)), 30)
-    monkeypatch.setattr(Trial, "pursue", interrupted)
-    found = solver.solve(*SLEWS, throw=False)
-    assert not found.success
-    assert found.result == Result[Result.stopped]
-    assert np.isfinite(found.cost)
+        monkeypatch.setattr(pursuit, "MOST", most)
+        monkeypatch.setattr(Trial, "pursue", interrupted)
+        found = solver.solve(*SLEWS, throw=False)
+        assert found.success == (most == 10)
+        if not found.success:
+            assert found.result == Result[Result.stopped]
+            assert found.statistics.iterations == most
 
 
 def test_a_pass_has_so_many_iterations_at_most(pursuits, monkeypatch):
