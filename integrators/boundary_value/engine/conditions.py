@@ -265,11 +265,12 @@ class Conditions:
         return self._surveyed(iterate, assembled).hard > 0
 
     def is_met(self, iterate: Iterate, assembled: Assembled, tolerance: float) -> np.ndarray:
-        """Whether nothing is lacking at a node, and at a point no more than the root of the tolerance, in units of
-        success, shape (B,)."""
+        """Whether nothing is lacking at a node in any coordinate, by what gaps are measured by, and at a point no more
+        than the root of the tolerance, in units of success, shape (B,)."""
         found = self.appraised(iterate, assembled)
+        lacking = np.all(assembled.extent.lacking <= tolerance * found.along, axis=1)
         # The points of a step may lack what its nodes do not: from there Newton's method moves.
-        return (found.lacking <= tolerance) & (found.unmet <= np.sqrt(tolerance))
+        return lacking & (found.unmet <= np.sqrt(tolerance))
 
     def shortfall(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
         """The most that a node or a point lacks in a coordinate, in its unit, shape (B,)."""

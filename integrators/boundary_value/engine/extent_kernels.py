@@ -222,16 +222,15 @@ def _stationarity(parts: np.ndarray, slope: np.ndarray, curvature: np.ndarray, d
 
 @inner
 def _in_all(of: tuple, points: np.ndarray, judging: np.ndarray, measured: np.ndarray, m: int, out: np.ndarray) -> None:
-    """The sum of what is lacking, of the multipliers on it, and the most that a node, or a node or a point, lacks."""
+    """The sum of what is lacking, of the multipliers on it, and the most that a node or a point lacks."""
     missing, lacking, held = of
     out[11, m] = held[m]
     for a in range(judging.size):
         most = larger(lacking[m, a], points[m, 2, a])
         out[9, m] += (missing[m, a] + points[m, 1, a]) / measured[a]
         out[11, m] += points[m, 5, a]
-        out[12, m] = larger(out[12, m], lacking[m, a] / judging[a])
-        out[13, m] = larger(out[13, m], most / judging[a])
-        out[14, m] = larger(out[14, m], most / measured[a])
+        out[12, m] = larger(out[12, m], most / judging[a])
+        out[13, m] = larger(out[13, m], most / measured[a])
 
 
 @compiled
@@ -253,10 +252,10 @@ def measure(
     survey of the inequalities, their barrier, and its unit; ``shares``: of a value, of a unit, and of the largest entry
     of a frame vector, up to which others are rounding.
 
-    ``out``: sizes by which gaps are measured along the coordinates and entry by entry, and numbers of shape ``(15, B)``
+    ``out``: sizes by which gaps are measured along the coordinates and entry by entry, and numbers of shape ``(14, B)``
     that come as zeros: the fields of ``Residuals``; the sum of what is lacking; the cost with its barrier, and the
-    multipliers on what is lacking, in the unit of the cost; the most that a node lacks in a coordinate, and a node or a
-    point, in units of success; and this in units of steps.
+    multipliers on what is lacking, in the unit of the cost; the most that a node or a point lacks in a coordinate, in
+    units of success, and in units of steps.
     """
     (highest, lowest, support, missing, lacking, held, parts, slope, curvature), (distance, mean, cost) = (
         extent,

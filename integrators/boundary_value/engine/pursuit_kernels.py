@@ -27,7 +27,7 @@ def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, rules: tup
     """Whether a whole step is taken and the next is to be a whole one; what stands then follows it."""
     made = True, standing[PROMISED], standing[TURNED], 1.0, 1.0, 1.0
     before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
-    reached = standing[FUNNEL], standing[BEST], 0.0, numbers[8, 0], numbers[14, 0], cost
+    reached = standing[FUNNEL], standing[BEST], 0.0, numbers[8, 0], numbers[13, 0], cost
     funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
     if not good or shift > 0:
         return False
@@ -131,10 +131,12 @@ def _leads_on(fixed: np.ndarray, nodes: np.ndarray, rules: tuple, out: tuple) ->
 
 
 @inner
-def _is_resting(numbers: np.ndarray, tolerance: float) -> bool:
-    """Whether the equations hold and nothing is lacking at a node, but the ends do not meet."""
-    holds = numbers[1, 0] <= tolerance and numbers[12, 0] <= tolerance
-    return holds and numbers[13, 0] <= np.sqrt(tolerance) and numbers[0, 0] > np.sqrt(tolerance)
+def _is_resting(numbers: np.ndarray, lacking: np.ndarray, along: np.ndarray, tolerance: float) -> bool:
+    """Whether the equations hold and nothing is lacking at a node in any coordinate, but the ends do not meet."""
+    holds = numbers[1, 0] <= tolerance and numbers[12, 0] <= np.sqrt(tolerance) and numbers[0, 0] > np.sqrt(tolerance)
+    for a in range(along.shape[1]):
+        holds &= lacking[0, a] <= tolerance * along[0, a]
+    return holds
 
 
 @pasted
@@ -218,7 +220,7 @@ def pursue(
             _set_out(kept, numbers)
         elif most == 0 or not _accepted(kept, numbers, cost[0], rules):
             return done, TRIED
-        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, tolerance)
+        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, out[4][5], out[5][0], tolerance)
         last = arrived and kept[ISOLATED] > 0
         refused = not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out))
         if fresh and (refused or arrived or resting or not _leads_on(ends[0], units[0][3], rules[3], out)):

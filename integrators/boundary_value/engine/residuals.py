@@ -30,8 +30,7 @@ class Appraisal(NamedTuple):
     infeasibility: Float[np.ndarray, " B"]  # the sum of what all nodes, points and inequalities lack, in units of steps
     cost: Float[np.ndarray, " B"]  # with its barrier, in its unit
     held: Float[np.ndarray, " B"]  # the multipliers on what is lacking, in the unit of the cost
-    lacking: Float[np.ndarray, " B"]  # the most that a node lacks in a coordinate, in units of success
-    unmet: Float[np.ndarray, " B"]  # that a node or a point lacks
+    unmet: Float[np.ndarray, " B"]  # the most that a node or a point lacks in a coordinate, in units of success
     shortfall: Float[np.ndarray, " B"]  # the same in units of steps
 
     @classmethod
