@@ -47,16 +47,13 @@ class Qualification:
         own, counted = self._multipliers(solution)
         if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
             return ""
+        near = isinstance(solution.checks, RegularChecks) and solution.checks.violation <= SLIGHT
         extent, size = np.concatenate([np.ptp(part, axis=0) for part in rows]), solution.checks.hamiltonian_size
         lengths, bends = self._bends(*rows, times, extent[None], given)
         reach = np.max(lengths, axis=0)
         held = counted & (own * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
         pulling = held & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
-        flat = (
-            pulling
-            & (np.max(own * lengths, axis=0) > FELT * size)
-            & _is_flat((solution.checks.violation <= SLIGHT) * values, lengths, bends)
-        )
+        flat = pulling & (np.max(own * lengths, axis=0) > FELT * size) & _is_flat(near * values, lengths, bends)
         active = pulling & (np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         units = np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
