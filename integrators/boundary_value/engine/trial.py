@@ -60,11 +60,8 @@ class Setting(NamedTuple):
             return None
         layout, given = nodes.layout, (conditions.fixed.ravel(), conditions.both_ends)
         ends = *given, layout.columns, conditions.mean_step, FAR, layout.arrays
-        own, work = (
-            (np.array(data.steps[0]), np.array(data.parameters[0])),
-            workspace(count, nodes.dimension, steps.dimension, 1),
-        )
-        return cls(trial, own, steps.weights(data), ends, work)
+        own, work = data.steps[0], workspace(count, nodes.dimension, steps.dimension, 1)
+        return cls(trial, (np.array(own), np.array(data.parameters[0])), steps.weights(data), ends, work)
 
 
 class Tried(NamedTuple):
@@ -96,7 +93,7 @@ class Pursuit(NamedTuple):
     step that was not gone on from, if there is one; how the pass ended with it."""
 
     taken: int
-    last: Tried | None  # if it is not where it set out from
+    last: Tried | None  # none where it set out from a known step and took no other
     step: Step | None
     standing: Standing
     ahead: Tried | None
@@ -169,19 +166,18 @@ class Trial:
         (iterate, assembled, step), (rules, standing, most), part = before, going, np.ones(1)
         places = [self._place(), self._place()]
         places.append(places[0] if begun is None else begun)
-        if step is None:
-            given = assembled.coordinates, assembled.frames, np.zeros(0), np.zeros(0), part
-        else:
-            given = assembled.coordinates, assembled.frames, step.unknowns, step.multipliers, part
+        moves = (np.zeros(0), np.zeros(0)) if step is None else (step.unknowns, step.multipliers)
+        given = assembled.coordinates, assembled.frames, *moves, part
         stands, own = np.array(standing, float), (conditions.judging, conditions.measured, False)
         limits = self._limits(places[0][1], None, None, None, (part, setting.weights))
         now = rules, stands, most, begun is not None
         count, end = self._run(setting, own, _flat(iterate, given), limits, places, now)
         if end == self._kernels.LOST:
             return None
-        written = places[(count - 1) % 2][1] if count else None if begun is None else begun[1]
-        last, new = (None, step) if written is None else (_tried(written, None, None), _step(written))
-        kinds = self._kernels
+        last, new, kinds = None, step, self._kernels
+        if count or begun is not None:
+            written = places[(count - 1) % 2 if count else 2][1]
+            last, new = _tried(written, None, None), _step(written)
         ahead = _tried(places[count % 2][1], None, None) if end in (kinds.TRIED, kinds.ARRIVED) else None
         return Pursuit(count, last, new, Standing(*stands.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
 
