@@ -29,6 +29,8 @@ def package(tmp_path, monkeypatch):
     (folder / "__init__.py").touch()
     (folder / "kernel.py").write_text(KERNEL)
     monkeypatch.syspath_prepend(tmp_path)
+    # Python takes its own compiled code again where a file of the same size is written in the same second.
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
 
     def imported(factor: float):
         (folder / "parts.py").write_text(PARTS.format(factor=factor))
