@@ -548,21 +548,51 @@ PLANTED: dict[str, Planted] = {
     # The compiled pass of a trial.
     "covectors of a trial are those before the step": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "f = coordinates[0, k, a] + fraction * multipliers[k * n + a]",
+        "f = coordinates[0, k, a] + part[0] * multipliers[k * n + a]",
         "f = coordinates[0, k, a]",
         (TRIAL,),
     ),
     "a trial has the multipliers of the first inequality only": Planted(
-        f"{ENGINE}/trial_kernels.py",
-        "put(read, end, new[1], 0, new[1].size)",
-        "put(read, end, new[1], 0, 1)",
+        f"{ENGINE}/one_stage_kernels.py",
+        "put(read, at, new[1], 0, new[1].size)",
+        "put(read, at, new[1], 0, 1)",
         (TRIAL,),
     ),
     "ends far apart have a compiled pass": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "return not _meet(meet, (begins, finishes, points, columns, far, work, met))",
-        "return not _meet(meet, (begins, finishes, points, columns, far, work, met)) or count > 0",
+        "return not _meet(calls[AT_MEET], (begins, finishes, points, columns, far, work, met))",
+        "return not _meet(calls[AT_MEET], (begins, finishes, points, columns, far, work, met)) or count > 0",
         (TRIAL,),
+    ),
+    "velocities of a trial are those before the step": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "value += turns[k, a, c] * (given[first + c] + fraction * steps[first + c])",
+        "value += turns[k, a, c] * given[first + c]",
+        (TRIAL,),
+    ),
+    "velocities of a trial stay in the frame before the step": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "value += turns[k, a, c] * (given[first + c] + fraction * steps[first + c])",
+        "value += (a == c) * (given[first + c] + fraction * steps[first + c])",
+        (TRIAL,),
+    ),
+    "a condensed step leaves what its points lack to the nodes": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "lacks[k + 1, a] -= after[k, a, 0]",
+        "lacks[k + 1, a] -= 0.0",
+        (PURSUIT,),
+    ),
+    "the multipliers of points promise nothing": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "change[1] += lambdas[k, i] * defect[k, i]",
+        "change[1] += 0.0",
+        (PURSUIT,),
+    ),
+    "velocities that mend the defects cost nothing": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "change[0] += inside[1][k, i] * value",
+        "change[0] += 0.0",
+        (PURSUIT,),
     ),
     "a pursuit takes what a trial is refused for": Planted(
         f"{ENGINE}/pursuit_kernels.py",

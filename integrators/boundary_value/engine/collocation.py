@@ -85,6 +85,7 @@ class Collocation:
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
         self._middle = evaluator.values(self._middle_of, e, e)
         self._chart = Chart(method.retraction, evaluator)
+        self._trial: tuple[int, Any] | None = None
 
     def begin(
         self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
@@ -109,9 +110,15 @@ class Collocation:
         between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
         return GaussUnknowns(centres, velocities, controls, between)
 
-    def trial(self, nodes: Nodes, count: int) -> None:
-        """There is no compiled pass of a trial."""
-        del nodes, count
+    def trial(self, nodes: Nodes, count: int) -> Any:
+        """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
+        from .collocation_trial import CollocationTrial
+
+        if self.inequalities:
+            return None
+        if self._trial is None or self._trial[0] != count:
+            self._trial = count, CollocationTrial.of(self, nodes, count)
+        return self._trial[1]
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -133,11 +133,11 @@ def expand(
     both = _steps(points), _steps(ends)
 
     def run(part: range) -> None:
-        work = np.empty(q), np.empty(s * n)
+        work = np.empty(q), np.empty(s * n), np.empty(2 * n)
         for j in range(columns):
             given = steps[..., j], multipliers[:, :-1, :, j], multipliers[:, 1:, :, j]
-            slopes = points.slope[..., j], ends.slope[..., j].copy()
-            solved = *_steps(map(plain, given)), plain(kept[2][:, :, z + j]), *_steps(map(plain, slopes))
+            slopes = points.slope[..., j], ends.slope[..., j]
+            solved = *_steps(map(plain, given)), z + j, *_steps(map(plain, slopes))
             condensing_kernels.expand(part.start, part.stop, *both, table, work, kept, solved, (out[0, j], out[1, j]))
 
     in_threads(run, total, s * n * (z + s * n + 3 * q))

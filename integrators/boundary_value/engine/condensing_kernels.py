@@ -176,25 +176,26 @@ def expand(
 ) -> None:
     """Chart velocities and multipliers of the points of the steps ``first`` to ``last``, one column.
 
-    ``solved``: steps of the unknowns and of the multipliers before and after each step, and the columns of ``nu_0`` and
-    of the slopes of points and ends, the latter overwritten; ``out``: ``dnu`` and ``dlambda``.
+    ``solved``: steps of the unknowns and of the multipliers before and after each step, which column of what is kept
+    has ``nu_0``, and the columns of the slopes of points and ends; ``out``: ``dnu`` and ``dlambda``.
     """
-    (h, matrix, b), (w, before, after, shifts, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
-    (e, x), m = work, q - 3 * n
+    (h, matrix, b), (w, before, after, column, slopes, pulls), (s, n, q) = table, solved, points[1].shape[1:]
+    (e, x, pull), m = work, q - 3 * n
     for t in range(first, last):
         nu = out[0][t]
         for i in range(s * n):
-            nu[i], x[i] = shifts[t, i], 0.0
+            nu[i], x[i] = kept[2][t, i, column], 0.0
             for j in range(w.shape[1]):
                 nu[i] += kept[2][t, i, j] * w[t, j]
-        for c in range(n, 2 * n):
+        for c in range(2 * n):
+            pull[c] = pulls[t, c]
             for a in range(n):
-                pulls[t, c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
+                pull[c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]
         for i in range(s + 1):
             at_ends = i == s
             weights, sizes = b if at_ends else matrix[i], (n, m, -1 if at_ends else i)
             _place(e, w[t], nu, h[t], weights, sizes)
-            block, slope = (ends[0][t], pulls[t]) if at_ends else (points[0][t, i], slopes[t, i])
+            block, slope = (ends[0][t], pull) if at_ends else (points[0][t, i], slopes[t, i])
             _push(x, e, block, slope, h[t], weights, sizes)
         solve_transposed(kept[0][t], kept[1][t], x)
         for i in range(s * n):

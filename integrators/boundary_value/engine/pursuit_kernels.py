@@ -7,7 +7,7 @@ from ....kernels import pasted
 from ....linked import view
 from .acceptance_kernels import judged
 from .extent_kernels import left_over
-from .trial_kernels import evaluate, laid_out, measure, meet_ends, solve
+from .trial_kernels import AT_COMPLETE, AT_SOLVE, AT_TRIAL, complete, laid_out, measure, solve, trial
 from .vectors import compiled, inner
 
 FAR, TRIED, ARRIVED, GOING, LOST = range(5)  # how a pass ends
@@ -79,54 +79,54 @@ def _may_move(a: int, by: float, support: np.ndarray, points: np.ndarray, groups
 
 @pasted
 def _stepped(
-    place: int, ends: tuple, room: tuple, rules: tuple, standing: np.ndarray, written: np.ndarray, out: tuple
+    calls: tuple, own: tuple, ends: tuple, room: tuple, rules: tuple, standing: np.ndarray, out: tuple
 ) -> bool:
     """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
     (weight, work, factors), units, raised = room
-    _, _, (hessian, left, right, _, gradient), _, extent, _, _, found = out
-    (slopes, gaps, steps, multipliers, finite, largest, told, _), (_, count, n, _) = found, left.shape
-    fixed, columns, arrays = ends[0], ends[2], ends[5]
+    (gap, (hessian, left, right, _, gradient), extent) = out[0][5], out[2], out[4]
+    (slopes, lacks, steps, multipliers, finite, largest, told, change, _), (_, count, n, _) = out[7], left.shape
+    fixed, columns, arrays, x = ends[0], ends[2], ends[5], out[8][0]
     _scales(extent[9], units, rules[1], raised[1])
     for i in range(largest.size):
         largest[0, i] = 0.0
     start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
-    system = hessian, left, right, slopes, gaps, start, end
-    solve(place, (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told))
+    system = hessian, left, right, slopes, lacks, start, end
+    solve(
+        calls[AT_SOLVE],
+        (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told),
+    )
     if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0]):
         return False
     for a in range(n):
         followed = largest[0, a] <= rules[2] * extent[3][0, a]
-        points, by = view(written, 0, (count, arrays.size)), largest[0, a] / rules[2]
+        points, by = view(x, 0, (count, arrays.size)), largest[0, a] / rules[2]
         if not (followed or _may_move(a, by, extent[2], points, (columns, arrays), rules[3])):
             return False
-    ahead, turned = 0.0, 0.0
+    change[0], change[1] = 0.0, 0.0
+    if calls[AT_COMPLETE] != 0:  # what was condensed follows, and changes the cost too
+        complete(calls[AT_COMPLETE], (calls, own[0], change, own[1], own[2], own[3]))
     for k in range(steps.shape[1]):
         for i in range(steps.shape[2]):
-            ahead += gradient[0, k, i] * steps[0, k, i, 0]
-    for k in range(gaps.shape[1]):
+            change[0] += gradient[0, k, i] * steps[0, k, i, 0]
+    for k in range(gap.shape[1]):
         for a in range(n):
-            turned += multipliers[0, k, a, 0] * gaps[0, k, a, 0]
-    standing[PROMISED], standing[TURNED] = ahead / units[2][0], turned / units[2][0]
+            change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
+    standing[PROMISED], standing[TURNED] = change[0] / units[2][0], change[1] / units[2][0]
     return True
 
 
 @pasted
 def _leads_on(fixed: np.ndarray, nodes: np.ndarray, rules: tuple, out: tuple) -> bool:
     """Whether a step neither leads far off nor leaves what the linearised constraints ask for."""
-    gap, left, right, (_, gaps, steps, _, _, largest, _, _), (far, unmet, met) = (
-        out[0][5],
-        out[2][1],
-        out[2][2],
-        out[7],
-        rules,
-    )
+    (_, lacks, steps, _, _, largest, _, _, _), (far, unmet, met), (_, count, n) = out[7], rules, out[0][5].shape
+    gap, left, right = view(lacks, 0, (1, count, n)), out[2][1], out[2][2]
     highest, lowest, support = out[4][0], out[4][1], out[4][2]
     spread, moved = 0.0, 0.0
     for e in range(support.shape[2]):
         spread = max(spread, highest[0, e] + lowest[0, e])
         for a in range(support.shape[1]):
             moved = max(moved, largest[0, a] * support[0, a, e])
-    over, asked = left_over(gap, left, right, steps, view(fixed, 0, (1, gaps.shape[1], gaps.shape[2])), nodes, 0)
+    over, asked = left_over(gap, left, right, steps, view(fixed, 0, (1, count, n)), nodes, 0)
     return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)
 
 
@@ -140,11 +140,11 @@ def _is_resting(numbers: np.ndarray, lacking: np.ndarray, along: np.ndarray, tol
 
 
 @pasted
-def _settled(standing: np.ndarray, unknowns: np.ndarray, units: tuple, rules: tuple, out: tuple) -> bool:
+def _settled(standing: np.ndarray, units: tuple, rules: tuple, out: tuple) -> bool:
     """Whether the step that is still wanted where the residuals meet the tolerance is Newton's last but one."""
     grown, (least, shrinks), highest, lowest, support = out[7][5], rules, out[4][0], out[4][1], out[4][2]
     (_, count, z, _), (_, n, size), wanted = out[2][0].shape, support.shape, 0.0
-    controls, ((_, judging, _, _, _), (_, share, _)) = view(unknowns, count * size, (count, z - n)), units
+    controls, ((_, judging, _, _, _), (_, share, _)) = view(out[8][1], 0, (count, z - n)), units
     for i in range(z):
         own = share * judging[0, i]
         if i < n:
@@ -177,7 +177,7 @@ def pursue(
     ends: tuple,
     units: tuple,
     limits: tuple,
-    places: np.ndarray,
+    places: tuple,
     room: tuple,
     rules: tuple,
     standing: np.ndarray,
@@ -192,37 +192,37 @@ def pursue(
     last; else ``GOING``. Trials are written in turn in two places, each with the step from there where it was gone on
     from. ``fresh``: a system without a step is written in a third place, from which the search sets out.
 
-    ``calls``: addresses; ``tapes``: the programs of the moved unknowns, of the ends, of the frames, and of the steps,
-    one after the other, a table of where each stands, reads and writes, memory, and the places; ``before``: centres
-    and controls, coordinates of the multipliers, frames, steps, steps of the multipliers, and the part of them that is
-    made; without steps the unknowns stay; ``data``: lengths of the steps, parameters; ``ends``: 1 for the coordinates
-    of the nodes that count; the points and which of their entries are prescribed; columns; the mean step; from which
-    share on ends are far apart; arrays of the entries; ``units``: of ``measure``, and its shares; ``limits``: slacks,
-    their steps, parts of these, what a multiplier is kept within, units, weights, what measures values, prices;
-    ``places``: those of ``OUT``; ``room``: the weight of an elimination and what it works in, its units, and what
-    raises Hessians; ``rules``: the tolerance; those of ``judge``; the least curvature of a step, the softest one of a
-    coordinate, by which share of a point's size a coordinate moves at most, and by which share sizes differ; those of
-    ``_leads_on``; those of ``_settled``; and a residual that is rounding.
+    ``calls``: addresses; ``tapes``: the programs of a trial, one after the other, a table of where each stands, reads
+    and writes, memory, and the places; ``before``: states, controls, and what the transcription has besides; steps,
+    those of the multipliers, what is known of what was condensed, and its steps; coordinates of the multipliers,
+    frames, and the part of the steps that is made; without steps the unknowns stay; ``data``: lengths of the steps,
+    parameters, a tableau; ``ends``: 1 for the coordinates of the nodes that count; the points and which of their
+    entries are prescribed; columns; the mean step; from which share on ends are far apart; arrays of the entries;
+    ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier is
+    kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``, and the transcription's
+    own; ``room``: the weight of an elimination and what it works in, its units, and what raises Hessians; ``rules``:
+    the tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of
+    a point's size a coordinate moves at most, and by which share sizes differ; those of ``_leads_on``; those of
+    ``_settled``; and a residual that is rounding.
     """
     (codes, registers, values, sources, targets, table, memory, rooms), done, tolerance = tapes, 0, rules[0]
+    slacked = limits[0], limits[1], limits[2], limits[3]
     while True:
         written = rooms[2] if fresh else rooms[done % 2]
         own = codes, registers, values, sources, targets, table, memory, written
-        out = laid_out(written, places)
-        if not fresh:
-            if not meet_ends(calls[0], calls[1], own, before, data, ends, out[0], out[1]):
-                return done, FAR
-            evaluate(calls, own, data, ends[0], limits, out)
+        out = laid_out(written, places[0])
+        if not fresh and not trial(calls[AT_TRIAL], (calls, own, before, data, ends, slacked, places[0], places[1])):
+            return done, FAR
         measure(calls, ends[3], units, limits, out)
-        numbers, cost, (_, _, steps, multipliers, _, _, _, kept) = out[5][2], out[3][5], out[7]
+        numbers, cost, kept = out[5][2], out[3][5], out[7][8]
         _copied(kept, standing)
         if fresh:
             _set_out(kept, numbers)
         elif most == 0 or not _accepted(kept, numbers, cost[0], rules):
             return done, TRIED
         arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, out[4][5], out[5][0], tolerance)
-        last = arrived and kept[ISOLATED] > 0
-        refused = not (last or _stepped(calls[7], ends, room, rules[2], kept, written, out))
+        last, of = arrived and kept[ISOLATED] > 0, (written, data, places[0], places[1])
+        refused = not (last or _stepped(calls, of, ends, room, rules[2], kept, out))
         if fresh and (refused or arrived or resting or not _leads_on(ends[0], units[0][3], rules[3], out)):
             return done, LOST
         if refused:
@@ -234,10 +234,7 @@ def pursue(
             done += 1
             if done == most or resting:
                 return done, GOING
-            if arrived:
-                unknowns = view(written, 0, (before[0].size,))
-                if numbers[8, 0] <= rules[5] or not _settled(standing, unknowns, units, rules[4], out):
-                    return done, GOING
-        fresh, moved = False, view(written, 0, (before[0].size,))
-        own_steps, others = view(steps, 0, (steps.size,)), view(multipliers, 0, (multipliers.size,))
-        before = moved, out[0][6], out[0][4], own_steps, others, before[5]
+            if arrived and (numbers[8, 0] <= rules[5] or not _settled(standing, units, rules[4], out)):
+                return done, GOING
+        fresh, (x, u, others, steps, multipliers, known, inner_steps) = False, out[8]
+        before = x, u, others, steps, multipliers, known, inner_steps, out[0][6], out[0][4], before[9]

@@ -134,10 +134,10 @@ class OneStage:
 
     def trial(self, nodes: "Nodes", count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        from .trial import Trial
+        from .one_stage_trial import OneStageTrial
 
         if self._trial is None or self._trial[0] != count:
-            self._trial = count, Trial.of(self, nodes, count)
+            self._trial = count, OneStageTrial.of(self, nodes, count)
         return self._trial[1]
 
     def ends(self, unknowns: Unknowns, data: Data) -> Arrays:

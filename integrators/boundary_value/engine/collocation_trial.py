@@ -1,0 +1,118 @@
+"""The compiled pass on one trajectory of a Gauss method."""
+
+import math
+from collections.abc import Iterable
+from typing import Any, final
+
+import numpy as np
+
+from .arrays import plain, whole
+from .collocation import Collocation, GaussUnknowns, Inner
+from .condensing import Ends, Points
+from .inequalities import Held
+from .kkt_system import Assembled, Iterate, Step
+from .transcription import Blocks, Nodes
+from .trial import Called, Placed, Shapes, Trial, common, copied, rows
+
+# What its kernels work with, in the order of ``collocation_kernels.ARRAYS``: of all steps, or where there is a dot of
+# the trajectory; with an axis for one column where there is a bar, the last two axes in one where there is a sign of
+# equality, and without axes where there is a stroke.
+OWN = (
+    *("x/", "u/", "turns", "velocities", "xi", "eta", "covectors_at/"),
+    *("hessian_at", "constraints", "slope_at|", "defect|"),
+    *("hessian_of", "left_of", "right_of", "pull|"),
+    *("factors", "swaps", "maps"),
+    *("hessian", "left", "right", "slopes|", "before|", "after|"),
+    *("slope_at", "gradient_at", "pull", "sloped=", "paid=", "whole", "gradient"),
+    *("defect.", "multipliers_at.", "sloped.", "weights."),
+    *("equations", "mapped", "images", "pivots", "total"),
+    *("steps", "slope_at", "pull", "e", "right_side", "pulled", "dnu=", "dlambda="),
+    *("lacks", "gap", "costs_at"),
+)
+
+
+@final
+class CollocationTrial(Trial):
+    """That of a Gauss method, without inequalities."""
+
+    def __init__(self, programs: list[Placed], steps: Collocation, count: int) -> None:
+        super().__init__(programs, steps, count)
+        self.tableau = plain(steps.tableau.matrix), plain(steps.tableau.weights)
+
+    @staticmethod
+    def functions(steps: Collocation, nodes: Nodes, count: int) -> Iterable[Called]:
+        """The moved centres and controls, the ends of the steps, the frames at the nodes, points, both ends."""
+        e, u, k, s = steps.state.size, steps.control.size, steps.parameter.size, steps.stages
+        n, m, at = steps.directions, steps.controls.dimension, (1, count, s)
+        around = [(1, count, e), (1, count, n)]
+        yield steps._centre, 2, around
+        yield steps._control, 3, [(*at, u), (*at, m)]
+        yield steps._ends, 2, around
+        yield nodes._in_frame, 2, [(1, count + 1, size) for size in (e, n, e, e)]
+        yield steps._point, 3, [*((*at, size) for size in (e, n, n, u, e, 1)), (1, 1, 1, k), (*at, 0)]
+        yield steps._both, 2, [*around, *[(1, count, e)] * 4]
+
+    @staticmethod
+    def shapes(steps: Collocation, count: int) -> Shapes:
+        """Those of what the tapes write, of what is condensed, and of room to work in."""
+        e, u, n, z, s = steps.state.size, steps.control.size, steps.directions, steps.dimension, steps.stages
+        each, at, p, q = (1, count), (1, count + 1), s * n, 3 * n + steps.controls.dimension
+        inner, width = (*each, s), whole(z + 1)
+        return {
+            "x": (*each, e), "turns": (*each, n, n), "u": (*inner, u),
+            "begins": (*each, e), "finishes": (*each, e),
+            "frames": (*at, n, e), "gap": (*at, n), "coordinates": (*at, n), "costates": (*at, e),
+            "hessian_at": (*inner, q, q), "slope_at": (*inner, q), "constraints": (*inner, n, q),
+            "gradient_at": (*inner, q), "defect": (*inner, n), "costs_at": inner,
+            "frames_at": (*inner, n, e), "multipliers_at": (*inner, n),
+            "hessian_of": (*each, 2 * n, 2 * n), "pull": (*each, 2 * n), "left_of": (*each, n, 2 * n),
+            "right_of": (*each, n, 2 * n), "starts": (*each, n), "arrives": (*each, n),
+            "velocities": (*inner, n), "covectors_at": (*inner, e), "xi": (*inner, n), "eta": (*each, n),
+            "weights": inner, "factors": (*each, p, p), "swaps": (*each, p), "maps": (*each, p, width),
+            "hessian": (*each, z, z), "left": (*each, n, z), "right": (*each, n, z), "slopes": (*each, z),
+            "before": (*each, n), "after": (*each, n), "sloped": (*inner, n), "paid": (*inner, n),
+            "whole": (*each, z), "gradient": (*each, z), "costs": each, "lacks": (*at, n),
+            "dnu": (*inner, n), "dlambda": (*inner, n),
+            "equations": (1, p, whole(p) + width), "mapped": (1, q, width), "images": (1, q, width),
+            "pivots": (1, p), "total": (1, z, width), "e": (1, q), "right_side": (1, p), "pulled": (1, 2 * n),
+            "pushes": (*each, 1, 0, z), "limits": (*each, 1, 0),
+        }  # fmt: skip
+
+    def places(self, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
+        """Frames and multipliers at points stand beside each other, and so do the steps of velocities and of these."""
+        known, steps = (
+            (first, (sum(math.prod(shapes[name]) for name in names),))
+            for first, *names in (("frames_at", "frames_at", "multipliers_at"), ("dnu", "dnu", "dlambda"))
+        )
+        laid = dict[str, tuple[str, tuple[int, ...]]]()
+        for name, (_, *shape) in shapes.items():
+            laid |= {name: (name, (*shape,)), f"{name}.": (name, (1, *shape)), f"{name}|": (name, (*shape, 1))}
+            laid |= {f"{name}=": (name, (*shape[:-2], math.prod(shape[-2:]))), f"{name}/": (name, (math.prod(shape),))}
+        return common(shapes, {"known": known, "inner": steps}), rows(shapes, (laid[name] for name in OWN))
+
+    def addresses(self) -> tuple[int, ...]:
+        from .collocation_kernels import addresses
+
+        return addresses()
+
+    def flat(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> tuple[np.ndarray, ...]:
+        """Velocities; frames and multipliers at the points; steps of velocities and of these. A guess has covectors at
+        the points, which stay."""
+        velocities = copied(iterate.unknowns.velocities).ravel()
+        if assembled is None or step is None:
+            return velocities, copied(iterate.unknowns.costates).ravel(), np.zeros(0)
+        inner = assembled.blocks.inner
+        known = np.concatenate((inner.frames.ravel(), inner.multipliers.ravel()))
+        return velocities, known, np.concatenate([moves.ravel() for moves in step.inner])
+
+    def found(self, v: dict[str, np.ndarray], held: Held | None) -> tuple[GaussUnknowns, Blocks]:
+        points = Points(v["hessian_at"], v["constraints"], v["slope_at"][..., None], v["defect"][..., None])
+        ends = Ends(v["hessian_of"], v["left_of"], v["right_of"], v["pull"][..., None])
+        kept = v["factors"], v["swaps"].view(int), v["maps"]
+        lacking = v["defect"], v["multipliers_at"], v["sloped"], v["points"]
+        inner = Inner(v["before"], v["after"], *lacking, v["paid"], v["frames_at"], points, ends, kept)
+        blocks = Blocks(v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"], inner)
+        return GaussUnknowns(v["x"], v["velocities"], v["u"], v["covectors_at"]), blocks
+
+    def inner(self, v: dict[str, np.ndarray]) -> Any:
+        return v["dnu"], v["dlambda"]
