@@ -79,6 +79,28 @@ def test_a_pursuit_is_its_iterations(name, pursuits, monkeypatch):
     same([own._replace(members=0.0) for own in seen], [own._replace(members=0.0) for own in told])
 
 
+@pytest.mark.parametrize("name", ["a sphere with parameters", "unequal steps of collocation"])
+def test_what_a_step_promises(name, monkeypatch):
+    """Of the cost, which depends on the states, and of the multipliers on what is lacking, to first order."""
+    solver, way, options = CASES[name]()
+    pursue, known = Trial.pursue, []
+
+    def heard(self: Trial, setting: Any, conditions: Any, *given: Any) -> Any:
+        found = pursue(self, setting, conditions, *given)
+        if found is not None and found.last is not None and found.step is not None:
+            stands = found.standing.promised, found.standing.turned
+            expected = conditions.promise(found.last.iterate, found.last.assembled, found.step)
+            known.append((stands, [own.item() for own in expected]))
+        return found
+
+    monkeypatch.setattr(pursuit, "MOST", 1)
+    monkeypatch.setattr(Trial, "pursue", heard)
+    assert solver.solve(*way, **options).success
+    assert len(known) > 2
+    for stands, expected in known[:-1]:  # what the last one promises is rounding
+        np.testing.assert_allclose(stands, expected, rtol=1e-6)
+
+
 @pytest.mark.parametrize("stiffness", [0.0, 3.0, 10.0, 30.0, 100.0])
 def test_what_is_refused_is_left_to_the_rest_of_the_iteration(method, stiffness, pursuits, monkeypatch):
     """From a slope that is a cost to one that steps have to be cut and Hessians raised for."""
