@@ -353,8 +353,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "the slope of points is not condensed": Planted(
         f"{ENGINE}/condensing_kernels.py",
-        "put_entry(y, a, z + j, entry(y, a, z + j) + entry(slope, a, j))",
-        "put_entry(y, a, z + j, entry(y, a, z + j))",
+        "put_entry(y, a, z + j, -entry(slope, a, j))",
+        "put_entry(y, a, z + j, 0.0)",
         (CONDENSING,),
     ),
     "multipliers of points have the other sign": Planted(

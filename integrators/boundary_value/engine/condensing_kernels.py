@@ -7,8 +7,9 @@ array.
 import numpy as np
 
 from .arrays import LANES
-from .lu import back_substitute, decompose, product, solve_transposed
-from .vectors import add_vector, compiled, entry, filled, inner, put, put_entry, vector
+from .factorisation import subtract_all
+from .lu import back_substitute, decompose, solve_transposed
+from .vectors import add_vector, compiled, entry, filled, inner, minus, put, put_entry, vector
 
 Arrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -60,18 +61,48 @@ def _map(x: np.ndarray, v: np.ndarray, start: int, h: float, weights: np.ndarray
 
 
 @inner
-def _pull(out: np.ndarray, y: np.ndarray, block: np.ndarray, slope: np.ndarray, x: np.ndarray) -> None:
-    """Add ``x' (block x + slope)``: the upper triangle of the condensed Hessian, and the condensed slope after it."""
-    product(y, block, x)
-    z = out.shape[0]
-    for a in range(block.shape[0]):
+def _pull(
+    out: np.ndarray, y: np.ndarray, block: np.ndarray, slope: np.ndarray, x: np.ndarray, sizes: tuple[int, int, int]
+) -> None:
+    """Add ``x' (block x + slope)``: the upper triangle of the condensed Hessian, and the condensed slope after it.
+
+    ``block`` is symmetric. In the rows of ``dx`` and ``u_i`` there is nothing but ones in ``x``; ``y = -(block x +
+    slope)``.
+    """
+    (n, m, i), (z, width), size = sizes, out.shape, block.shape[0]
+    controls, last = n + i * m, 3 * n if i >= 0 else 2 * n
+    for a in range(size):
+        for j in range(0, width, LANES):
+            put(y, a, j, filled(0.0))
+        for c in range(n):
+            put_entry(y, a, c, -entry(block, a, c))
+        for c in range(3 * n, size):
+            put_entry(y, a, controls + c - 3 * n, -entry(block, a, c))
         for j in range(slope.shape[1]):
-            put_entry(y, a, z + j, entry(y, a, z + j) + entry(slope, a, j))
-        for b in range(z):
-            f = entry(x, a, b)
-            if f != 0:
-                for j in range(b & -LANES, out.shape[1], LANES):
-                    add_vector(out, b, j, f, y, a, j)
+            put_entry(y, a, z + j, -entry(slope, a, j))
+    subtract_all(y, 0, size, 0, width, block, n, x, n, last - n)
+    for j in range(0, width, LANES):
+        for a in range(n):
+            put(out, a, j, minus(vector(out, a, j), vector(y, a, j)))
+        for c in range(3 * n, size):
+            put(out, controls + c - 3 * n, j, minus(vector(out, controls + c - 3 * n, j), vector(y, c, j)))
+    for first in range(0, z, LANES):
+        subtract_all(out, first, min(first + LANES, z), first, width, x, n, y, n, last - n)
+
+
+@inner
+def _moved(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
+    """``y = block x`` at an end of the step, where the first half of the rows of ``x`` are those of ``dx``."""
+    n = block.shape[0]
+    for a in range(n):
+        for j in range(0, x.shape[1], LANES):
+            put(y, a, j, filled(0.0))
+        for c in range(n):
+            put_entry(y, a, c, entry(block, a, c))
+    for c in range(n, 2 * n):  # row after row of ``y``: the next one does not wait for what is added to this
+        for a in range(n):
+            for j in range(0, x.shape[1], LANES):
+                add_vector(y, a, j, entry(block, a, c), x, c, j)
 
 
 @inner
@@ -110,13 +141,13 @@ def condense(
             at_ends = i == s
             _map(x, v, start, h[t], b if at_ends else matrix[i], (n, m, -1 if at_ends else i))
             block, slope = (ends[0][t], ends[3][t]) if at_ends else (points[0][t, i], points[2][t, i])
-            _pull(total, y, block, slope, x)
+            _pull(total, y, block, slope, x, (n, m, -1 if at_ends else i))
         for i in range(total.shape[0]):
             for j in range(i):
                 put_entry(total, i, j, entry(total, j, i))
         _store(total, out[0][t], out[3][t])
         for i in range(2):
-            product(y, ends[1][t] if i == 0 else ends[2][t], x)
+            _moved(y, ends[1][t] if i == 0 else ends[2][t], x)
             _store(y, out[1][t] if i == 0 else out[2][t], out[4][t] if i == 0 else out[5][t])
 
 

@@ -3,7 +3,10 @@
 import numpy as np
 
 from .arrays import LANES
-from .vectors import add_vector, entry, filled, inner, over, put, put_entry, vector
+from .factorisation import subtract_all
+from .vectors import add_vector, entry, inner, over, put, put_entry, vector
+
+TOGETHER = 3  # rows that are solved for at once
 
 
 @inner
@@ -45,18 +48,25 @@ def decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.n
 
 @inner
 def back_substitute(v: np.ndarray, start: int, upper: np.ndarray) -> None:
-    """Solve for all right-hand sides in place, and keep the upper triangle."""
+    """Solve for all right-hand sides in place, and keep the upper triangle, which stands below the diagonal too
+    then."""
     p = v.shape[0]
-    for k in range(p - 1, -1, -1):
-        for i in range(k + 1, p):
-            f = entry(v, k, i)
-            if f != 0:
-                for j in range(start, v.shape[1], LANES):
-                    add_vector(v, k, j, -f, v, i, j)
-        for j in range(start, v.shape[1], LANES):
-            put(v, k, j, over(vector(v, k, j), entry(v, k, k)))
+    for k in range(p):
         for j in range(k, p):
-            put_entry(upper, k, j, entry(v, k, j))
+            f = entry(v, k, j)
+            put_entry(upper, k, j, f)
+            put_entry(v, j, k, f)
+    last = p
+    while last > 0:
+        first = max(last - TOGETHER, 0)
+        subtract_all(v, first, last, start, v.shape[1], v, last, v, last, p - last)
+        for k in range(last - 1, first - 1, -1):
+            for i in range(k + 1, last):
+                for j in range(start, v.shape[1], LANES):
+                    add_vector(v, k, j, -entry(v, i, k), v, i, j)
+            for j in range(start, v.shape[1], LANES):
+                put(v, k, j, over(vector(v, k, j), entry(v, k, k)))
+        last = first
 
 
 @inner
@@ -71,17 +81,3 @@ def solve_transposed(factors: np.ndarray, swaps: np.ndarray, x: np.ndarray) -> N
         for i in range(k + 1, p):
             x[k] -= factors[i, k] * x[i]
         x[k], x[swaps[k]] = x[swaps[k]], x[k]
-
-
-@inner
-def product(y: np.ndarray, block: np.ndarray, x: np.ndarray) -> None:
-    """``y = block x``, rows of ``x`` and ``y`` padded to whole vectors."""
-    for a in range(block.shape[0]):
-        for j in range(0, x.shape[1], LANES):
-            put(y, a, j, filled(0.0))
-    for c in range(block.shape[1]):  # row after row of ``y``: the next one does not wait for what is added to this
-        for a in range(block.shape[0]):
-            f = entry(block, a, c)
-            if f != 0:
-                for j in range(0, x.shape[1], LANES):
-                    add_vector(y, a, j, f, x, c, j)

@@ -127,6 +127,7 @@ def _operation(make: Callable[..., Any], *kinds: Any, result: Any = LANES_TYPE) 
 FLOAT, INTEGER, LINE = types.float64, types.intp, LANES_TYPE
 filled = _operation(_filled, FLOAT)
 plus = _operation(_sum, LINE, LINE)
+minus = _operation(_difference, LINE, LINE)
 times = _operation(_product, LINE, LINE)
 scaled = _operation(lambda b, f, x: _product(b, _filled(b, f), x), FLOAT, LINE)
 over = _operation(lambda b, x, f: b.fdiv(x, _filled(b, f)), LINE, FLOAT)
