@@ -434,9 +434,9 @@ PLANTED: dict[str, Planted] = {
         (f"{ACCEPTANCE}::test_a_record_counts_inside_the_funnel_only",),
     ),
     "what is rounding measures a coordinate": Planted(
-        f"{ENGINE}/extent.py",
-        "moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)",
-        "moved = np.where(moved > 0 * self.along(columns), moved, 0.0)",
+        f"{ENGINE}/extent_kernels.py",
+        "far if far > rounding * whole else 0.0, most",
+        "far if far > 0 * whole else 0.0, most",
         (f"{SCALING}::test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not_at_all",),
     ),
     "success is claimed wherever residuals are small": Planted(
@@ -548,7 +548,7 @@ PLANTED: dict[str, Planted] = {
     # The compiled pass of a trial.
     "covectors of a trial are those before the step": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "f = coordinates[0, k, a] + part[0] * multipliers[k * n + a]",
+        "f = coordinates[0, k, a] + part * multipliers[0, k, a, 0]",
         "f = coordinates[0, k, a]",
         (TRIAL,),
     ),
@@ -560,20 +560,20 @@ PLANTED: dict[str, Planted] = {
     ),
     "ends far apart have a compiled pass": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "return not _meet(calls[AT_MEET], (begins, finishes, points, columns, far, work, met))",
-        "return not _meet(calls[AT_MEET], (begins, finishes, points, columns, far, work, met)) or count > 0",
+        "return not _meet(calls[AT_MEET], (begins, finishes, ends_of(setting, rows), columns, far, work, met))",
+        "return not _meet(calls[AT_MEET], (begins, finishes, ends_of(setting, rows), columns, far, work, met)) or k > 0",
         (TRIAL,),
     ),
     "velocities of a trial are those before the step": Planted(
         f"{ENGINE}/collocation_kernels.py",
-        "value += turns[k, a, c] * (given[first + c] + fraction * steps[first + c])",
-        "value += turns[k, a, c] * given[first + c]",
+        "value += turns[k, a, c] * (given[k, i, c] + part * velocity_steps[k, first + c])",
+        "value += turns[k, a, c] * given[k, i, c]",
         (TRIAL,),
     ),
     "velocities of a trial stay in the frame before the step": Planted(
         f"{ENGINE}/collocation_kernels.py",
-        "value += turns[k, a, c] * (given[first + c] + fraction * steps[first + c])",
-        "value += (a == c) * (given[first + c] + fraction * steps[first + c])",
+        "value += turns[k, a, c] * (given[k, i, c] + part * velocity_steps[k, first + c])",
+        "value += (a == c) * (given[k, i, c] + part * velocity_steps[k, first + c])",
         (TRIAL,),
     ),
     "a condensed step leaves what its points lack to the nodes": Planted(
@@ -592,6 +592,12 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/collocation_kernels.py",
         "change[0] += inside[1][k, i] * value",
         "change[0] += 0.0",
+        (PURSUIT,),
+    ),
+    "units of a pass are those of the first step's controls": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "largest = larger(largest, abs(controls[k, i - n]))",
+        "largest = larger(largest, abs(controls[0, i - n]))",
         (PURSUIT,),
     ),
     "a pursuit takes what a trial is refused for": Planted(

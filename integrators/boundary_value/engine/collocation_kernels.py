@@ -8,9 +8,10 @@ from numba import types
 from numba.core.typing.templates import signature
 
 from ....kernels import pasted
-from ....linked import address, array, called, laid, put, view
+from ....linked import address, array, called, put, view
 from . import condensing_kernels, extent_kernels
 from .trial_kernels import (
+    AFTER,
     AT_OWN,
     AT_RUN,
     COMPLETE,
@@ -20,12 +21,24 @@ from .trial_kernels import (
     F4,
     TRIAL,
     WHOLE,
+    change_of,
     clear,
+    coordinates_of,
+    costates_of,
+    costs_of,
     covectors,
+    covectors_of,
     evaluate,
+    frames_of,
     in_frames,
-    laid_out,
+    laid_parts,
+    lengths_of,
     meet_ends,
+    multipliers_of,
+    nodes_of,
+    parts_of,
+    point_survey_of,
+    programs_of,
     put_ends,
     read_by,
 )
@@ -33,21 +46,24 @@ from .vectors import compiled, inner
 
 CENTRES, CONTROLS, ENDS, FRAMES, POINTS, BOTH = range(6)  # the tapes
 # What the kernels here work with, in the order of ``collocation_trial.OWN``.
-MOVED = F1, F1, F3, F3, F3, F2, F1
+MOVED = F1, F1, F3, F3, F3, F2, F1, F4, F3
 POINT, END, TABLE = types.UniTuple(F4, 4), types.UniTuple(F3, 4), types.Tuple((F1, F2, F1))
 KEPT, BLOCKS, BOTH_SLOPES = types.Tuple((F3, array(2, WHOLE), F3)), types.UniTuple(F3, 6), types.UniTuple(F2, 2)
 WORK, ROWS = types.Tuple((F2, F2, F2, F1, F2)), types.UniTuple(F1, 3)
-ARRAYS = (
-    MOVED,
-    (F4, F4, F4, F4),
-    (F3, F3, F3, F3),
-    (F3, array(2, WHOLE), F3),
-    (F3, F3, F3, F3, F3, F3),
-    (F3, F3, F2, (F2, F2), (F2, F2)),
-    (F4, F4, F4, F3),
-    (F2, F2, F2, F1, F2),
-    (F2, F3, F2, (F1, F1, F1), (F2, F2)),
-    (F2, F2, F2),
+(moved_of, points_of, both_of, kept_of, condensed_of, slopes_of, asked_of, work_of, stepped_of, sums_of), _ = (
+    laid_parts(
+        MOVED,
+        (F4, F4, F4, F4),
+        (F3, F3, F3, F3),
+        (F3, array(2, WHOLE), F3),
+        (F3, F3, F3, F3, F3, F3),
+        (F3, F3, F2, (F2, F2), (F2, F2)),
+        (F4, F4, F4, F3),
+        (F2, F2, F2, F1, F2),
+        (F2, F3, F2, (F1, F1, F1), (F2, F2)),
+        (F2, F2, F2),
+        after=AFTER,
+    )
 )
 
 CONDENSE = signature(types.none, WHOLE, WHOLE, POINT, END, TABLE, WORK, KEPT, BLOCKS)
@@ -66,7 +82,6 @@ EXPAND = signature(
     BOTH_SLOPES,
 )
 
-_laid = laid(ARRAYS)
 _condense, _slopes, _survey_points, _expand = called(CONDENSE), called(SLOPES), called(SURVEY_POINTS), called(EXPAND)
 
 
@@ -84,32 +99,30 @@ def addresses() -> tuple[int, ...]:
 
 
 @inner
-def _turned(before: tuple, moved: tuple) -> None:
+def _turned(known: tuple, moves: tuple, part: float, moved: tuple) -> None:
     """Velocities in the frames at the moved centres, and covectors at the points."""
-    (_, _, given, _, _, known, steps, _, _, part), (_, _, turns, velocities, _, _, covectors) = before, moved
-    (count, stages, n), fraction = velocities.shape, part[0]
-    own, size = count * stages * n, covectors.size // (count * stages)
+    (_, _, _, given, _, _, _, frames, multipliers), (_, _, turns, velocities, _, _, covectors, _, _) = known, moved
+    (velocity_steps, multiplier_steps), (count, stages, n), size = moves, velocities.shape, frames.shape[3]
     for k in range(count):
         for i in range(stages):
-            first = (k * stages + i) * n
+            at, first = (k * stages + i) * size, i * n
             for a in range(n):
                 value = 0.0
                 for c in range(n):
-                    value += turns[k, a, c] * (given[first + c] + fraction * steps[first + c])
+                    value += turns[k, a, c] * (given[k, i, c] + part * velocity_steps[k, first + c])
                 velocities[k, i, a] = value
-            at = (k * stages + i) * size
             for e in range(size):
                 covectors[at + e] = 0.0
             for a in range(n):
-                f = known[own * size + first + a] + fraction * steps[own + first + a]
+                f = multipliers[k, i, a] + part * multiplier_steps[k, first + a]
                 for e in range(size):
-                    covectors[at + e] += f * known[(first + a) * size + e]
+                    covectors[at + e] += f * frames[k, i, a, e]
 
 
 @inner
-def _along(velocities: np.ndarray, data: tuple, xi: np.ndarray, eta: np.ndarray) -> None:
+def _along(velocities: np.ndarray, lengths: tuple, xi: np.ndarray, eta: np.ndarray) -> None:
     """``xi_i = h sum_j matrix_ij nu_j`` and ``eta = h sum_j b_j nu_j``."""
-    (h, _, matrix, weights), (count, stages, n) = data, velocities.shape
+    (h, _, matrix, weights), (count, stages, n) = lengths, velocities.shape
     for k in range(count):
         for a in range(n):
             eta[k, a] = 0.0
@@ -122,37 +135,40 @@ def _along(velocities: np.ndarray, data: tuple, xi: np.ndarray, eta: np.ndarray)
 
 
 @pasted
-def _move_unknowns(run: int, tapes: tuple, before: tuple, data: tuple, moved: tuple) -> None:
-    """Write the unknowns after a part of the steps, if there are steps, and the vectors to points and ends."""
-    (x, u, given, steps, _, known, _, _, _, part), (_, _, _, velocities, xi, eta, covectors) = before, moved
+def _move_unknowns(
+    run: int, tapes: tuple, known: tuple, stepped: tuple, lengths: tuple, part: float, moved: tuple
+) -> None:
+    """Write the unknowns after a part of the steps, and the vectors to points and ends; they stay as they are after
+    none."""
+    (x, u, _, given, _, _, covectors, _, _), (steps, _, _, _, moves) = known, stepped
+    _, _, _, velocities, xi, eta, new, _, _ = moved
     count, stages, n = velocities.shape
-    if steps.size > 0:
-        z = steps.size // count
-        read = read_by(tapes, CENTRES)
-        at = put(read, 0, x, 0, x.size)
-        for k in range(count):
-            for a in range(n):
-                read[at + k * n + a] = part[0] * steps[k * z + a]
-        evaluate(run, tapes[5][CENTRES], tapes, count)
-        read = read_by(tapes, CONTROLS)
-        at, m = put(read, 0, u, 0, u.size), z - n
-        for k in range(count):
-            for i in range(m):
-                read[at + k * m + i] = part[0] * steps[k * z + n + i]
-        evaluate(run, tapes[5][CONTROLS], tapes, count * stages)
-        _turned(before, moved)
-    else:
+    if part == 0:
         put(moved[0], 0, x, 0, x.size)
         put(moved[1], 0, u, 0, u.size)
         put(velocities, 0, given, 0, given.size)
-        put(covectors, 0, known, 0, covectors.size)
-    _along(velocities, data, xi, eta)
+        put(new, 0, covectors, 0, covectors.size)
+    else:
+        read, m = read_by(tapes, CENTRES), steps.shape[1] - n
+        at = put(read, 0, x, 0, x.size)
+        for k in range(count):
+            for a in range(n):
+                read[at + k * n + a] = part * steps[k, a]
+        evaluate(run, tapes[5][CENTRES], tapes, count)
+        read = read_by(tapes, CONTROLS)
+        at = put(read, 0, u, 0, u.size)
+        for k in range(count):
+            for i in range(m):
+                read[at + k * m + i] = part * steps[k, n + i]
+        evaluate(run, tapes[5][CONTROLS], tapes, count * stages)
+        _turned(known, moves, part, moved)
+    _along(velocities, lengths, xi, eta)
 
 
 @pasted
-def _read_points(read: np.ndarray, moved: tuple, data: tuple, weights: np.ndarray) -> None:
+def _read_points(read: np.ndarray, moved: tuple, lengths: tuple, weights: np.ndarray) -> None:
     """What the tape of the points reads; and their weights."""
-    (x, u, _, velocities, xi, _, covectors), (h, parameters, _, b) = moved, data
+    (x, u, _, velocities, xi, _, covectors, _, _), (h, parameters, _, b) = moved, lengths
     (count, stages, _), at = velocities.shape, 0
     size = x.size // count
     for k in range(count):
@@ -184,55 +200,64 @@ def _sums(of_points: np.ndarray, costs: np.ndarray, gap: np.ndarray, moved: tupl
 @compiled
 def trial(
     calls: tuple,
-    tapes: tuple,
-    before: tuple,
-    data: tuple,
-    ends: tuple,
-    limits: tuple,
-    places: np.ndarray,
-    own: np.ndarray,
+    programs: np.ndarray,
+    memory: np.ndarray,
+    before: np.ndarray,
+    written: np.ndarray,
+    setting: np.ndarray,
+    given: np.ndarray,
+    rows: np.ndarray,
+    sizes: tuple,
 ) -> bool:
     """The condensed system after a part of a step; whether the ends of the steps are near each other, else there is
-    none."""
-    out, count = laid_out(tapes[7], places), data[0].size
-    moved, points, both, kept, blocks, sloped, asked, work, _, sums = _laid(tapes[7], own)
-    (_, _, _, nodal, _, _, _, costates), (nodes, _, _, _), survey, (h, _, matrix, b) = out[0], out[1], out[5][4], data
-    (x, _, _, velocities, _, eta, _), (slope, gradient, pull, inside, outer), of = moved, sloped, (h, matrix, b)
-    covectors(before, nodal)
-    _move_unknowns(calls[AT_RUN], tapes, before, data, moved)
+    none; see ``one_stage_kernels.trial``."""
+    codes, registers, values, sources, targets, table = programs_of(programs, rows)
+    tapes, part = (codes, registers, values, sources, targets, table, memory, written), parts_of(given, rows)[0][0]
+    lengths, run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
+    frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
+    covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)
+    moved, (h, _, matrix, b) = moved_of(written, rows), lengths
+    _move_unknowns(run, tapes, moved_of(before, rows), stepped_of(before, rows), lengths, part, moved)
+    (x, _, _, velocities, _, eta, _, _, _), of = moved, (h, matrix, b)
     read = read_by(tapes, ENDS)
     put(read, put(read, 0, x, 0, x.size), eta, 0, eta.size)
-    if not meet_ends(calls, ENDS, tapes, ends, out[0], out[1], count):
+    if not meet_ends(calls, ENDS, tapes, setting, sizes[0], rows):
         return False
-    in_frames(calls[AT_RUN], FRAMES, tapes, ends[0], nodal, out[1])
-    _read_points(read_by(tapes, POINTS), moved, data, asked[3])
-    evaluate(calls[AT_RUN], tapes[5][POINTS], tapes, count * velocities.shape[1])
-    read = read_by(tapes, BOTH)
+    in_frames(run, FRAMES, tapes, setting, nodal, rows)
+    defect, multipliers, pulled, weights = asked_of(written, rows)
+    _read_points(read_by(tapes, POINTS), moved, lengths, weights)
+    evaluate(run, table[POINTS], tapes, h.size * velocities.shape[1])
+    read, nodes, costates = read_by(tapes, BOTH), nodes_of(written, rows), costates_of(written, rows)
     put_ends(read, put(read, put(read, 0, x, 0, x.size), eta, 0, eta.size), nodes, costates)
-    evaluate(calls[AT_RUN], tapes[5][BOTH], tapes, count)
-    _condense(calls[AT_OWN], (0, count, points, both, of, work, kept, blocks))
-    _slopes(calls[AT_OWN + 1], (0, count, (slope, gradient), pull, kept[2], of, inside, outer))
+    evaluate(run, table[BOTH], tapes, h.size)
+    kept, blocks, (slope, gradient, pull, inside, outer) = (
+        kept_of(written, rows),
+        condensed_of(written, rows),
+        slopes_of(written, rows),
+    )
+    points, both = points_of(written, rows), both_of(written, rows)
+    _condense(calls[AT_OWN], (0, h.size, points, both, of, work_of(written, rows), kept, blocks))
+    _slopes(calls[AT_OWN + 1], (0, h.size, (slope, gradient), pull, kept[2], of, inside, outer))
+    survey, (lacks, gap, costs) = point_survey_of(written, rows), sums_of(written, rows)
     clear(view(survey, 0, (survey.size,)))
-    _survey_points(calls[AT_OWN + 2], (0, 1, *asked, survey))
-    _sums(sums[2], out[3][4], sums[1], (blocks[4], blocks[5]), sums[0])
+    _survey_points(calls[AT_OWN + 2], (0, 1, defect, multipliers, pulled, weights, survey))
+    _sums(costs, costs_of(written, rows), gap, (blocks[4], blocks[5]), lacks)
     return True
 
 
 @compiled
-def complete(
-    calls: tuple, written: np.ndarray, change: np.ndarray, data: tuple, places: np.ndarray, own: np.ndarray
-) -> None:
+def complete(calls: tuple, written: np.ndarray, setting: np.ndarray, rows: np.ndarray) -> None:
     """The steps of the velocities and of the multipliers of the points; and what these change to first order: the cost,
     and the multipliers on what is lacking."""
-    multipliers, (h, _, matrix, b) = laid_out(written, places)[8][4], data
-    _, points, both, kept, _, (_, _, _, inside, _), asked, _, stepped, _ = _laid(written, own)
-    w, slopes, pulls, rows, found = stepped
+    (h, _, matrix, b), (w, slopes, pulls, room, found) = lengths_of(setting, rows), stepped_of(written, rows)
+    multipliers, change = multipliers_of(written, rows), change_of(written, rows)
+    points, both, kept = points_of(written, rows), both_of(written, rows), kept_of(written, rows)
     (count, z), n = w.shape, both[1].shape[1]
     nodes = view(multipliers, 0, (count, n)), view(multipliers, n, (count, n))
     solved = w, nodes[0], nodes[1], z, slopes, pulls
-    _expand(calls[AT_OWN + 3], (0, count, points, both, (h, matrix, b), rows, kept, solved, found))
-    velocities, lambdas = found
-    defect, change[0], change[1] = view(asked[0], 0, velocities.shape), 0.0, 0.0
+    _expand(calls[AT_OWN + 3], (0, count, points, both, (h, matrix, b), room, kept, solved, found))
+    (velocities, lambdas), inside = found, slopes_of(written, rows)[3]
+    defect, change[0], change[1] = view(asked_of(written, rows)[0], 0, velocities.shape), 0.0, 0.0
     for k in range(count):
         for i in range(velocities.shape[1]):
             value = velocities[k, i]

@@ -6,19 +6,20 @@ from typing import Any, final
 
 import numpy as np
 
-from .arrays import plain, whole
+from .arrays import whole
 from .collocation import Collocation, GaussUnknowns, Inner
 from .condensing import Ends, Points
+from .fields import Fields, Shapes
 from .inequalities import Held
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes
-from .trial import Called, Placed, Shapes, Trial, common, copied, rows
+from .trial import Called, Placed, Trial, common_rows
 
 # What its kernels work with, in the order of ``collocation_kernels.ARRAYS``: of all steps, or where there is a dot of
 # the trajectory; with an axis for one column where there is a bar, the last two axes in one where there is a sign of
 # equality, and without axes where there is a stroke.
 OWN = (
-    *("x/", "u/", "turns", "velocities", "xi", "eta", "covectors_at/"),
+    *("x/", "u/", "turns", "velocities", "xi", "eta", "covectors_at/", "frames_at", "multipliers_at"),
     *("hessian_at", "constraints", "slope_at|", "defect|"),
     *("hessian_of", "left_of", "right_of", "pull|"),
     *("factors", "swaps", "maps"),
@@ -36,8 +37,8 @@ class CollocationTrial(Trial):
     """That of a Gauss method, without inequalities."""
 
     def __init__(self, programs: list[Placed], steps: Collocation, count: int) -> None:
+        self.tableau = steps.tableau.matrix, steps.tableau.weights
         super().__init__(programs, steps, count)
-        self.tableau = plain(steps.tableau.matrix), plain(steps.tableau.weights)
 
     @staticmethod
     def functions(steps: Collocation, nodes: Nodes, count: int) -> Iterable[Called]:
@@ -78,34 +79,26 @@ class CollocationTrial(Trial):
             "pushes": (*each, 1, 0, z), "limits": (*each, 1, 0),
         }  # fmt: skip
 
-    def places(self, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
-        """Frames and multipliers at points stand beside each other, and so do the steps of velocities and of these."""
-        known, steps = (
-            (first, (sum(math.prod(shapes[name]) for name in names),))
-            for first, *names in (("frames_at", "frames_at", "multipliers_at"), ("dnu", "dnu", "dlambda"))
-        )
+    def rows(self, fields: Fields) -> tuple[np.ndarray, np.ndarray]:
         laid = dict[str, tuple[str, tuple[int, ...]]]()
-        for name, (_, *shape) in shapes.items():
+        for name, (_, *shape) in fields.shapes.items():
             laid |= {name: (name, (*shape,)), f"{name}.": (name, (1, *shape)), f"{name}|": (name, (*shape, 1))}
             laid |= {f"{name}=": (name, (*shape[:-2], math.prod(shape[-2:]))), f"{name}/": (name, (math.prod(shape),))}
-        return common(shapes, {"known": known, "inner": steps}), rows(shapes, (laid[name] for name in OWN))
+        return common_rows(fields, {}), fields.rows(laid[name] for name in OWN)
 
     def addresses(self) -> tuple[int, ...]:
         from .collocation_kernels import addresses
 
         return addresses()
 
-    def flat(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> tuple[np.ndarray, ...]:
-        """Velocities; frames and multipliers at the points; steps of velocities and of these. A guess has covectors at
-        the points, which stay."""
-        velocities = copied(iterate.unknowns.velocities).ravel()
-        if assembled is None or step is None:
-            return velocities, copied(iterate.unknowns.costates).ravel(), np.zeros(0)
-        inner = assembled.blocks.inner
-        known = np.concatenate((inner.frames.ravel(), inner.multipliers.ravel()))
-        return velocities, known, np.concatenate([moves.ravel() for moves in step.inner])
+    def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:
+        v["velocities"][...], v["covectors_at"][...] = iterate.unknowns.velocities, iterate.unknowns.costates
+        if assembled is not None and step is not None:
+            inner = assembled.blocks.inner
+            v["frames_at"][...], v["multipliers_at"][...] = inner.frames, inner.multipliers
+            v["dnu"][...], v["dlambda"][...] = step.inner
 
-    def found(self, v: dict[str, np.ndarray], held: Held | None) -> tuple[GaussUnknowns, Blocks]:
+    def found(self, v: Any, held: Held | None) -> tuple[GaussUnknowns, Blocks]:
         points = Points(v["hessian_at"], v["constraints"], v["slope_at"][..., None], v["defect"][..., None])
         ends = Ends(v["hessian_of"], v["left_of"], v["right_of"], v["pull"][..., None])
         kept = v["factors"], v["swaps"].view(int), v["maps"]
@@ -114,5 +107,5 @@ class CollocationTrial(Trial):
         blocks = Blocks(v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"], inner)
         return GaussUnknowns(v["x"], v["velocities"], v["u"], v["covectors_at"]), blocks
 
-    def inner(self, v: dict[str, np.ndarray]) -> Any:
+    def inner(self, v: Any) -> Any:
         return v["dnu"], v["dlambda"]

@@ -96,25 +96,21 @@ def eliminate(
     return BlockSolution(steps, multipliers, finite, negative, smallest, curvature, size, largest)
 
 
-def workspace(count: int, n: int, z: int, columns: int) -> tuple[float, tuple, tuple]:
-    """The weight, and arrays that the kernels work in: those of one step, and factors of all steps, whose rows follow
-    one another."""
+def work_shapes(count: int, n: int, z: int, columns: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of what the kernels work in: in one step, and the factors of all steps, whose rows follow one another."""
     rows, pivots = z + 2 * n, count * (z + n) + n
     width = whole(rows + columns)
-    shapes = (
-        (2 * n, whole(z)),
-        (rows, width),
-        (columns, 2 * rows),
-        (4, width),
-        (rows, width),
-        (pivots, width),
-        (count, width),
-    )
-    *work, upper, kept, sizes = scratch(shapes)
+    own = {"ends": (2 * n, whole(z)), "front": (rows, width), "columns": (columns, 2 * rows), "line": (4, width)}
+    sizes = {"pivots": (pivots,), "order": (rows,), "sizes": (count, width)}
+    return {**own, "kept": (pivots, width), "upper": (rows, width), **sizes}
+
+
+def workspace(count: int, n: int, z: int, columns: int) -> tuple[float, tuple, tuple]:
+    """The weight, and arrays that the kernels work in."""
+    *work, kept, upper, pivots, order, sizes = scratch(tuple(work_shapes(count, n, z, columns).values()))
     for array in work:
         array.fill(0.0)
-    factors = kept, upper, np.empty(pivots, np.int64), np.empty(rows, np.int64), sizes
-    return WEIGHT * count, tuple(work), factors
+    return WEIGHT * count, tuple(work), (kept, upper, pivots.view(int), order.view(int), sizes)
 
 
 def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:

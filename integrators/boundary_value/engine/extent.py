@@ -48,18 +48,23 @@ class Extent(NamedTuple):
 
         Beside the size of its column it may be rounding, as the tilt of an attitude that turns about one axis.
         """
-        columns = np.where(alone(self.support), 0.0, layout.in_their_columns(self.values))
-        moved = self.along(self.spreads)
-        moved = np.where(moved > EPS**HALF * self.along(columns), moved, 0.0)
-        return moved, self.along(np.maximum(self.values, columns))
+        from . import extent_kernels
+
+        (batch, n, size), columns = self.support.shape, layout.columns
+        moved, sizes = np.empty((2, batch, n))
+        own = self.highest, self.lowest, self.support, columns
+        extent_kernels.moves(*own, EPS**HALF, np.empty((2, size)), moved, sizes)
+        return moved, sizes
 
 
-def alone(support: Float[np.ndarray, "*shape n E"]) -> Bool[np.ndarray, "*shape E"]:
+def alone(support: Float[np.ndarray, "n E"]) -> Bool[np.ndarray, " E"]:
     """Which entries have a coordinate of their own, which moves nothing else: they may have other units than those
     beside them."""
-    touches = support > 0
-    own = touches & (touches.sum(axis=-2, keepdims=True) == 1) & (touches.sum(axis=-1, keepdims=True) == 1)
-    return np.any(own, axis=-2)
+    from . import extent_kernels
+
+    found = np.empty((1, support.shape[1]), bool)
+    extent_kernels.find_alone(plain(support[None]), found)
+    return found[0]
 
 
 def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: np.ndarray, blocks: Blocks) -> Extent:

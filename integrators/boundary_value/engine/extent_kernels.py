@@ -138,6 +138,72 @@ def survey_points(
 
 
 @inner
+def _is_alone(support: np.ndarray, m: int, e: int) -> bool:
+    """Whether an entry has a coordinate of its own, which moves nothing else."""
+    owner, owners, moved = -1, 0, 0
+    for a in range(support.shape[1]):
+        if support[m, a, e] > 0:
+            owner, owners = a, owners + 1
+    for other in range(support.shape[2] if owners == 1 else 0):
+        moved += support[m, owner, other] > 0
+    return moved == 1
+
+
+@compiled
+def find_alone(support: np.ndarray, out: np.ndarray) -> None:
+    """Which entries have a coordinate of their own, shape (B, E)."""
+    for m in range(support.shape[0]):
+        for e in range(support.shape[2]):
+            out[m, e] = _is_alone(support, m, e)
+
+
+@inner
+def find_moves(
+    highest: np.ndarray,
+    lowest: np.ndarray,
+    support: np.ndarray,
+    columns: np.ndarray,
+    rounding: float,
+    m: int,
+    work: np.ndarray,
+    moved: np.ndarray,
+    sizes: np.ndarray,
+) -> None:
+    """What each coordinate of the nodes of a member moves by, zero where that is rounding, and its size; ``work``: room
+    for two numbers of each entry."""
+    size = columns.size
+    for e in range(size):
+        work[1, columns[e]] = 0.0
+    for e in range(size):
+        work[1, columns[e]] = larger(work[1, columns[e]], larger(highest[m, e], lowest[m, e]))
+    for e in range(size):
+        work[0, e] = 0.0 if _is_alone(support, m, e) else work[1, columns[e]]
+    for a in range(support.shape[1]):
+        far, most, whole = 0.0, 0.0, 0.0
+        for e in range(size):
+            f, value = support[m, a, e], larger(highest[m, e], lowest[m, e])
+            far, whole = larger(far, f * (highest[m, e] + lowest[m, e])), larger(whole, f * work[0, e])
+            most = larger(most, f * larger(value, work[0, e]))
+        moved[m, a], sizes[m, a] = far if far > rounding * whole else 0.0, most
+
+
+@compiled
+def moves(
+    highest: np.ndarray,
+    lowest: np.ndarray,
+    support: np.ndarray,
+    columns: np.ndarray,
+    rounding: float,
+    work: np.ndarray,
+    moved: np.ndarray,
+    sizes: np.ndarray,
+) -> None:
+    """Of each member what ``find_moves`` finds, shape (B, n)."""
+    for m in range(len(support)):
+        find_moves(highest, lowest, support, columns, rounding, m, work, moved, sizes)
+
+
+@inner
 def left_over(
     gap: np.ndarray,
     left: np.ndarray,

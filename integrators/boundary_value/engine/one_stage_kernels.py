@@ -13,13 +13,28 @@ from .trial_kernels import (
     MOVE,
     TRIAL,
     clear,
+    coordinates_of,
+    costates_of,
     covectors,
+    covectors_of,
     evaluate,
+    frames_of,
+    held_of,
     in_frames,
-    laid_out,
+    lengths_of,
     meet_ends,
+    multipliers_of,
+    nodes_of,
+    parts_of,
+    point_survey_of,
+    programs_of,
     put_ends,
     read_by,
+    slacks_of,
+    steps_of,
+    turn_of,
+    u_of,
+    x_of,
 )
 from .vectors import compiled
 
@@ -34,49 +49,57 @@ def addresses(limited: bool) -> tuple[int, ...]:
 
 
 @pasted
-def _move_unknowns(run: int, tapes: tuple, before: tuple, data: tuple) -> None:
-    """Write the unknowns after a part of the steps, if there are steps."""
-    (x, u, _, steps, _, _, _, _, _, part), (h, parameters, _, _) = before, data
-    if steps.size == 0:
+def _move_unknowns(run: int, tapes: tuple, known: tuple, steps: np.ndarray, lengths: tuple, part: float) -> None:
+    """Write the unknowns after a part of the steps; they stay as they are after none."""
+    (x, u), (h, parameters) = known, lengths
+    if part == 0:
         put(tapes[7], put(tapes[7], 0, x, 0, x.size), u, 0, u.size)
         return
-    read = read_by(tapes, MOVED)
+    read, moves = read_by(tapes, MOVED), view(steps, 0, (steps.size,))
     at = put(read, put(read, 0, x, 0, x.size), u, 0, u.size)
-    for i in range(steps.size):
-        read[at + i] = part[0] * steps[i]
-    put(read, put(read, at + steps.size, h, 0, h.size), parameters, 0, parameters.size)
+    for i in range(moves.size):
+        read[at + i] = part * moves[i]
+    put(read, put(read, at + moves.size, h, 0, h.size), parameters, 0, parameters.size)
     evaluate(run, tapes[5][MOVED], tapes, h.size)
 
 
 @compiled
 def trial(
     calls: tuple,
-    tapes: tuple,
-    before: tuple,
-    data: tuple,
-    ends: tuple,
-    limits: tuple,
-    places: np.ndarray,
-    own: np.ndarray,
+    programs: np.ndarray,
+    memory: np.ndarray,
+    before: np.ndarray,
+    written: np.ndarray,
+    setting: np.ndarray,
+    given: np.ndarray,
+    rows: np.ndarray,
+    sizes: tuple,
 ) -> bool:
-    """The system after a part of a step; whether the ends of the steps are near each other, else there is none."""
-    out, count = laid_out(tapes[7], places), data[0].size
-    (_, _, _, nodal, _, _, _, costates), (nodes, _, _, _), points = out[0], out[1], out[5][4]
-    (slacks, turn, parts, kept), new, (h, parameters, _, _) = limits, out[6][0], data
-    covectors(before, nodal)
-    _move_unknowns(calls[AT_RUN], tapes, before, data)
-    moved = view(tapes[7], 0, (tapes[5][MOVED, 9],))
-    read = read_by(tapes, ENDS)
-    put(read, put(read, put(read, 0, moved, 0, moved.size), h, 0, count), parameters, 0, parameters.size)
-    if not meet_ends(calls, ENDS, tapes, ends, out[0], out[1], count):
+    """The system after a part of a step; whether the ends of the steps are near each other, else there is none.
+
+    ``before``: where it sets out from, with the step; ``sizes``: from which share on ends are far apart, and what a
+    multiplier is kept within; see ``pursuit_kernels.pursue`` for the others.
+    """
+    codes, registers, values, sources, targets, table = programs_of(programs, rows)
+    tapes, part = (codes, registers, values, sources, targets, table, memory, written), parts_of(given, rows)[0][0]
+    (h, parameters, _, _), run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
+    frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
+    covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)
+    known = x_of(before, rows), u_of(before, rows)
+    _move_unknowns(run, tapes, known, steps_of(before, rows), (h, parameters), part)
+    read, moved = read_by(tapes, ENDS), view(written, 0, (table[MOVED, 9],))
+    put(read, put(read, put(read, 0, moved, 0, moved.size), h, 0, h.size), parameters, 0, parameters.size)
+    if not meet_ends(calls, ENDS, tapes, setting, sizes[0], rows):
         return False
-    in_frames(calls[AT_RUN], FRAMES, tapes, ends[0], nodal, out[1])
-    read = read_by(tapes, STEPS)
-    at = put_ends(read, put(read, 0, moved, 0, moved.size), nodes, costates)
-    at = put(read, put(read, at, h, 0, count), parameters, 0, parameters.size)
+    in_frames(run, FRAMES, tapes, setting, nodal, rows)
+    read, new = read_by(tapes, STEPS), held_of(written, rows)[0]
+    at = put_ends(read, put(read, 0, moved, 0, moved.size), nodes_of(written, rows), costates_of(written, rows))
+    at = put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
     if new[1].size > 0:
-        _move(calls[AT_OWN], (0, 1, slacks, turn, parts, kept, new))
+        slacks, turn = slacks_of(given, rows), turn_of(given, rows)
+        _move(calls[AT_OWN], (0, 1, slacks, turn, parts_of(given, rows), sizes[1], new))
         put(read, at, new[1], 0, new[1].size)
-    evaluate(calls[AT_RUN], tapes[5][STEPS], tapes, count)
+    evaluate(run, table[STEPS], tapes, h.size)
+    points = point_survey_of(written, rows)
     clear(view(points, 0, (points.size,)))
     return True

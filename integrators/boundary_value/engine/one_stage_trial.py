@@ -1,14 +1,15 @@
 """The compiled pass on one trajectory of a discretization map."""
 
 from collections.abc import Iterable
-from typing import final
+from typing import Any, final
 
 import numpy as np
 
+from .fields import Fields, Shapes
 from .inequalities import Held
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes, OneStage, Unknowns
-from .trial import Called, Shapes, Trial, common
+from .trial import Called, Trial, common_rows
 
 
 @final
@@ -40,25 +41,22 @@ class OneStageTrial(Trial):
             "costs": each, "limits": (*each, 1, c),
         }  # fmt: skip
 
-    def places(self, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
+    def rows(self, fields: Fields) -> tuple[np.ndarray, np.ndarray]:
         """Nothing is condensed."""
-        none = dict.fromkeys(("velocities", "known", "inner"), ("x", (0,)))
-        return common(shapes, {"lacks": ("gap", shapes["gap"]), **none}), np.zeros((0, 0), int)
+        return common_rows(fields, {"lacks": ("gap", fields.shapes["gap"])}), fields.rows([])
 
     def addresses(self) -> tuple[int, ...]:
         from .one_stage_kernels import addresses
 
         return addresses(self.limited)
 
-    def flat(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> tuple[np.ndarray, ...]:
-        """Nothing."""
-        none = np.zeros(0)
-        return none, none, none
+    def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:
+        """There is nothing."""
 
-    def found(self, v: dict[str, np.ndarray], held: Held | None) -> tuple[Unknowns, Blocks]:
+    def found(self, v: Any, held: Held | None) -> tuple[Unknowns, Blocks]:
         pushed = None if held is None else v["pushed"][:, :, 0]
         blocks = v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"]
         return Unknowns(v["x"], v["u"]), Blocks(*blocks, None, held, pushed)
 
-    def inner(self, v: dict[str, np.ndarray]) -> None:
+    def inner(self, v: Any) -> None:
         """Nothing was condensed."""

@@ -7,7 +7,6 @@ import numpy as np
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import RULES, SHIFTS, Merit, State
 from .aside import FAR, MET, UNMET
-from .first_units import first_units
 from .kkt_system import Assembled, Iterate
 from .scaling import SOFTEST
 from .share import DIAMETER, UNCHANGED
@@ -31,16 +30,13 @@ def set_out(
         return None
     if not conditions.at_nodes.flat_controls or (setting := conditions.setting) is None:
         return None
-    begun = setting.trial.begin(setting, guess)
+    begun = setting.trial.set_out(setting, guess, (_rules(conditions, tolerance), min(most, MOST)))
     if begun is None:
         return None
-    (tried, place), one, no = begun, np.ones(1), np.zeros(1, bool)
-    conditions.units, conditions.wider = first_units(conditions, tried.iterate, tried.assembled), None
-    first, going = (tried.iterate, tried.assembled), (_rules(conditions, tolerance), Standing(), min(most, MOST))
-    found = setting.trial.pursue(setting, conditions, (*first, None), going, place)
-    if found is None or found.step is None:
+    (tried, conditions.units, found), conditions.wider, one, no = begun, None, np.ones(1), np.zeros(1, bool)
+    first = tried.iterate, tried.assembled
+    if found is None:
         return None, 0, first
-    # The pass has measured the guess again, in these units, where it lies.
     merit, infinite = Merit(one, one, one), np.full(1, np.inf)
     numbers = one, one, merit, one, one, np.zeros(1), one, infinite, no, no, no
     state = State(np.arange(1), *first, tried.appraisal.residuals, found.step, one > 0, *numbers)
@@ -74,7 +70,7 @@ def pursued(
     going = _rules(conditions, tolerance), standing, min(most, MOST)
     before = state.iterate, state.assembled, state.step
     found = setting.trial.pursue(setting, conditions, before, going)
-    return None if found is None else _reached(conditions, state, found)
+    return _reached(conditions, state, found)
 
 
 def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
@@ -94,7 +90,7 @@ def _is_plain(conditions: "Conditions", state: State) -> bool:
 
 def _reached(conditions: "Conditions", state: State, found: Pursuit) -> tuple[State, int] | None:
     """The state that a pursuit has led to."""
-    step = state.step if found.step is None else found.step
+    step = found.step
     tried = found.ahead if found.arrived else found.last
     if found.far or (found.ahead is not None and not found.arrived):
         conditions.ahead = step, found.ahead

@@ -6,11 +6,50 @@ import numpy as np
 from ....kernels import pasted
 from ....linked import view
 from .acceptance_kernels import judged
-from .extent_kernels import left_over
-from .trial_kernels import AT_COMPLETE, AT_SOLVE, AT_TRIAL, complete, laid_out, measure, solve, trial
+from .extent_kernels import find_moves, larger, left_over
+from .trial_kernels import (
+    AT_COMPLETE,
+    AT_SOLVE,
+    AT_TRIAL,
+    AT_UNITS,
+    along_of,
+    blocks_of,
+    clear,
+    columns_of,
+    complete,
+    cost_of,
+    curvature_of,
+    factors_of,
+    fixed_of,
+    found_of,
+    gap_of,
+    grown_of,
+    lacking_of,
+    lacks_of,
+    line_of,
+    measure,
+    numbers_of,
+    parts_of,
+    raising_of,
+    sizes_of,
+    solve,
+    spread_of,
+    standing_of,
+    steps_of,
+    survey,
+    trial,
+    u_of,
+    unit_sizes_of,
+    unit_work_of,
+    units_by,
+    units_of,
+    wide_of,
+    work_of,
+    x_of,
+)
 from .vectors import compiled, inner
 
-FAR, TRIED, ARRIVED, GOING, LOST = range(5)  # how a pass ends
+FAR, TRIED, ARRIVED, GOING, LOST, APART = range(6)  # how a pass ends
 # What stands between the trials of a pass.
 PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED = range(10)
 
@@ -78,36 +117,79 @@ def _may_move(a: int, by: float, support: np.ndarray, points: np.ndarray, groups
 
 
 @pasted
+def _first_units(
+    calls: tuple,
+    room: np.ndarray,
+    setting: np.ndarray,
+    given: np.ndarray,
+    written: np.ndarray,
+    rows: np.ndarray,
+    rounding: float,
+) -> None:
+    """Units of the system that is written."""
+    (nodes, unknowns, _, wide_nodes, unit), (wide, inverse, cost) = units_of(given, rows), wide_of(given, rows)
+    (hessian, left, right, _, gradient), u = blocks_of(written, rows), u_of(written, rows)
+    ((sizes, values, ways), curved), (_, count, n, z) = unit_sizes_of(room, rows), left.shape
+    (highest, lowest, support), work = spread_of(written, rows), line_of(written, rows)
+    columns = columns_of(setting, rows)[0]
+    find_moves(highest, lowest, support, columns, rounding, 0, work, sizes, values)
+    controls, curved[0] = view(u, 0, (count, z - n)), True
+    for i in range(n, z):
+        largest = 0.0
+        for k in range(count):
+            largest = larger(largest, abs(controls[k, i - n]))
+        sizes[0, i], values[0, i], ways[0, i - n] = largest, largest, np.inf
+    system, (within, swaps) = (hessian, left, right, gradient), unit_work_of(room, rows)
+    own = (sizes, values, ways), curved, within, swaps, rounding
+    units_by(calls[AT_UNITS], (system, *own, (unknowns, nodes, unit)))
+    cost[0] = unit[0]
+    for a in range(n):
+        wide_nodes[0, a], inverse[0, a] = nodes[0, a], 1 / nodes[0, a]
+    for i in range(z):
+        wide[0, i] = unknowns[0, i]
+
+
+@pasted
 def _stepped(
-    calls: tuple, own: tuple, ends: tuple, room: tuple, rules: tuple, standing: np.ndarray, out: tuple
+    calls: tuple,
+    room: np.ndarray,
+    setting: np.ndarray,
+    given: np.ndarray,
+    written: np.ndarray,
+    rows: np.ndarray,
+    rules: tuple,
 ) -> bool:
     """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
-    (weight, work, factors), units, raised = room
-    (gap, (hessian, left, right, _, gradient), extent) = out[0][5], out[2], out[4]
-    (slopes, lacks, steps, multipliers, finite, largest, told, change, _), (_, count, n, _) = out[7], left.shape
-    fixed, columns, arrays, x = ends[0], ends[2], ends[5], out[8][0]
-    _scales(extent[9], units, rules[1], raised[1])
-    for i in range(largest.size):
-        largest[0, i] = 0.0
-    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
-    system = hessian, left, right, slopes, lacks, start, end
-    solve(
-        calls[AT_SOLVE],
-        (0, 1, system, units, raised, weight, work, factors, (steps, multipliers, finite, largest), told),
+    hessian, left, right, _, gradient = blocks_of(written, rows)
+    slopes, lacks, steps, multipliers, finite, largest, told, change, standing = found_of(written, rows)
+    curvature, sizes, (_, _, support) = curvature_of(written, rows), sizes_of(written, rows), spread_of(written, rows)
+    (_, count, n, _), units, raised, fixed = (
+        left.shape,
+        wide_of(given, rows),
+        raising_of(given, rows),
+        fixed_of(setting, rows),
     )
+    _scales(curvature, units, rules[1], raised[1])
+    clear(view(largest, 0, (largest.size,)))
+    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
+    system, found = (hessian, left, right, slopes, lacks, start, end), (steps, multipliers, finite, largest)
+    own = units, raised, rules[4], work_of(room, rows), factors_of(room, rows)
+    solve(calls[AT_SOLVE], (0, 1, system, *own, found, told))
     if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0]):
         return False
+    groups = columns_of(setting, rows)
+    points = view(x_of(written, rows), 0, (count, groups[0].size))
     for a in range(n):
-        followed = largest[0, a] <= rules[2] * extent[3][0, a]
-        points, by = view(x, 0, (count, arrays.size)), largest[0, a] / rules[2]
-        if not (followed or _may_move(a, by, extent[2], points, (columns, arrays), rules[3])):
+        followed = largest[0, a] <= rules[2] * sizes[0, a]
+        if not (followed or _may_move(a, largest[0, a] / rules[2], support, points, groups, rules[3])):
             return False
     change[0], change[1] = 0.0, 0.0
     if calls[AT_COMPLETE] != 0:  # what was condensed follows, and changes the cost too
-        complete(calls[AT_COMPLETE], (calls, own[0], change, own[1], own[2], own[3]))
+        complete(calls[AT_COMPLETE], (calls, written, setting, rows))
     for k in range(steps.shape[1]):
         for i in range(steps.shape[2]):
             change[0] += gradient[0, k, i] * steps[0, k, i, 0]
+    gap = gap_of(written, rows)
     for k in range(gap.shape[1]):
         for a in range(n):
             change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
@@ -116,17 +198,22 @@ def _stepped(
 
 
 @pasted
-def _leads_on(fixed: np.ndarray, nodes: np.ndarray, rules: tuple, out: tuple) -> bool:
+def _leads_on(setting: np.ndarray, given: np.ndarray, written: np.ndarray, rows: np.ndarray, rules: tuple) -> bool:
     """Whether a step neither leads far off nor leaves what the linearised constraints ask for."""
-    (_, lacks, steps, _, _, largest, _, _, _), (far, unmet, met), (_, count, n) = out[7], rules, out[0][5].shape
-    gap, left, right = view(lacks, 0, (1, count, n)), out[2][1], out[2][2]
-    highest, lowest, support = out[4][0], out[4][1], out[4][2]
+    lacks, steps, largest = lacks_of(written, rows), steps_of(written, rows), grown_of(written, rows)
+    (_, left, right, _, _), (_, count, n, _), (far, unmet, met) = blocks_of(written, rows), lacks.shape, rules
+    highest, lowest, support = spread_of(written, rows)
     spread, moved = 0.0, 0.0
     for e in range(support.shape[2]):
         spread = max(spread, highest[0, e] + lowest[0, e])
         for a in range(support.shape[1]):
             moved = max(moved, largest[0, a] * support[0, a, e])
-    over, asked = left_over(gap, left, right, steps, view(fixed, 0, (1, count, n)), nodes, 0)
+    gap, fixed, nodes = (
+        view(lacks, 0, (1, count, n)),
+        view(fixed_of(setting, rows), 0, (1, count, n)),
+        units_of(given, rows)[3],
+    )
+    over, asked = left_over(gap, left, right, steps, fixed, nodes, 0)
     return spread > 0 and moved <= far * spread and (asked <= met or over <= unmet * asked)
 
 
@@ -140,11 +227,14 @@ def _is_resting(numbers: np.ndarray, lacking: np.ndarray, along: np.ndarray, tol
 
 
 @pasted
-def _settled(standing: np.ndarray, units: tuple, rules: tuple, out: tuple) -> bool:
+def _settled(
+    standing: np.ndarray, given: np.ndarray, written: np.ndarray, rows: np.ndarray, rules: tuple, share: float
+) -> bool:
     """Whether the step that is still wanted where the residuals meet the tolerance is Newton's last but one."""
-    grown, (least, shrinks), highest, lowest, support = out[7][5], rules, out[4][0], out[4][1], out[4][2]
-    (_, count, z, _), (_, n, size), wanted = out[2][0].shape, support.shape, 0.0
-    controls, ((_, judging, _, _, _), (_, share, _)) = view(out[8][1], 0, (count, z - n)), units
+    (least, shrinks), grown, judging = rules, grown_of(written, rows), units_of(given, rows)[1]
+    highest, lowest, support = spread_of(written, rows)
+    (_, n, size), z, u, wanted = support.shape, grown.shape[1], u_of(written, rows), 0.0
+    controls = view(u, 0, (u.size // (z - n) if z > n else 0, z - n))
     for i in range(z):
         own = share * judging[0, i]
         if i < n:
@@ -171,14 +261,11 @@ def _copied(to: np.ndarray, numbers: np.ndarray) -> None:
 @compiled
 def pursue(
     calls: tuple,
-    tapes: tuple,
-    before: tuple,
-    data: tuple,
-    ends: tuple,
-    units: tuple,
-    limits: tuple,
+    programs: np.ndarray,
+    memory: np.ndarray,
     places: tuple,
-    room: tuple,
+    vectors: tuple,
+    rows: np.ndarray,
     rules: tuple,
     standing: np.ndarray,
     most: int,
@@ -188,45 +275,45 @@ def pursue(
 
     It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
     written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0; ``LOST``
-    where the first step of a search is not; ``ARRIVED`` where a trial meets the conditions whose step was Newton's
-    last; else ``GOING``. Trials are written in turn in two places, each with the step from there where it was gone on
-    from. ``fresh``: a system without a step is written in a third place, from which the search sets out.
+    where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near each other;
+    ``ARRIVED`` where a trial meets the conditions whose step was Newton's last; else ``GOING``.
 
-    ``calls``: addresses; ``tapes``: the programs of a trial, one after the other, a table of where each stands, reads
-    and writes, memory, and the places; ``before``: states, controls, and what the transcription has besides; steps,
-    those of the multipliers, what is known of what was condensed, and its steps; coordinates of the multipliers,
-    frames, and the part of the steps that is made; without steps the unknowns stay; ``data``: lengths of the steps,
-    parameters, a tableau; ``ends``: 1 for the coordinates of the nodes that count; the points and which of their
-    entries are prescribed; columns; the mean step; from which share on ends are far apart; arrays of the entries;
-    ``units``: of ``measure``, and its shares; ``limits``: slacks, their steps, parts of these, what a multiplier is
-    kept within, units, weights, what measures values, prices; ``places``: those of ``OUT``, and the transcription's
-    own; ``room``: the weight of an elimination and what it works in, its units, and what raises Hessians; ``rules``:
-    the tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of
-    a point's size a coordinate moves at most, and by which share sizes differ; those of ``_leads_on``; those of
-    ``_settled``; and a residual that is rounding.
+    Trials are written in turn in the first two places, each with the step from there where it was gone on from; in the
+    third stands what the pass sets out from, with its step. ``fresh``: a guess stands in the second, and the search
+    sets out from it: its system is written in the third, and its units in what is given.
+
+    ``calls``: addresses; ``programs``, ``memory``: of the tapes, and what they work in; ``vectors``: what stays the
+    same, what is given to this pass, and room; ``rows``: where all stands in these (``trial_kernels``); ``rules``: the
+    tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of a
+    point's size a coordinate moves at most, by which share sizes differ, and the weight of an elimination; those of
+    ``_leads_on``; those of ``_settled``; a residual that is rounding; from which share on ends are far apart, and what
+    a multiplier is kept within; those of ``survey``; and those of ``measure``.
     """
-    (codes, registers, values, sources, targets, table, memory, rooms), done, tolerance = tapes, 0, rules[0]
-    slacked = limits[0], limits[1], limits[2], limits[3]
+    (setting, given, room), done, tolerance = vectors, 0, rules[0]
+    before = places[1] if fresh else places[2]
     while True:
-        written = rooms[2] if fresh else rooms[done % 2]
-        own = codes, registers, values, sources, targets, table, memory, written
-        out = laid_out(written, places[0])
-        if not fresh and not trial(calls[AT_TRIAL], (calls, own, before, data, ends, slacked, places[0], places[1])):
-            return done, FAR
-        measure(calls, ends[3], units, limits, out)
-        numbers, cost, kept = out[5][2], out[3][5], out[7][8]
+        written = places[2] if fresh else places[done % 2]
+        if not trial(calls[AT_TRIAL], (calls, programs, memory, before, written, setting, given, rows, rules[6])):
+            return done, APART if fresh else FAR
+        survey(calls, written, given, rows, rules[7])
+        if fresh:
+            _first_units(calls, room, setting, given, written, rows, rules[8][2])
+        measure(calls, written, setting, given, rows, rules[8])
+        numbers, kept = numbers_of(written, rows), standing_of(written, rows)
         _copied(kept, standing)
         if fresh:
             _set_out(kept, numbers)
-        elif most == 0 or not _accepted(kept, numbers, cost[0], rules):
+        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], rules):
             return done, TRIED
-        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, out[4][5], out[5][0], tolerance)
-        last, of = arrived and kept[ISOLATED] > 0, (written, data, places[0], places[1])
-        refused = not (last or _stepped(calls, of, ends, room, rules[2], kept, out))
-        if fresh and (refused or arrived or resting or not _leads_on(ends[0], units[0][3], rules[3], out)):
-            return done, LOST
-        if refused:
-            return done, TRIED
+        lacking, along = lacking_of(written, rows), along_of(written, rows)
+        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
+        last = arrived and kept[ISOLATED] > 0
+        if not last:
+            refused = not _stepped(calls, room, setting, given, written, rows, rules[2])
+            if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
+                return done, LOST
+            if refused:
+                return done, TRIED
         _copied(standing, kept)
         if last:
             return done, ARRIVED
@@ -234,7 +321,8 @@ def pursue(
             done += 1
             if done == most or resting:
                 return done, GOING
-            if arrived and (numbers[8, 0] <= rules[5] or not _settled(standing, units, rules[4], out)):
+            exact = numbers[8, 0] <= rules[5]
+            if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):
                 return done, GOING
-        fresh, (x, u, others, steps, multipliers, known, inner_steps) = False, out[8]
-        before = x, u, others, steps, multipliers, known, inner_steps, out[0][6], out[0][4], before[9]
+        fresh, before = False, written
+        parts_of(given, rows)[0][0] = 1.0

@@ -54,13 +54,19 @@ def natural_units(
     known[:], free[:], bent[:] = values, room, curved
     own = np.concatenate([states, controls], axis=1), known, free
     unknowns, nodes, cost = np.empty((batch, z)), np.empty((batch, n)), np.empty(batch)
-    width = whole(n)
-    shapes = (n, 2 * width), (n, n), (n,), (z, width), (2, z, width), (2, n, width), (n, width), (5, z), (4, count, n)
-    work, swaps = tuple(scratch(shapes)), np.empty(n, np.int64)
+    work, swaps = tuple(scratch(tuple(unit_shapes(count, n, z).values()))), np.empty(n, np.int64)
     scaling_kernels.units(
         tuple(map(plain, of)), tuple(map(plain, own)), bent, work, swaps, EPS**HALF, (unknowns, nodes, cost)
     )
     return Units(unknowns, nodes, cost)
+
+
+def unit_shapes(count: int, n: int, z: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of what the kernel works in."""
+    width = whole(n)
+    solved = {"equations": (n, 2 * width), "lower": (n, n), "weights": (n,), "turned": (z, width)}
+    sums = {"terms": (2, z, width), "gramian": (2, n, width), "images": (n, width)}
+    return {**solved, **sums, "of_unknowns": (5, z), "gramians": (4, count, n)}
 
 
 def typical_curvatures(curvature: Float[np.ndarray, "B z"], units: Units) -> Float[np.ndarray, "B z"]:

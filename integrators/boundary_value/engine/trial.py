@@ -15,23 +15,21 @@ import numpy as np
 
 from ....aligned import LINE, scratch
 from ...evaluator import Evaluated, Placed
-from .arrays import plain
-from .barrier import PRICES, Barrier
-from .elimination import positive_definite, workspace
+from .barrier import PRICES
+from .elimination import WEIGHT, positive_definite, work_shapes
 from .extent import OF_POINTS, Extent
+from .fields import Fields, Place, Shapes
 from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
 from .residuals import NUMBERS, SHARES, Appraisal
-from .scaling import Units
+from .scaling import Units, unit_shapes
 from .transcription import Blocks, Nodes
 
 if TYPE_CHECKING:
     from .conditions import Conditions
 
-Shapes = dict[str, tuple[int, ...]]
 Called = tuple[Evaluated, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
-Place = tuple[np.ndarray, dict[str, np.ndarray]]
 TOLD = "negative", "smallest", "bends", "size"  # of an elimination
 # What all passes write, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point,
 # where there is a bar, for its one column, and where there is a stroke, without axes.
@@ -41,7 +39,7 @@ OUT = (
     *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
     *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "sums", "zeros"),
     *("slopes|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
-    *("x/", "u/", "velocities/", "steps/", "multipliers/", "known/", "inner/"),
+    *("x/", "u/"),
 )
 
 
@@ -49,10 +47,8 @@ class Setting(NamedTuple):
     """What stays the same in the trials of one trajectory."""
 
     trial: "Trial"
-    data: tuple[np.ndarray, ...]  # lengths of the steps, parameters, a tableau
+    numbers: np.ndarray  # in the order of ``trial_kernels.SETTING``
     weights: np.ndarray | None  # of the inequalities, if there are any
-    ends: tuple[Any, ...]  # what belongs to the nodes, as the kernel takes it
-    work: tuple[float, tuple, tuple]  # of the elimination
 
     @classmethod
     def of(cls, conditions: "Conditions") -> Self | None:
@@ -62,11 +58,13 @@ class Setting(NamedTuple):
         trial = steps.trial(nodes, count) if batch == 1 and not nodes.pays else None
         if trial is None:
             return None
-        layout, points = nodes.layout, (conditions.fixed.ravel(), conditions.both_ends)
-        ends = *points, layout.columns, conditions.mean_step, FAR, layout.arrays
-        own, work = data.steps[0], workspace(count, nodes.dimension, steps.dimension, 1)
-        given = np.array(own), np.array(data.parameters[0]), *trial.tableau
-        return cls(trial, given, steps.weights(data) if steps.inequalities else None, ends, work)
+        ends, (matrix, weights), layout = conditions.ends, trial.tableau, nodes.layout
+        numbers = trial.setting.filled(
+            h=data.steps[0], parameters=data.parameters[0], matrix=matrix, weights=weights,
+            fixed=conditions.fixed.ravel(), start=ends.start, end=ends.end, start_entries=ends.start_entries,
+            end_entries=ends.end_entries, columns=layout.columns, arrays=layout.arrays, mean=conditions.mean_step,
+        )  # fmt: skip
+        return cls(trial, numbers, steps.weights(data) if steps.inequalities else None)
 
 
 class Tried(NamedTuple):
@@ -93,6 +91,14 @@ class Standing(NamedTuple):
     isolated: bool = False
 
 
+class SetOut(NamedTuple):
+    """The guess with its system, which has units now; and the pursuit from there, if its first step is a whole one."""
+
+    first: Tried
+    units: Units
+    pursuit: "Pursuit | None"
+
+
 class Pursuit(NamedTuple):
     """How many whole steps were taken; where these end, the step from there, and what then stands; and a trial of that
     step that was not gone on from, if there is one; how the pass ended with it."""
@@ -106,8 +112,10 @@ class Pursuit(NamedTuple):
     far: bool  # it takes more than a pass
 
 
-NO_RULES = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0
-NOT_JUDGED = NO_RULES, np.array(Standing(), float), 0, False
+NOT_JUDGED = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0
+SIZES = (FAR, KEPT), (VALUE, PRICES), SHARES
+SETTING_KINDS = {"start_entries": bool, "end_entries": bool, "columns": int, "arrays": int}
+ROOM_KINDS = {"pivots": int, "order": int, "swaps": int, "curved": bool}
 
 
 class Trial(ABC):
@@ -119,14 +127,14 @@ class Trial(ABC):
         from . import pursuit_kernels, trial_kernels
 
         self._kernels, self._addresses, self.limited = pursuit_kernels, trial_kernels.addresses, steps.inequalities > 0
-        arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
-        table, self._memory = _table(programs)
-        self._programs = *map(np.concatenate, arrays), table
-        shapes = self.shapes(steps, count) | _shapes(steps, count)
-        self._fields = list(shapes)
-        self._structure = np.dtype([(name, float, shape) for name, shape in shapes.items()])
-        self._places = self.places(shapes)
-        self._none = np.zeros((1, 0, 1, 0)), np.zeros(1), np.zeros((1, 0))
+        self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, _programs(programs)
+        self.written = Fields(self.shapes(steps, count) | _written(steps, count))
+        self.setting = Fields(_setting(steps, count, self.tableau), SETTING_KINDS)
+        self._given = Fields(_given(steps, count))
+        self._room = Fields(_room(steps, count), ROOM_KINDS, lined=True)
+        common, own = self.rows(self.written)
+        rows = common, of_programs, self.setting.all_rows, self._given.all_rows, self._room.all_rows, own
+        self._rows = np.concatenate(rows)
 
     @classmethod
     def of(cls, steps: Any, nodes: Nodes, count: int) -> Self | None:
@@ -146,158 +154,147 @@ class Trial(ABC):
         """The shapes of what is its own: what its tapes write, in their order, and then what its kernels do."""
 
     @abstractmethod
-    def places(self, shapes: Shapes) -> tuple[np.ndarray, np.ndarray]:
-        """Where the arrays lie of all passes, and its own."""
+    def rows(self, fields: Fields) -> tuple[np.ndarray, np.ndarray]:
+        """Where the arrays stand of all passes, and its own."""
 
     @abstractmethod
     def addresses(self) -> tuple[int, ...]:
         """Those of its kernels."""
 
     @abstractmethod
-    def flat(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> tuple[np.ndarray, ...]:
-        """Vectors that it sets out from: of unknowns beside states and controls, of what is known of what was
-        condensed, and of its steps."""
+    def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:
+        """Write what a trial sets out from beside what all do: unknowns, and what was condensed, with its steps."""
 
     @abstractmethod
-    def found(self, v: dict[str, np.ndarray], held: Held | None) -> tuple[Any, Blocks]:
+    def found(self, v: Any, held: Held | None) -> tuple[Any, Blocks]:
         """The unknowns and the blocks that are written."""
 
     @abstractmethod
-    def inner(self, v: dict[str, np.ndarray]) -> Any:
+    def inner(self, v: Any) -> Any:
         """The steps of what was condensed that are written."""
 
     def __call__(
         self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
         """The trial of a part of a step; None where ends of steps are far apart, which takes more than this."""
-        (iterate, _, step), place = before, self._place()
-        limits = self._limits(place[1], iterate.slacks, step, conditions.barrier, (part, setting.weights))
-        own = conditions.judging, conditions.measured, conditions.barrier is not None
-        _, end = self._run(setting, own, self._before(*before, part), limits, [place] * 3, NOT_JUDGED)
-        return None if end == self._kernels.FAR else self._tried(place[1], iterate.slacks, setting.weights)
+        (iterate, _, step), to, known = before, self.written.place(), self._known(*before)
+        numbers, v = self._given_for(conditions, part.item())
+        barrier, slacks, turn = conditions.barrier, iterate.slacks, step.turn
+        if slacks is not None and barrier is not None and turn is not None:
+            v["least"][...] = conditions.judging.cost  # with a barrier the curvature of the Hessian has no bound
+            v["s"][...], v["nu"][...], v["t"][...], v["price"][...], v["barrier"][...] = slacks
+            v["turn_s"][...], v["turn_nu"][...], v["turn_t"][...] = turn.slacks, turn.multipliers, turn.excess
+            v["dual"][...], v["bounds"][...], v["rate"][...] = turn.dual, barrier.limits, barrier.rate
+            v["weighed"][...] = setting.weights
+        standing = np.array(Standing(), float)
+        _, end = self._run(setting, numbers, [to, to, known], NOT_JUDGED, (standing, 0, False))
+        return None if end == self._kernels.FAR else self._tried(to.v, slacks, setting.weights)
 
-    def begin(self, setting: Setting, iterate: Iterate) -> tuple[Tried, Place] | None:
-        """The iterate with its system, which is not judged yet, and where it is written; None where ends of steps are
-        far apart."""
-        place, part = self._place(), np.zeros(1)
-        n, z = place[1]["left"].shape[2:]
-        of = Units(np.ones((1, z)), np.ones((1, n)), np.ones(1))
-        limits = self._limits(place[1], None, None, None, (part, None))
-        _, end = self._run(
-            setting, (of, of, False), self._before(iterate, None, None, part), limits, [place] * 3, NOT_JUDGED
-        )
-        return None if end == self._kernels.FAR else (self._tried(place[1], None, None), place)
+    def set_out(self, setting: Setting, guess: Iterate, going: tuple[tuple, int]) -> SetOut | None:
+        """The guess with its system, units from there, and iterations with whole steps; None where ends of steps are
+        far apart; ``going``: rules, and how many iterations at most."""
+        places = [self.written.place(), self._known(guess, None, None), self.written.place()]
+        (numbers, v), stands, (rules, most) = self._given_for(None, 0.0), np.array(Standing(), float), going
+        count, end = self._run(setting, numbers, places, rules, (stands, most, True))
+        if end == self._kernels.APART:
+            return None
+        units, first = Units(v["unknowns"], v["nodes"], v["unit"]), self._tried(places[2].v)
+        if end == self._kernels.LOST:
+            return SetOut(first, units, None)
+        last = (first, self._step(places[2].v)) if count == 0 else None
+        return SetOut(first, units, self._pursuit(places, count, end, stands, last))
 
     def pursue(
         self,
         setting: Setting,
         conditions: "Conditions",
-        before: tuple[Iterate, Assembled, Step | None],
+        before: tuple[Iterate, Assembled, Step],
         going: tuple[tuple, Standing, int],
-        begun: Place | None = None,
-    ) -> Pursuit | None:
-        """Iterations with whole steps; None where the first step of a search is not one of these.
+    ) -> Pursuit:
+        """Iterations with whole steps; ``going``: rules, what stands, and how many at most."""
+        (rules, standing, most), places = going, [self.written.place(), self.written.place(), self._known(*before)]
+        stands, (numbers, _) = np.array(standing, float), self._given_for(conditions, 1.0)
+        count, end = self._run(setting, numbers, places, rules, (stands, most, False))
+        return self._pursuit(places, count, end, stands, (None, before[2]) if count == 0 else None)
 
-        ``going``: rules, what stands, and how many at most; ``begun``: where a system is written that has no step yet.
-        """
-        (_, _, step), (rules, standing, most), part = before, going, np.ones(1)
-        places = [self._place(), self._place()]
-        places.append(places[0] if begun is None else begun)
-        stands, own = np.array(standing, float), (conditions.judging, conditions.measured, False)
-        limits = self._limits(places[0][1], None, None, None, (part, None))
-        now = rules, stands, most, begun is not None
-        count, end = self._run(setting, own, self._before(*before, part), limits, places, now)
-        if end == self._kernels.LOST:
-            return None
-        last, new, kinds = None, step, self._kernels
-        if count or begun is not None:
-            written = places[(count - 1) % 2 if count else 2][1]
-            last, new = self._tried(written, None, None), self._step(written)
-        ahead = self._tried(places[count % 2][1], None, None) if end in (kinds.TRIED, kinds.ARRIVED) else None
-        return Pursuit(count, last, new, Standing(*stands.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
+    def _pursuit(
+        self, places: list[Place], count: int, end: int, standing: np.ndarray, last: tuple[Tried | None, Step] | None
+    ) -> Pursuit:
+        """What was found; ``last``: where it set out from, if it has led nowhere else."""
+        if last is None:
+            written = places[(count - 1) % 2].v
+            last = self._tried(written), self._step(written)
+        kinds = self._kernels
+        ahead = self._tried(places[count % 2].v) if end in (kinds.TRIED, kinds.ARRIVED) else None
+        return Pursuit(count, *last, Standing(*standing.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
 
-    def _place(self) -> Place:
-        """Room for what a trial finds, and its arrays."""
-        numbers = np.empty(self._structure.itemsize // 8)
-        structure = np.ndarray((), self._structure, numbers)
-        return numbers, {name: structure[name] for name in self._fields}
+    def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> Place:
+        """What a trial sets out from; without a step, the iterate where it stays."""
+        place, unknowns = self.written.place(), iterate.unknowns
+        v = place.v
+        v["x"][...], v["u"][...] = unknowns.centres, unknowns.controls
+        if assembled is None or step is None:  # each covector is the first vector of a frame
+            for name in ("coordinates", "frames", "multipliers"):
+                v[name][...] = 0.0
+            v["coordinates"][:, :, 0], v["frames"][:, :, 0] = 1.0, iterate.costates
+        else:
+            v["coordinates"][...], v["frames"][...] = assembled.coordinates, assembled.frames
+            v["steps"][...], v["multipliers"][...] = step.unknowns, step.multipliers
+        self.put(v, iterate, assembled, step)
+        return place
 
-    def _before(
-        self, iterate: Iterate, assembled: Assembled | None, step: Step | None, part: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
-        """What a trial sets out from, as the kernel takes it, in arrays of its own: a guess may be read-only."""
-        unknowns, vectors = iterate.unknowns, self.flat(iterate, assembled, step)
-        points = copied(unknowns.centres).ravel(), copied(unknowns.controls).ravel()
-        if assembled is None or step is None:  # each covector is the only vector of a frame
-            costates, (others, known, inner) = copied(iterate.costates)[:, :, None], vectors
-            ones = np.ones(costates.shape[:3])
-            return *points, others, np.zeros(0), np.zeros(ones.size), known, inner, ones, costates, part
-        others, known, inner = vectors
-        moves = step.unknowns.ravel(), step.multipliers.ravel()
-        return *points, others, *moves, known, inner, assembled.coordinates, assembled.frames, part
+    def _given_for(self, conditions: "Conditions | None", part: float) -> Place:
+        """What is given to a pass, of which the units are known if there are conditions."""
+        given = self._given.place()
+        v = given.v
+        v["least"][...], v["raised"][...], v["barrier"][...], v["rate"][...], v["part"][...] = 0.0, 0.0, 0.0, 1.0, part
+        if conditions is not None:
+            judging, measured = conditions.judging, conditions.measured
+            v["nodes"][...], v["unknowns"][...] = judging.nodes, judging.unknowns
+            v["wide_nodes"][...], v["wide"][...], v["inverse"][...] = (
+                measured.nodes,
+                measured.unknowns,
+                1 / measured.nodes,
+            )
+            v["unit"][...] = v["cost"][...] = measured.cost
+        return given
 
     def _run(
         self,
         setting: Setting,
-        of: tuple[Units, Units, bool],
-        before: tuple[np.ndarray, ...],
-        limits: tuple[Any, ...],
+        given: np.ndarray,
         places: list[Place],
-        going: tuple[tuple, np.ndarray, int, bool],
+        rules: tuple,
+        going: tuple[np.ndarray, int, bool],
     ) -> tuple[int, int]:
-        """Run the kernel: how many steps were taken, and how it ends; ``of``: units of success, of steps, and whether
-        there is a barrier, with which the curvature of the Hessian has no bound."""
-        (judging, measured, limited), tapes = of, (*self._programs, *scratch(((self._memory,),)))
-        least, nodes = judging.cost if limited else np.zeros(1), plain(measured.nodes)
-        units = plain(judging.nodes), plain(judging.unknowns), least, nodes, measured.cost
-        raised = np.zeros(1), np.empty((1, measured.unknowns.shape[1]))
-        for array in setting.work[1]:  # others work there too
-            array.fill(0.0)
+        """Run the kernel: how many steps were taken, and how it ends."""
+        memory, room = scratch(((self._memory,), (self._room.size,)))
+        room[: self._room.begins["kept"]] = 0.0  # others work there too
+        judge, steps, *others = rules[1:]
         return self._kernels.pursue(
             (*self._addresses(self.limited), *self.addresses()),
-            (*tapes, tuple(numbers for numbers, _ in places)),
-            before,
-            setting.data,
-            setting.ends,
-            (units, SHARES),
-            limits,
-            self._places,
-            (setting.work, (plain(measured.unknowns), 1 / nodes, plain(measured.cost)), raised),
+            self._programs,
+            memory,
+            tuple([place.numbers for place in places]),
+            (setting.numbers, given, room),
+            self._rows,
+            (rules[0], judge, (*steps, self._weight), *others, *SIZES),
             *going,
         )
 
-    def _limits(
-        self,
-        v: dict[str, np.ndarray],
-        slacks: Slacks | None,
-        step: Step | None,
-        barrier: Barrier | None,
-        own: tuple[np.ndarray, np.ndarray | None],
-    ) -> tuple[Any, ...]:
-        """Slacks and their steps, and what they are judged by, as the kernel takes them; ``own``: the part, weights."""
-        part, weights = own
-        if slacks is None or barrier is None or step is None or step.turn is None:
-            no, zero, flat = self._none
-            one = np.ones(1)
-            return (no, no, no, no, zero), (no, no, no), (part, one), KEPT, (flat, one, v["room"]), no, VALUE, PRICES
-        turn = step.turn
-        units = plain(barrier.limits), plain(barrier.rate), v["room"]
-        given = tuple(map(plain, slacks)), (turn.slacks, turn.multipliers, turn.excess), (part, plain(turn.dual))
-        return (*given, KEPT, units, weights, VALUE, PRICES)
-
-    def _tried(self, v: dict[str, np.ndarray], slacks: Slacks | None, weights: np.ndarray | None) -> Tried:
+    def _tried(self, v: Any, slacks: Slacks | None = None, weights: np.ndarray | None = None) -> Tried:
         """What the kernel has written."""
         held = None
         if slacks is not None and weights is not None:
             held = Held(v["limits"], v["pushes"], weights)
             slacks = Slacks(v["s"], v["nu"], v["t"], slacks.price, slacks.barrier)
-        (unknowns, blocks), extent = self.found(v, held), Extent(*(v[name] for name in Extent._fields))
+        (unknowns, blocks), extent = self.found(v, held), Extent(*[v[name] for name in Extent._fields])
         at = v["gap"], v["gap"], v["frames"], v["coordinates"], v["nodes"], v["costates"], v["cost"]
         assembled = Assembled(blocks, *at, (None, None), v["largest"], extent)
         iterate = Iterate(unknowns, v["covectors"].reshape(v["nodes"].shape), slacks)
         return Tried(iterate, assembled, Appraisal.of(v["along"], v["entries"], v["numbers"]), v["surveyed"])
 
-    def _step(self, v: dict[str, np.ndarray]) -> Step:
+    def _step(self, v: Any) -> Step:
         """The step that the kernel has written."""
         count, (negative, smallest) = v["multipliers"].size, (v["negative"], v["smallest"])
         every, inner = np.ones(1, bool), self.inner(v)
@@ -306,14 +303,12 @@ class Trial(ABC):
         return Step(*whole, *inertia, every, inner, share=np.ones(1), followed=np.ones(1))
 
 
-def copied(array: np.ndarray) -> np.ndarray:
-    """A copy as the kernels take it."""
-    return np.array(array, float, order="C")
+def _programs(programs: list[Placed]) -> tuple[np.ndarray, np.ndarray, int]:
+    """All programs in one vector, where their parts stand there, and the size of the memory that they need.
 
-
-def _table(programs: list[Placed]) -> tuple[np.ndarray, int]:
-    """For each program the begin and the end of its instructions, of its sources, and of its targets; the begin and the
-    size of what it reads, and of what it writes; the begin and the shape of its registers; and the size of memory."""
+    The last part is a table: for each program the begin and the end of its instructions, of its sources, and of its
+    targets; the begin and the size of what it reads, and of what it writes; the begin and the shape of its registers.
+    """
     ends, rows, memory, written = np.zeros(3, int), [], 0, 0
     for own in programs:
         after = ends + np.array([len(own.code[0]), len(own.sources), len(own.targets)])
@@ -321,21 +316,20 @@ def _table(programs: list[Placed]) -> tuple[np.ndarray, int]:
         (reads, writes), registers = own.numbers, own.registers
         rows.append([*np.ravel((ends, after), "F"), read, reads, written, writes, memory, *registers])
         memory, written, ends = memory + registers[0] * registers[1], written + writes, after
-    return np.array(rows), memory
+    joined = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
+    parts = [*map(np.concatenate, joined), np.array(rows)]
+    sizes = {str(k): (-(-part.nbytes // 8),) for k, part in enumerate(parts)}
+    fields = Fields(sizes)
+    vector = np.zeros(fields.size, int)
+    for name, part in zip(sizes, parts, strict=True):
+        begin = fields.begins[name]
+        vector[begin : begin + sizes[name][0]].view(np.uint8)[: part.nbytes] = part.ravel().view(np.uint8)
+    return vector, fields.rows(zip(sizes, (part.shape for part in parts), strict=True)), memory
 
 
-def rows(shapes: Shapes, arrays: Iterable[tuple[str, tuple[int, ...]]]) -> np.ndarray:
-    """Where arrays begin in what is written, and their lengths, one row each."""
-    from ....linked import LONGEST
-
-    sizes = [math.prod(shape) for shape in shapes.values()]
-    begins = dict(zip(shapes, np.cumsum([0, *sizes]).tolist(), strict=False))
-    found = [(begins[name], *shape) for name, shape in arrays]
-    return np.array([row + (0,) * (LONGEST - len(row)) for row in found])
-
-
-def common(shapes: Shapes, others: dict[str, tuple[str, tuple[int, ...]]]) -> np.ndarray:
-    """The rows of ``OUT``; ``others``: what lies in the place of something else."""
+def common_rows(fields: Fields, others: dict[str, tuple[str, tuple[int, ...]]]) -> np.ndarray:
+    """The rows of ``OUT``; ``others``: what stands in the place of something else."""
+    shapes = fields.shapes
     known = {name: (name, shape) for name, shape in shapes.items()} | others
     for name, (first, shape) in tuple(known.items()):
         known |= {
@@ -343,13 +337,11 @@ def common(shapes: Shapes, others: dict[str, tuple[str, tuple[int, ...]]]) -> np
             f"{name}|": (first, (*shape, 1)),
             f"{name}/": (first, (math.prod(shape),)),
         }
-    fields = list(shapes)
-    after = fields[fields.index("surveyed") :]
-    known["zeros"] = "surveyed", (sum(math.prod(shapes[name]) for name in after),)
-    return rows(shapes, (known[name] for name in OUT))
+    known["zeros"] = "surveyed", (fields.size - fields.begins["surveyed"],)
+    return fields.rows(known[name] for name in OUT)
 
 
-def _shapes(steps: Any, count: int) -> Shapes:
+def _written(steps: Any, count: int) -> Shapes:
     """The shapes of what all passes write."""
     e, n, z, c = steps.state.size, steps.manifold.dimension, steps.dimension, steps.inequalities
     each, at = (1, count), (1, count + 1)
@@ -359,10 +351,40 @@ def _shapes(steps: Any, count: int) -> Shapes:
         "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
         "change": (2,), "standing": (len(Standing._fields),), **dict.fromkeys(TOLD, (1,)),
         "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
-        "room": (c,), "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
+        "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         "points": (1, OF_POINTS, n),
         # These come as zeros.
         "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),
         "support": (1, n, e), "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,),
         "parts": (1, z), "slope": (1, z), "curvature": (1, z),
     }  # fmt: skip
+
+
+def _setting(steps: Any, count: int, tableau: tuple[np.ndarray, np.ndarray]) -> Shapes:
+    """The shapes of what stays the same, in the order of ``trial_kernels.SETTING``."""
+    e, n, (matrix, weights) = steps.state.size, steps.manifold.dimension, tableau
+    return {
+        "h": (count,), "parameters": (steps.parameter.size,), "matrix": matrix.shape, "weights": weights.shape,
+        "fixed": ((count + 1) * n,), "start": (1, e), "end": (1, e), "start_entries": (e,), "end_entries": (e,),
+        "columns": (e,), "arrays": (e,), "mean": (1,),
+    }  # fmt: skip
+
+
+def _given(steps: Any, count: int) -> Shapes:
+    """The shapes of what is given to a pass, in the order of ``trial_kernels.GIVEN``."""
+    n, z, c = steps.manifold.dimension, steps.dimension, steps.inequalities
+    each = (1, count, 1, c)
+    return {
+        "nodes": (1, n), "unknowns": (1, z), "least": (1,), "wide_nodes": (1, n), "unit": (1,),
+        "wide": (1, z), "inverse": (1, n), "cost": (1,), "raised": (1,), "scales": (1, z),
+        "s": each, "nu": each, "t": each, "price": each, "barrier": (1,),
+        "turn_s": each, "turn_nu": each, "turn_t": each, "part": (1,), "dual": (1,),
+        "bounds": (1, c), "rate": (1,), "room": (c,), "weighed": each,
+    }  # fmt: skip
+
+
+def _room(steps: Any, count: int) -> Shapes:
+    """The shapes of what an elimination works in, and units are found in, in the order of ``trial_kernels.ROOM``."""
+    n, z = steps.manifold.dimension, steps.dimension
+    own = {"swaps": (n,), "own_sizes": (1, z), "own_values": (1, z), "ways": (1, z - n), "curved": (1,)}
+    return work_shapes(count, n, z, 1) | unit_shapes(count, n, z) | own

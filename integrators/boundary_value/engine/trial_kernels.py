@@ -5,15 +5,17 @@ A trial itself, from a step to its system, is a kernel of the transcription (``o
 """
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numba import types
 from numba.core.typing.templates import signature
 
 from ....kernels import kernel_part, pasted
-from ....linked import address, array, called, laid, put, view
+from ....linked import address, array, called, laid, leaves, put, view
 from ....tape import machine
-from . import elimination_kernels, extent_kernels, inequality_kernels
+from . import elimination_kernels, extent_kernels, inequality_kernels, scaling_kernels
+from .trial import OUT
 from .vectors import inner
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
@@ -22,7 +24,21 @@ F1, F2, F3, F4, F5 = map(array, range(1, 6))
 FIVE, THREE = types.Tuple((F4, F4, F4, F4, F1)), types.Tuple((F4, F4, F4))
 HELD, TRAJECTORY, BLOCKS = types.Tuple((F4, F5, F4)), types.Tuple((F3, F4, F3, F3)), types.Tuple((F4, F4, F4, F3, F3))
 EXTENT = F2, F2, F3, F2, F2, F2, F1, F2, F2, F2  # the fields of ``Extent``
-OUT = (
+FLAGS, PLACES, INDICES = array(1, TRUTH), array(2, WHOLE), array(1, WHOLE)
+MET = types.Tuple((F2, F2, FLAGS, FLAGS))
+
+
+def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
+    """For each form what lays its arrays, whose rows of the table stand one after the other; and where those end."""
+    found = []
+    for form in forms:
+        found.append(laid(form, after))
+        after += leaves(form)
+    return found, after
+
+
+# What a pass takes and gives, each in one vector. What it gives, in the order of ``trial.OUT``:
+(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, unknowns_of), _after = laid_parts(
     (F3, F3, F2, F1, F4, F3, F3, F3),
     (F3, F3, array(2, TRUTH), F2),
     (F4, F4, F4, F3, F3),
@@ -31,34 +47,79 @@ OUT = (
     (F2, F2, F2, F2, F3),
     ((F4, F4, F4), F5, F2, F1),
     (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
-    (F1, F1, F1, F1, F1, F1, F1),
+    (F1, F1),
+    after=0,
 )
+# What of these is asked for alone.
+cost_of, standing_of, x_of, u_of, covectors_of, change_of = (
+    laid(F1, OUT.index(name)) for name in ("cost", "standing", "x/", "u/", "covectors", "change")
+)
+along_of, numbers_of, grown_of, lacking_of, curvature_of, sizes_of, largest_of, costs_of, line_of = (
+    laid(F2, OUT.index(name))
+    for name in ("along", "numbers", "grown", "lacking", "curvature", "sizes", "largest", "costs", "work")
+)
+nodes_of, gap_of, coordinates_of, costates_of, point_survey_of = (
+    laid(F3, OUT.index(name)) for name in ("nodes", "gap", "coordinates", "costates", "points")
+)
+frames_of, lacks_of, steps_of, multipliers_of = (
+    laid(F4, OUT.index(name)) for name in ("frames", "lacks|", "steps|", "multipliers|")
+)
+spread_of = laid((F2, F2, F3), OUT.index("highest"))
+# The programs of a trial, one after the other, and a table of where each stands, reads and writes.
+(programs_of,), _after = laid_parts(
+    (array(1, types.uint8), array(2, types.uint32), F1, PLACES, PLACES, PLACES), after=_after
+)
+# What stays the same: lengths of the steps, parameters, a tableau; 1 for the coordinates of the nodes that count; the
+# ends, and which of their entries are prescribed; columns and arrays of the entries; the mean step.
+(lengths_of, fixed_of, ends_of, columns_of, mean_of), _after = laid_parts(
+    (F1, F1, F2, F1), F1, (F2, F2, FLAGS, FLAGS), (INDICES, INDICES), F1, after=_after
+)
+# What is given to a pass: units of success and of steps, in the orders of ``measure`` and of an elimination, and what
+# raises Hessians; slacks, their steps, parts of these; units, room, and weights of the inequalities.
+(units_of, wide_of, raising_of, slacks_of, turn_of, parts_of, limits_of, weights_of), _after = laid_parts(
+    (F2, F2, F1, F2, F1),
+    (F2, F2, F1),
+    (F1, F2),
+    (F4, F4, F4, F4, F1),
+    (F4, F4, F4),
+    (F1, F1),
+    (F2, F1, F1),
+    F4,
+    after=_after,
+)
+# What an elimination works in; and what units are found in.
+(work_of, factors_of, unit_work_of, unit_sizes_of), AFTER = laid_parts(
+    (F2, F2, F2, F2),
+    (F2, F2, INDICES, INDICES, F2),
+    ((F2, F2, F1, F2, F3, F3, F2, F2, F3), INDICES),
+    ((F2, F2, F2), FLAGS),
+    after=_after,
+)  # the rows of what a transcription has for itself stand after these
 
-PLACES = array(2, WHOLE)
-TAPES = types.Tuple((array(1, types.uint8), array(2, types.uint32), F1, PLACES, PLACES, PLACES, F1, F1))
 # Which address is whose; those from ``AT_OWN`` on are for what a transcription has for itself.
-AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_HELD_SURVEY, AT_RAISE, AT_SOLVE, AT_TRIAL, AT_COMPLETE, AT_OWN = range(10)
-ADDRESSES = types.UniTuple(WHOLE, 13)
-MET = types.Tuple((F2, F2, array(1, TRUTH), array(1, TRUTH)))
-# What a trial takes and gives: whether ends of steps are near each other.
-TRIAL = signature(
-    TRUTH,
-    ADDRESSES,
-    TAPES,
-    types.Tuple((F1, F1, F1, F1, F1, F1, F1, F3, F4, F1)),
-    types.Tuple((F1, F1, F2, F1)),
-    types.Tuple((F1, MET, array(1, WHOLE), F1, REAL, array(1, WHOLE))),
-    types.Tuple((FIVE, THREE, types.UniTuple(F1, 2), REAL)),
-    PLACES,
-    PLACES,
+AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_HELD_SURVEY, AT_RAISE, AT_SOLVE, AT_UNITS, AT_TRIAL, AT_COMPLETE, AT_OWN = (
+    range(11)
 )
-COMPLETE = signature(types.none, ADDRESSES, F1, F1, types.Tuple((F1, F1, F2, F1)), PLACES, PLACES)
+ADDRESSES = types.UniTuple(WHOLE, 14)
+# A trial, from what was written before to what it writes: whether ends of steps are near each other.
+TRIAL = signature(TRUTH, ADDRESSES, INDICES, F1, F1, F1, F1, F1, PLACES, types.UniTuple(REAL, 2))
+COMPLETE = signature(types.none, ADDRESSES, F1, F1, PLACES)
+UNITS = signature(
+    types.none,
+    types.Tuple((F4, F4, F4, F3)),
+    types.UniTuple(F2, 3),
+    FLAGS,
+    types.Tuple((F2, F2, F1, F2, F3, F3, F2, F2, F3)),
+    INDICES,
+    REAL,
+    types.Tuple((F2, F2, F1)),
+)
 MEET = signature(
     TRUTH,
     F3,
     F3,
     MET,
-    array(1, WHOLE),
+    INDICES,
     REAL,
     F2,
     types.Tuple((F3, F3, array(2, TRUTH), F2)),
@@ -88,12 +149,12 @@ SOLVE = signature(
     types.Tuple((F1, F2)),
     REAL,
     types.UniTuple(F2, 4),
-    types.Tuple((F2, F2, array(1, WHOLE), array(1, WHOLE), F2)),
+    types.Tuple((F2, F2, INDICES, INDICES, F2)),
     types.Tuple((F4, F4, array(2, TRUTH), F2)),
     types.UniTuple(F1, 4),
 )
 
-laid_out, solve, trial, complete = laid(OUT), called(SOLVE), called(TRIAL), called(COMPLETE)
+solve, trial, complete, units_by = map(called, (SOLVE, TRIAL, COMPLETE, UNITS))
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
 _held_survey, _raise = called(HELD_SURVEY), called(RAISE)
@@ -113,6 +174,7 @@ def addresses(limited: bool) -> tuple[int, ...]:
         address(extent_kernels.measure, MEASURE),
         *map(int, of_limits),
         address(elimination_kernels.solve, SOLVE),
+        address(scaling_kernels.units, UNITS),
     )
 
 
@@ -147,31 +209,33 @@ def clear(numbers: np.ndarray) -> None:
 
 
 @inner
-def covectors(before: tuple, out: np.ndarray) -> None:
+def covectors(
+    coordinates: np.ndarray, frames: np.ndarray, multipliers: np.ndarray, part: float, out: np.ndarray
+) -> None:
     """The covectors at the nodes after a part of the steps of their multipliers."""
-    (_, _, _, _, multipliers, _, _, coordinates, frames, part) = before
     _, count, n, size = frames.shape
     for k in range(count):
         for e in range(size):
             out[k * size + e] = 0.0
         for a in range(n):
-            f = coordinates[0, k, a] + part[0] * multipliers[k * n + a]
+            f = coordinates[0, k, a] + part * multipliers[0, k, a, 0]
             for e in range(size):
                 out[k * size + e] += f * frames[0, k, a, e]
 
 
 @pasted
-def meet_ends(calls: tuple, k: int, tapes: tuple, ends: tuple, arrays: tuple, met: tuple, count: int) -> bool:
+def meet_ends(calls: tuple, k: int, tapes: tuple, setting: np.ndarray, far: float, rows: np.ndarray) -> bool:
     """Whether the ends of the steps, which the tape ``k`` finds, are near each other; then the nodes are known."""
-    (_, points, columns, _, far, _), (begins, finishes, work, _, _, _, _, _) = ends, arrays
-    evaluate(calls[AT_RUN], tapes[5][k], tapes, count)
-    return not _meet(calls[AT_MEET], (begins, finishes, points, columns, far, work, met))
+    evaluate(calls[AT_RUN], tapes[5][k], tapes, lengths_of(setting, rows)[0].size)
+    begins, finishes, work, _, _, _, _, _ = arrays_of(tapes[7], rows)
+    columns, met = columns_of(setting, rows)[0], met_of(tapes[7], rows)
+    return not _meet(calls[AT_MEET], (begins, finishes, ends_of(setting, rows), columns, far, work, met))
 
 
 @pasted
-def in_frames(run: int, k: int, tapes: tuple, fixed: np.ndarray, covectors: np.ndarray, met: tuple) -> None:
+def in_frames(run: int, k: int, tapes: tuple, setting: np.ndarray, covectors: np.ndarray, rows: np.ndarray) -> None:
     """Frames at the nodes, and in them what is lacking there and the covectors, by the tape ``k``."""
-    (nodes, gaps, _, _), read = met, read_by(tapes, k)
+    (nodes, gaps, _, _), read, fixed = met_of(tapes[7], rows), read_by(tapes, k), fixed_of(setting, rows)
     at = put(read, put(read, 0, nodes, 0, nodes.size), fixed, 0, fixed.size)
     put(read, put(read, at, gaps, 0, gaps.size), covectors, 0, covectors.size)
     evaluate(run, tapes[5][k], tapes, nodes.shape[1])
@@ -186,27 +250,45 @@ def put_ends(read: np.ndarray, at: int, nodes: np.ndarray, costates: np.ndarray)
 
 
 @pasted
-def measure(calls: tuple, mean: np.ndarray, units: tuple, limits: tuple, out: tuple) -> None:
-    """What the trial is judged by, with the shares of the inequalities in the blocks."""
-    slacks, _, _, _, (scales, rate, room), weights, value, prices = limits
-    (arrays, (nodes, _, _, largest), blocks, raised, extent, told, held, _, _) = out
-    (along, entries, numbers, surveyed, points), (new, pushed, sums, zeros), barrier = told, held, slacks[4]
-    (points_hessian, points_slope, values, pushes, costs, cost), (_, _, _, _, frames, gap, coordinates, _) = (
-        raised,
-        arrays,
+def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarray, sizes: tuple) -> None:
+    """What is largest in what is written, with the shares of the inequalities in the blocks; ``sizes``: what measures
+    values and prices of inequalities."""
+    (new, pushed, sums, zeros), limits, extent = (
+        held_of(written, rows),
+        limits_of(given, rows),
+        extent_of(written, rows),
     )
+    points_hessian, points_slope, values, pushes, costs, cost = raised_of(written, rows)
     clear(zeros)
     for i in range(extent[0].size):
         extent[0][0, i], extent[1][0, i] = -np.inf, -np.inf
     cost[0] = 0.0
     for k in range(costs.size):
         cost[0] += costs[0, k]
-    if scales.shape[1] > 0:
-        given, after = (values, pushes, weights), (new[0], new[1], new[2], slacks[3], barrier)
-        _raise(calls[AT_RAISE], (0, 1, given, after, points_hessian, points_slope, pushed))
-        _held_survey(calls[AT_HELD_SURVEY], (0, 1, given, after, (scales, rate, room), value, prices, surveyed))
-    _survey(calls[AT_SURVEY], (0, 1, (nodes, frames, coordinates, gap), blocks, (*extent, sums)))
-    highest, lowest, support, _, missing, lacking, total, parts, slopes, curvature = extent
+    if limits[0].shape[1] > 0:
+        _, _, _, price, barrier = slacks_of(given, rows)
+        held_by, after = (values, pushes, weights_of(given, rows)), (new[0], new[1], new[2], price, barrier)
+        _raise(calls[AT_RAISE], (0, 1, held_by, after, points_hessian, points_slope, pushed))
+        told = told_of(written, rows)[3]
+        _held_survey(calls[AT_HELD_SURVEY], (0, 1, held_by, after, limits, sizes[0], sizes[1], told))
+    trajectory = (
+        nodes_of(written, rows),
+        frames_of(written, rows),
+        coordinates_of(written, rows),
+        gap_of(written, rows),
+    )
+    _survey(calls[AT_SURVEY], (0, 1, trajectory, blocks_of(written, rows), (*extent, sums)))
+
+
+@pasted
+def measure(
+    calls: tuple, written: np.ndarray, setting: np.ndarray, given: np.ndarray, rows: np.ndarray, shares: tuple
+) -> None:
+    """What the trial is judged by."""
+    along, entries, numbers, surveyed, points = told_of(written, rows)
+    highest, lowest, support, _, missing, lacking, total, parts, slopes, curvature = extent_of(written, rows)
     of = highest, lowest, support, missing, lacking, total, parts, slopes, curvature
-    measured = (surveyed, barrier, rate), units[1], (along, entries, numbers)
-    _measure(calls[AT_MEASURE], (of, points, (largest, mean, cost), units[0], *measured))
+    limits = surveyed, slacks_of(given, rows)[4], limits_of(given, rows)[1]
+    trajectory = largest_of(written, rows), mean_of(setting, rows), cost_of(written, rows)
+    found = along, entries, numbers
+    _measure(calls[AT_MEASURE], (of, points, trajectory, units_of(given, rows), limits, shares, found))

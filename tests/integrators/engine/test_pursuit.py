@@ -10,7 +10,8 @@ import numba
 import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine import pursuit, pursuit_kernels
+from retrax.integrators.boundary_value.engine import descent, pursuit, pursuit_kernels
+from retrax.integrators.boundary_value.engine.first_units import first_units
 from retrax.integrators.boundary_value.engine.share import UNCHANGED
 from retrax.integrators.boundary_value.engine.trial import Trial
 from retrax.integrators.results import Result
@@ -52,14 +53,20 @@ def alike(one: Any, other: Any, atol: float = 1e-11) -> None:
 
 @pytest.fixture
 def pursuits(monkeypatch) -> list[Any]:
-    """Those that are run from now on."""
-    made, pursue = [], Trial.pursue
+    """Those that are run from now on; None where a search does not set out."""
+    made, pursue, set_out = list[Any](), Trial.pursue, Trial.set_out
 
     def heard(self: Trial, *given: Any) -> Any:
         made.append(pursue(self, *given))
         return made[-1]
 
+    def begun(self: Trial, *given: Any) -> Any:
+        found = set_out(self, *given)
+        made.append(found and found.pursuit)
+        return found
+
     monkeypatch.setattr(Trial, "pursue", heard)
+    monkeypatch.setattr(Trial, "set_out", begun)
     return made
 
 
@@ -77,6 +84,29 @@ def test_a_pursuit_is_its_iterations(name, pursuits, monkeypatch):
     alike(short, alone)
     alike(shown, alone)
     same([own._replace(members=0.0) for own in seen], [own._replace(members=0.0) for own in told])
+
+
+@pytest.mark.parametrize("name", ["a slew", "a sphere with parameters", "unequal steps of collocation"])
+def test_units_of_a_pass(name, monkeypatch):
+    """They are those that are taken from the system of the guess otherwise, from a solution too."""
+    solver, way, options = CASES[name]()
+    set_out, found = Trial.set_out, list[Any]()
+
+    def heard(self: Trial, *given: Any) -> Any:
+        found.append(set_out(self, *given))
+        return found[-1]
+
+    def set_units(conditions: Any, *given: Any) -> Any:
+        begun = pursuit.set_out(conditions, *given)
+        first = found[-1].first
+        same(tuple(found[-1].units), tuple(first_units(conditions, first.iterate, first.assembled)))
+        return begun
+
+    monkeypatch.setattr(Trial, "set_out", heard)
+    monkeypatch.setattr(descent, "set_out", set_units)
+    solution = solver.solve(*way, **options)
+    assert solver.solve(*way, guess=solution, **options).success
+    assert len(found) == 2
 
 
 @pytest.mark.parametrize("name", ["a sphere with parameters", "unequal steps of collocation"])
@@ -144,18 +174,18 @@ def test_a_guess_whose_end_is_beside_the_end_is_stepped_from(method, beside, tol
 
 def test_an_interrupt_of_a_pass_has_a_record(method, monkeypatch):
     """It comes once the first pass has ended: of two iterations, or of all."""
-    pursue, solver = Trial.pursue, Solver(SLEW, method(Cayley(RIGID)), 30)
+    set_out, solver = Trial.set_out, Solver(SLEW, method(Cayley(RIGID)), 30)
     for most in (2, 10):
         calls: list[Any] = []
 
         def interrupted(self: Trial, *given: Any, calls: list[Any] = calls) -> Any:
-            calls.append(pursue(self, *given))
+            calls.append(set_out(self, *given))
             if len(calls) == 1:
                 raise KeyboardInterrupt
             return calls[-1]
 
         monkeypatch.setattr(pursuit, "MOST", most)
-        monkeypatch.setattr(Trial, "pursue", interrupted)
+        monkeypatch.setattr(Trial, "set_out", interrupted)
         found = solver.solve(*SLEWS, throw=False)
         assert found.success == (most == 10)
         if not found.success:

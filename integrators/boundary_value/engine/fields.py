@@ -1,0 +1,61 @@
+"""Arrays by their names in one vector, which a kernel takes in their place: each array that Python passes takes time to
+compile."""
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ....aligned import LINE
+
+Shapes = dict[str, tuple[int, ...]]
+
+
+class Place(NamedTuple):
+    """A vector, and its arrays by their names."""
+
+    numbers: np.ndarray
+    v: Any
+
+
+@final
+class Fields:
+    """Where arrays of some shapes stand, one after the other; those that are not of numbers have room for numbers.
+
+    ``lined``: each begins where a cache line begins if the vector does.
+    """
+
+    def __init__(self, shapes: Shapes, kinds: Mapping[str, type] | None = None, lined: bool = False) -> None:
+        self.shapes, self.begins, self.size = shapes, dict[str, int](), 0
+        for name, shape in shapes.items():
+            self.begins[name] = self.size
+            self.size += -(-math.prod(shape) // LINE) * LINE if lined else math.prod(shape)
+        formats = [((kinds or {}).get(name, float), shape) for name, shape in shapes.items()]
+        offsets, itemsize = [8 * begin for begin in self.begins.values()], 8 * self.size
+        self._type = np.dtype({"names": [*shapes], "formats": formats, "offsets": offsets, "itemsize": itemsize})
+
+    def place(self, numbers: np.ndarray | None = None) -> Place:
+        """A vector of numbers that are not set, or this one, with its arrays."""
+        numbers = np.empty(self.size) if numbers is None else numbers
+        return Place(numbers, np.ndarray((), self._type, numbers))
+
+    def filled(self, **arrays: Any) -> np.ndarray:
+        """A vector with these arrays, which are all."""
+        numbers, v = self.place()
+        for name in self.shapes:
+            v[name][...] = arrays[name]
+        return numbers
+
+    def rows(self, arrays: Iterable[tuple[str, tuple[int, ...]]]) -> np.ndarray:
+        """Where arrays begin, and their lengths, in a row for each, as kernels take them (``linked.laid``); they may
+        have other shapes than their own."""
+        from ....linked import LONGEST
+
+        found = [(self.begins[name], *shape) for name, shape in arrays]
+        return np.array([row + (0,) * (LONGEST - len(row)) for row in found], int).reshape(-1, LONGEST)
+
+    @property
+    def all_rows(self) -> np.ndarray:
+        """The rows of all arrays in their own shapes."""
+        return self.rows(self.shapes.items())
