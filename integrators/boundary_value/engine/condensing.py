@@ -31,7 +31,8 @@ class Points(NamedTuple):
     """At each point, in ``(dx, dxi, dnu, du)``, ``q = 3 n + m``: derivatives of the Lagrangian, and of the equations
     ``d``.
 
-    ``xi_i = h sum_j matrix_ij nu_j``. The slope and the defect have k columns, the first of them Newton's.
+    ``xi_i = h sum_j matrix_ij nu_j``. Hessians are symmetric. The slope and the defect have k columns, the first of
+    them Newton's.
     """
 
     hessian: Float[np.ndarray, "B N s q q"]

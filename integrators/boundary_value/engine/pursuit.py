@@ -55,7 +55,7 @@ def pursued(
         return None
     if conditions.ahead is not None and conditions.ahead[0] is state.step:  # its trial is refused already
         return None
-    merit, known = state.merit, {"first": first, "isolated": bool(state.isolated[0])}
+    merit = state.merit
     standing = Standing(
         promised=state.promised.item(),
         turned=state.turned.item(),
@@ -64,8 +64,9 @@ def pursued(
         held=merit.held.item(),
         funnel=state.funnel.item(),
         best=state.best.item(),
+        first=first,
         correction=state.correction.item(),
-        **known,
+        isolated=bool(state.isolated[0]),
     )
     going = _rules(conditions, tolerance), standing, min(most, MOST)
     before = state.iterate, state.assembled, state.step
@@ -90,14 +91,13 @@ def _is_plain(conditions: "Conditions", state: State) -> bool:
 
 def _reached(conditions: "Conditions", state: State, found: Pursuit) -> tuple[State, int] | None:
     """The state that a pursuit has led to."""
-    step = found.step
     tried = found.ahead if found.arrived else found.last
     if found.far or (found.ahead is not None and not found.arrived):
-        conditions.ahead = step, found.ahead
+        conditions.ahead = found.step, found.ahead
     if tried is None or not found.taken + found.arrived:
         return None
     appraisal = conditions.knows(tried)
-    own = {"iterate": tried.iterate, "assembled": tried.assembled, "residuals": appraisal.residuals, "step": step}
+    own = {"iterate": tried.iterate, "assembled": tried.assembled, "residuals": appraisal.residuals, "step": found.step}
     state = _standing(state, found.standing)._replace(**own, done=np.array([found.arrived]))
     return state, found.taken + found.arrived
 

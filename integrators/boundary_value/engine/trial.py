@@ -31,8 +31,9 @@ if TYPE_CHECKING:
 
 Called = tuple[Evaluated, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
 TOLD = "negative", "smallest", "bends", "size"  # of an elimination
-# What all passes write, in the order of ``trial_kernels.OUT``; where there is a dot, with an axis for its one point,
-# where there is a bar, for its one column, and where there is a stroke, without axes.
+# What all passes write, in the order in which ``trial_kernels`` lays it out, as all that is listed here; where there is
+# a dot, with an axis for its one point, where there is a bar, for its one column, and where there is a stroke, without
+# axes.
 OUT = (
     *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
     *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
@@ -47,7 +48,7 @@ class Setting(NamedTuple):
     """What stays the same in the trials of one trajectory."""
 
     trial: "Trial"
-    numbers: np.ndarray  # in the order of ``trial_kernels.SETTING``
+    numbers: np.ndarray
     weights: np.ndarray | None  # of the inequalities, if there are any
 
     @classmethod
@@ -105,7 +106,7 @@ class Pursuit(NamedTuple):
 
     taken: int
     last: Tried | None  # none where it set out from a known step and took no other
-    step: Step | None
+    step: Step
     standing: Standing
     ahead: Tried | None
     arrived: bool  # it is the last
@@ -176,11 +177,13 @@ class Trial(ABC):
     def __call__(
         self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
-        """The trial of a part of a step; None where ends of steps are far apart, which takes more than this."""
+        """The trial of a part of a step; None where it takes more than this, as where ends of steps are far apart."""
         (iterate, _, step), to, known = before, self.written.place(), self._known(*before)
         numbers, v = self._given_for(conditions, part.item())
         barrier, slacks, turn = conditions.barrier, iterate.slacks, step.turn
-        if slacks is not None and barrier is not None and turn is not None:
+        if self.limited:
+            if slacks is None or barrier is None or turn is None:
+                return None
             v["least"][...] = conditions.judging.cost  # with a barrier the curvature of the Hessian has no bound
             v["s"][...], v["nu"][...], v["t"][...], v["price"][...], v["barrier"][...] = slacks
             v["turn_s"][...], v["turn_nu"][...], v["turn_t"][...] = turn.slacks, turn.multipliers, turn.excess
@@ -251,12 +254,8 @@ class Trial(ABC):
         if conditions is not None:
             judging, measured = conditions.judging, conditions.measured
             v["nodes"][...], v["unknowns"][...] = judging.nodes, judging.unknowns
-            v["wide_nodes"][...], v["wide"][...], v["inverse"][...] = (
-                measured.nodes,
-                measured.unknowns,
-                1 / measured.nodes,
-            )
-            v["unit"][...] = v["cost"][...] = measured.cost
+            v["wide_nodes"][...], v["wide"][...] = measured.nodes, measured.unknowns
+            v["inverse"][...], v["unit"][...], v["cost"][...] = 1 / measured.nodes, measured.cost, measured.cost
         return given
 
     def _run(
@@ -361,7 +360,7 @@ def _written(steps: Any, count: int) -> Shapes:
 
 
 def _setting(steps: Any, count: int, tableau: tuple[np.ndarray, np.ndarray]) -> Shapes:
-    """The shapes of what stays the same, in the order of ``trial_kernels.SETTING``."""
+    """The shapes of what stays the same."""
     e, n, (matrix, weights) = steps.state.size, steps.manifold.dimension, tableau
     return {
         "h": (count,), "parameters": (steps.parameter.size,), "matrix": matrix.shape, "weights": weights.shape,
@@ -371,7 +370,7 @@ def _setting(steps: Any, count: int, tableau: tuple[np.ndarray, np.ndarray]) -> 
 
 
 def _given(steps: Any, count: int) -> Shapes:
-    """The shapes of what is given to a pass, in the order of ``trial_kernels.GIVEN``."""
+    """The shapes of what is given to a pass."""
     n, z, c = steps.manifold.dimension, steps.dimension, steps.inequalities
     each = (1, count, 1, c)
     return {
@@ -384,7 +383,7 @@ def _given(steps: Any, count: int) -> Shapes:
 
 
 def _room(steps: Any, count: int) -> Shapes:
-    """The shapes of what an elimination works in, and units are found in, in the order of ``trial_kernels.ROOM``."""
+    """The shapes of what an elimination works in, and units are found in."""
     n, z = steps.manifold.dimension, steps.dimension
     own = {"swaps": (n,), "own_sizes": (1, z), "own_values": (1, z), "ways": (1, z - n), "curved": (1,)}
     return work_shapes(count, n, z, 1) | unit_shapes(count, n, z) | own
