@@ -627,15 +627,51 @@ PLANTED: dict[str, Planted] = {
     # Inequalities.
     "the barrier ends far above its last value": Planted(
         f"{ENGINE}/barrier.py",
-        "last = LAST * tolerance * self.rate / rate",
-        "last = 1e4 * tolerance * self.rate / rate",
+        "own = plain(slacks.barrier), rate, LAST * tolerance * self.rate / rate",
+        "own = plain(slacks.barrier), rate, 1e4 * tolerance * self.rate / rate",
         (BARRIERS, BARRIER),
     ),
     "excesses stay as cheap as they are": Planted(
-        f"{ENGINE}/barrier.py",
-        "return slacks, told & solved",
-        "return slacks, told & ~solved",
+        f"{ENGINE}/inequality_kernels.py",
+        "        if told or not own > (1 + reached) * last:\n            return barrier, told",
+        "        if told or not own > (1 + reached) * last:\n            return barrier, False",
         (BARRIERS,),
+    ),
+    "a barrier is lowered before its problem is solved": Planted(
+        f"{ENGINE}/inequality_kernels.py",
+        "if not (error <= max(few * barrier / rate, tolerance) and off <= few * barrier):",
+        "if not (error <= max(1e3 * few * barrier / rate, tolerance) and off <= 1e3 * few * barrier):",
+        (BARRIERS,),
+    ),
+    "a pass lowers the barrier to another last value": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "lower, told = lowered(before, rate, last * tolerance * limits[1][0] / rate,",
+        "lower, told = lowered(before, rate, 1e4 * last * tolerance * limits[1][0] / rate,",
+        (PURSUIT,),
+    ),
+    "what a lower barrier costs is not measured anew": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "    _set_out(standing, numbers)\n    standing[FIRST] = 0.0\n    return True, False",
+        "    return True, False",
+        (PURSUIT,),
+    ),
+    "a step that bounds stop promises all of itself": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "change[0] = parts[0][0] * (change[0] + turned[0, 2])",
+        "change[0] = change[0] + turned[0, 2]",
+        (PURSUIT,),
+    ),
+    "a pass goes on where inequalities contradict each other": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "return left or turned_of(written, rows)[0][0][0] <= rules[1]",
+        "return turned_of(written, rows)[0][0][0] <= rules[1]",
+        (PURSUIT,),
+    ),
+    "a pass goes on where a step jams": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "return left or turned_of(written, rows)[0][0][0] <= rules[1]",
+        "return left",
+        (PURSUIT,),
     ),
     "nothing is impossible": Planted(
         f"{ENGINE}/barrier.py",

@@ -6,6 +6,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS
+from .arrays import plain
 from .inequalities import VALUE, Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
@@ -21,6 +22,7 @@ PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units o
 TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
 NEAR = 0.5  # of its price, a multiplier says that it is too low
 PRICES = PRICE, NEAR, DEAREST
+LOWERING = SOLVED, LESS, FASTER, REACHED, TELLS
 
 
 @final
@@ -88,20 +90,13 @@ class Barrier(NamedTuple):
 
         ``error``: the largest residual but for that of ``nu s = mu``; ``dear``: what all multipliers have grown by.
         """
-        cheap, rate = found.cheap > 0, self.rate * dear
-        last = LAST * tolerance * self.rate / rate
-        solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
-        while solved.any():
-            barrier = slacks.barrier / rate
-            told = cheap & (barrier <= TELLS)
-            # The last barrier times the rate and back is rounded, to more than it was for some rates.
-            going = solved & (barrier > (1 + REACHED) * last) & ~told
-            if not going.any():
-                return slacks, told & solved
-            less = np.maximum(last, np.minimum(LESS * barrier, barrier**FASTER))
-            slacks = slacks._replace(barrier=np.where(going, less, barrier) * rate)
-            solved = self._is_solved(found, slacks.barrier, rate, error, tolerance)
-        return slacks, solved
+        from . import inequality_kernels
+
+        rate, out = self.rate * dear, (np.empty(len(error)), np.empty(len(error), bool))
+        told = tuple(map(plain, (found.product, found.least, found.cheap)))
+        own = plain(slacks.barrier), rate, LAST * tolerance * self.rate / rate
+        inequality_kernels.lower(*own, told, plain(error), tolerance, LOWERING, out)
+        return slacks._replace(barrier=out[0]), out[1]
 
     def is_infeasible(self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
@@ -110,13 +105,6 @@ class Barrier(NamedTuple):
         """
         small = slacks.barrier <= np.sqrt(tolerance) * self.rate
         return small & (error <= tolerance) & (found.left > np.sqrt(tolerance))
-
-    def _is_solved(
-        self, found: Surveyed, barrier: np.ndarray, rate: np.ndarray, error: np.ndarray, tolerance: float
-    ) -> np.ndarray:
-        """Whether the problem with this barrier, of this unit, is solved to a few times that."""
-        few = SOLVED * barrier
-        return (error <= np.maximum(few / rate, tolerance)) & (found.off(barrier) <= few)
 
     @staticmethod
     def dear(found: Surveyed) -> np.ndarray:

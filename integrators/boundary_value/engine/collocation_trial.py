@@ -84,7 +84,7 @@ class CollocationTrial(Trial):
         for name, (_, *shape) in fields.shapes.items():
             laid |= {name: (name, (*shape,)), f"{name}.": (name, (1, *shape)), f"{name}|": (name, (*shape, 1))}
             laid |= {f"{name}=": (name, (*shape[:-2], math.prod(shape[-2:]))), f"{name}/": (name, (math.prod(shape),))}
-        return common_rows(fields, {}), fields.rows(laid[name] for name in OWN)
+        return common_rows(fields), fields.rows(laid[name] for name in OWN)
 
     def addresses(self) -> tuple[int, ...]:
         from .collocation_kernels import addresses

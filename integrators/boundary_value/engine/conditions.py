@@ -139,13 +139,13 @@ class Conditions:
         if found is None:
             moved = self.move(*before, fraction)
             return moved, self.assemble(moved)
-        if found.iterate.slacks is not None:
-            self._survey = found.assembled.blocks.inequalities, found.iterate.slacks, found.surveyed
         self.knows(found)
         return found.iterate, found.assembled
 
     def knows(self, tried: Tried) -> Appraisal:
-        """The appraisal of a trial, which is known."""
+        """The appraisal of a trial, which is known, as the survey of its inequalities is."""
+        if tried.iterate.slacks is not None:
+            self._survey = tried.assembled.blocks.inequalities, tried.iterate.slacks, tried.surveyed
         self._appraisal = self._key(tried.iterate, tried.assembled), tried.appraisal
         return tried.appraisal
 

@@ -25,12 +25,12 @@ from .first_multipliers import with_first_multipliers
 from .found import Found, Iteration
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
-from .pursuit import CURVATURE, EXACT, SHRINKS, pursued, set_out
+from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, pursued, set_out
 from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-STIFF, JAMMED = 1e2, 1e-3  # a shift, or a share of a step, at which hard inequalities are made elastic
+STIFF = 1e2  # a shift at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent

@@ -121,10 +121,6 @@ class Surveyed(NamedTuple):
     hard: np.ndarray  # 1 where an inequality is not elastic
     left: np.ndarray  # the largest excess whose multiplier comes near to the highest price, in units
 
-    def off(self, barrier: np.ndarray) -> np.ndarray:
-        """The largest difference of these products from a barrier."""
-        return np.maximum(np.maximum(self.product - barrier, barrier - self.least), 0.0)
-
 
 def central(held: Held, barrier: np.ndarray, price: np.ndarray) -> Slacks:
     """Slacks, multipliers and excesses with ``g + s = t``, ``nu s = zeta t = mu``; where the price is infinite ``s =

@@ -115,6 +115,45 @@ def raise_points(
 
 
 @inner
+def lowered(
+    barrier: float, rate: float, last: float, found: tuple, error: float, tolerance: float, rules: tuple
+) -> tuple[float, bool]:
+    """The barrier, lower while its problem is solved, and whether excesses are too cheap to lower it.
+
+    ``rate``: its unit; ``last``: the last one, relative; ``found``: the largest product of a slack and a multiplier,
+    the least, and 1 where a multiplier comes near to its price; ``rules``: those of ``barrier``.
+    """
+    (most, least, cheap), (few, less, faster, reached, tells) = found, rules
+    while True:
+        off = larger(larger(most - barrier, barrier - least), 0.0)
+        if not (error <= max(few * barrier / rate, tolerance) and off <= few * barrier):
+            return barrier, False
+        own = barrier / rate
+        told = cheap > 0 and own <= tells
+        # The last barrier times the rate and back is rounded, to more than it was for some rates.
+        if told or not own > (1 + reached) * last:
+            return barrier, told
+        barrier = max(last, min(less * own, own**faster)) * rate
+
+
+@compiled
+def lower(
+    barrier: np.ndarray,
+    rate: np.ndarray,
+    last: np.ndarray,
+    found: tuple,
+    error: np.ndarray,
+    tolerance: float,
+    rules: tuple,
+    out: tuple,
+) -> None:
+    """Of each member what ``lowered`` finds."""
+    for m in range(barrier.size):
+        own = found[0][m], found[1][m], found[2][m]
+        out[0][m], out[1][m] = lowered(barrier[m], rate[m], last[m], own, error[m], tolerance, rules)
+
+
+@inner
 def _shorter(reach: float, value: float, step: float, share: float) -> float:
     """The fraction of a step that leaves its share of a value, if that is the smallest so far."""
     return min(reach, -share * value / step) if step < 0 else reach

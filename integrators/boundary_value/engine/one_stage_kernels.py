@@ -25,14 +25,13 @@ from .trial_kernels import (
     meet_ends,
     multipliers_of,
     nodes_of,
-    parts_of,
     point_survey_of,
     programs_of,
     put_ends,
     read_by,
     slacks_of,
     steps_of,
-    turn_of,
+    turned_of,
     u_of,
     x_of,
 )
@@ -81,7 +80,7 @@ def trial(
     multiplier is kept within; see ``pursuit_kernels.pursue`` for the others.
     """
     codes, registers, values, sources, targets, table = programs_of(programs, rows)
-    tapes, part = (codes, registers, values, sources, targets, table, memory, written), parts_of(given, rows)[0][0]
+    tapes, part = (codes, registers, values, sources, targets, table, memory, written), turned_of(before, rows)[0][0][0]
     (h, parameters, _, _), run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
     frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
     covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)
@@ -96,8 +95,8 @@ def trial(
     at = put_ends(read, put(read, 0, moved, 0, moved.size), nodes_of(written, rows), costates_of(written, rows))
     at = put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
     if new[1].size > 0:
-        slacks, turn = slacks_of(given, rows), turn_of(given, rows)
-        _move(calls[AT_OWN], (0, 1, slacks, turn, parts_of(given, rows), sizes[1], new))
+        parts, turn, _, _ = turned_of(before, rows)
+        _move(calls[AT_OWN], (0, 1, slacks_of(before, given, rows), turn, parts, sizes[1], new))
         put(read, at, new[1], 0, new[1].size)
     evaluate(run, table[STEPS], tapes, h.size)
     points = point_survey_of(written, rows)

@@ -43,7 +43,7 @@ class OneStageTrial(Trial):
 
     def rows(self, fields: Fields) -> tuple[np.ndarray, np.ndarray]:
         """Nothing is condensed."""
-        return common_rows(fields, {"lacks": ("gap", fields.shapes["gap"])}), fields.rows([])
+        return common_rows(fields), fields.rows([])
 
     def addresses(self) -> tuple[int, ...]:
         from .one_stage_kernels import addresses

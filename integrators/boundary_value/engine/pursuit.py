@@ -19,6 +19,7 @@ MOST = 10  # iterations of a pass, which an interrupt waits for
 CURVATURE = 1e-9  # relative: a step of less does not descend
 SHRINKS = 0.1
 EXACT = 64.0  # times eps: a residual that is rounding
+JAMMED = 1e-3  # a share of a step at which hard inequalities are made elastic
 
 
 def set_out(
@@ -64,7 +65,7 @@ def pursued(
         held=merit.held.item(),
         funnel=state.funnel.item(),
         best=state.best.item(),
-        first=first,
+        first=first and state.iterate.slacks is None,
         correction=state.correction.item(),
         isolated=bool(state.isolated[0]),
     )
@@ -78,14 +79,15 @@ def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
     """What decides about whole steps, as the kernel takes it."""
     share = DIAMETER / np.sqrt(max(conditions.at_nodes.dimension, 1))
     own = (CURVATURE, SOFTEST, share, UNCHANGED), (FAR, UNMET, MET), (np.sqrt(tolerance), SHRINKS)
-    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS
+    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS, JAMMED
 
 
 def _is_plain(conditions: "Conditions", state: State) -> bool:
-    """Whether this is a trajectory without inequalities whose next step is a whole one that descends."""
-    if conditions.joint or state.iterate.slacks is not None or not state.descends[0]:
+    """Whether this is a trajectory whose next step is a whole one that descends, as far as inequalities let it go."""
+    if conditions.joint or not state.descends[0]:
         return False
-    whole = state.shift[0] == 0 and state.fraction[0] == 1 and np.all(state.step.reach == 1.0)
+    free = np.all(state.step.reach == 1.0) if state.iterate.slacks is None else np.all(state.step.reach > JAMMED)
+    whole = free and state.shift[0] == 0 and state.fraction[0] == 1
     return bool(whole and np.all(state.step.followed == 1.0) and conditions.at_nodes.flat_controls)
 
 

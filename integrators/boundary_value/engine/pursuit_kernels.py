@@ -7,12 +7,16 @@ from ....kernels import pasted
 from ....linked import view
 from .acceptance_kernels import judged
 from .extent_kernels import find_moves, larger, left_over
+from .inequality_kernels import lowered
 from .trial_kernels import (
     AT_COMPLETE,
+    AT_HELD_SURVEY,
     AT_SOLVE,
     AT_TRIAL,
+    AT_TURN,
     AT_UNITS,
     along_of,
+    barrier_of,
     blocks_of,
     clear,
     columns_of,
@@ -24,32 +28,40 @@ from .trial_kernels import (
     found_of,
     gap_of,
     grown_of,
+    held_of,
+    held_survey,
     lacking_of,
     lacks_of,
+    limits_of,
     line_of,
     measure,
     numbers_of,
-    parts_of,
+    raised_of,
     raising_of,
     sizes_of,
+    slacks_of,
     solve,
     spread_of,
     standing_of,
     steps_of,
     survey,
+    told_of,
     trial,
+    turn,
+    turned_of,
     u_of,
     unit_sizes_of,
     unit_work_of,
     units_by,
     units_of,
+    weights_of,
     wide_of,
     work_of,
     x_of,
 )
 from .vectors import compiled, inner
 
-FAR, TRIED, ARRIVED, GOING, LOST, APART = range(6)  # how a pass ends
+FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED = range(7)  # how a pass ends
 # What stands between the trials of a pass.
 PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED = range(10)
 
@@ -62,9 +74,10 @@ def _set_out(standing: np.ndarray, numbers: np.ndarray) -> None:
 
 
 @inner
-def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, rules: tuple) -> bool:
-    """Whether a whole step is taken and the next is to be a whole one; what stands then follows it."""
-    made = True, standing[PROMISED], standing[TURNED], 1.0, 1.0, 1.0
+def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, rules: tuple) -> bool:
+    """Whether a whole step, as far as it may go, is taken and the next is to be a whole one; what stands then follows
+    it."""
+    made = True, standing[PROMISED], standing[TURNED], reach, 1.0, 1.0
     before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
     reached = standing[FUNNEL], standing[BEST], 0.0, numbers[8, 0], numbers[13, 0], cost
     funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
@@ -150,6 +163,62 @@ def _first_units(
 
 
 @pasted
+def _lowered(
+    calls: tuple,
+    setting: np.ndarray,
+    given: np.ndarray,
+    written: np.ndarray,
+    rows: np.ndarray,
+    standing: np.ndarray,
+    rules: tuple,
+) -> tuple[bool, bool]:
+    """Lower the barrier while its problem is solved, and measure anew what depends on it: whether that was so, and
+    whether excesses are too cheap for it."""
+    (tolerance, last, own, sizes, shares), barrier, numbers = (
+        rules,
+        barrier_of(written, rows),
+        numbers_of(written, rows),
+    )
+    surveyed, limits = told_of(written, rows)[3], limits_of(given, rows)
+    rate = limits[1][0] * max(surveyed[7, 0], 1.0)
+    found, before = (surveyed[2, 0], surveyed[3, 0], surveyed[8, 0]), barrier[0]
+    lower, told = lowered(before, rate, last * tolerance * limits[1][0] / rate, found, numbers[6, 0], tolerance, own)
+    if told or lower == before:
+        return False, told
+    barrier[0] = lower
+    clear(view(surveyed, 0, (surveyed.size,)))
+    _, _, values, pushes, _, _ = raised_of(written, rows)
+    held = values, pushes, weights_of(given, rows)
+    held_survey(
+        calls[AT_HELD_SURVEY], (0, 1, held, slacks_of(written, given, rows), limits, sizes[0], sizes[1], surveyed)
+    )
+    measure(calls, written, setting, given, rows, shares)
+    _set_out(standing, numbers)
+    standing[FIRST] = 0.0
+    return True, False
+
+
+@pasted
+def _driven(written: np.ndarray, rows: np.ndarray) -> None:
+    """The slopes with the share of the inequalities at their barrier."""
+    pushed, barrier, slopes = held_of(written, rows)[1], barrier_of(written, rows)[0], found_of(written, rows)[0]
+    for k in range(slopes.shape[1]):
+        for i in range(slopes.shape[2]):
+            slopes[0, k, i, 0] = pushed[0, k, 0, i, 0] + barrier * pushed[0, k, 0, i, 1]
+
+
+@pasted
+def _turned(calls: tuple, given: np.ndarray, written: np.ndarray, rows: np.ndarray, share: float) -> None:
+    """The steps of slacks, multipliers and excesses, and how far these may go."""
+    _, _, values, pushes, _, _ = raised_of(written, rows)
+    (part, dual), moves, found, _ = turned_of(written, rows)
+    held, steps = (values, pushes, weights_of(given, rows)), steps_of(written, rows)
+    ways = view(steps, 0, (1, steps.shape[1], 1, steps.shape[2]))
+    turn(calls[AT_TURN], (0, 1, held, slacks_of(written, given, rows), ways, share, moves, found))
+    part[0], dual[0] = found[0, 0], found[0, 1]
+
+
+@pasted
 def _stepped(
     calls: tuple,
     room: np.ndarray,
@@ -169,13 +238,21 @@ def _stepped(
         raising_of(given, rows),
         fixed_of(setting, rows),
     )
-    _scales(curvature, units, rules[1], raised[1])
+    limited, (parts, _, turned, _) = limits_of(given, rows)[0].shape[1] > 0, turned_of(written, rows)
+    if limited:  # with a barrier the curvature of the Hessian has no bound
+        _driven(written, rows)
+        for i in range(curvature.shape[1]):
+            raised[1][0, i] = 1.0
+    else:
+        _scales(curvature, units, rules[1], raised[1])
     clear(view(largest, 0, (largest.size,)))
     start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
     system, found = (hessian, left, right, slopes, lacks, start, end), (steps, multipliers, finite, largest)
     own = units, raised, rules[4], work_of(room, rows), factors_of(room, rows)
     solve(calls[AT_SOLVE], (0, 1, system, *own, found, told))
     if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0]):
+        return False
+    if limited and told[0][0] != (count + 1) * n:
         return False
     groups = columns_of(setting, rows)
     points = view(x_of(written, rows), 0, (count, groups[0].size))
@@ -193,6 +270,11 @@ def _stepped(
     for k in range(gap.shape[1]):
         for a in range(n):
             change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
+    parts[0][0], parts[1][0] = 1.0, 1.0
+    if limited:
+        _turned(calls, given, written, rows, rules[5])
+        change[0] = parts[0][0] * (change[0] + turned[0, 2])
+        change[1] = parts[0][0] * change[1] + parts[1][0] * turned[0, 3]
     standing[PROMISED], standing[TURNED] = change[0] / units[2][0], change[1] / units[2][0]
     return True
 
@@ -251,6 +333,14 @@ def _settled(
     return True
 
 
+@pasted
+def _is_for_others(written: np.ndarray, given: np.ndarray, rows: np.ndarray, near: float, rules: tuple) -> bool:
+    """Whether inequalities contradict each other or the ends, or a step jams at them."""
+    barrier, rate, numbers = barrier_of(written, rows)[0], limits_of(given, rows)[1][0], numbers_of(written, rows)
+    left = barrier <= near * rate and numbers[6, 0] <= rules[0] and told_of(written, rows)[3][10, 0] > near
+    return left or turned_of(written, rows)[0][0][0] <= rules[1]
+
+
 @inner
 def _copied(to: np.ndarray, numbers: np.ndarray) -> None:
     """Copy numbers."""
@@ -276,7 +366,8 @@ def pursue(
     It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
     written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0; ``LOST``
     where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near each other;
-    ``ARRIVED`` where a trial meets the conditions whose step was Newton's last; else ``GOING``.
+    ``ARRIVED`` where a trial meets the conditions whose step was Newton's last; ``CHANGED`` where a trial is one that
+    lowers the barrier, and is not gone on from; else ``GOING``.
 
     Trials are written in turn in the first two places, each with the step from there where it was gone on from; in the
     third stands what the pass sets out from, with its step. ``fresh``: a guess stands in the second, and the search
@@ -285,26 +376,39 @@ def pursue(
     ``calls``: addresses; ``programs``, ``memory``: of the tapes, and what they work in; ``vectors``: what stays the
     same, what is given to this pass, and room; ``rows``: where all stands in these (``trial_kernels``); ``rules``: the
     tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of a
-    point's size a coordinate moves at most, by which share sizes differ, and the weight of an elimination; those of
+    point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, and the
+    share of the way to the boundary that a step may go; those of
     ``_leads_on``; those of ``_settled``; a residual that is rounding; from which share on ends are far apart, and what
-    a multiplier is kept within; those of ``survey``; and those of ``measure``.
+    a multiplier is kept within; those of ``survey``; those of ``measure``; the last barrier relative to the tolerance,
+    those of ``lowered``, and a share of a step at which it jams.
     """
     (setting, given, room), done, tolerance = vectors, 0, rules[0]
-    before = places[1] if fresh else places[2]
+    before, limited, changed, told = (
+        places[1] if fresh else places[2],
+        limits_of(given, rows)[0].shape[1] > 0,
+        False,
+        False,
+    )
     while True:
         written = places[2] if fresh else places[done % 2]
+        barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
         if not trial(calls[AT_TRIAL], (calls, programs, memory, before, written, setting, given, rows, rules[6])):
             return done, APART if fresh else FAR
         survey(calls, written, given, rows, rules[7])
         if fresh:
             _first_units(calls, room, setting, given, written, rows, rules[8][2])
         measure(calls, written, setting, given, rows, rules[8])
-        numbers, kept = numbers_of(written, rows), standing_of(written, rows)
+        numbers, kept, reach = numbers_of(written, rows), standing_of(written, rows), turned_of(before, rows)[0][0][0]
         _copied(kept, standing)
         if fresh:
             _set_out(kept, numbers)
-        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], rules):
+        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, rules):
             return done, TRIED
+        if limited:
+            of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
+            changed, told = _lowered(calls, setting, given, written, rows, kept, of)
+            if told:
+                return done, TRIED
         lacking, along = lacking_of(written, rows), along_of(written, rows)
         arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
         last = arrived and kept[ISOLATED] > 0
@@ -313,7 +417,7 @@ def pursue(
             if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
                 return done, LOST
             if refused:
-                return done, TRIED
+                return done, CHANGED if changed else TRIED
         _copied(standing, kept)
         if last:
             return done, ARRIVED
@@ -321,8 +425,9 @@ def pursue(
             done += 1
             if done == most or resting:
                 return done, GOING
+            if limited and _is_for_others(written, given, rows, rules[4][0], (tolerance, rules[9][2])):
+                return done, GOING
             exact = numbers[8, 0] <= rules[5]
             if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):
                 return done, GOING
         fresh, before = False, written
-        parts_of(given, rows)[0][0] = 1.0

@@ -15,11 +15,11 @@ import numpy as np
 
 from ....aligned import LINE, scratch
 from ...evaluator import Evaluated, Placed
-from .barrier import PRICES
+from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, positive_definite, work_shapes
 from .extent import OF_POINTS, Extent
 from .fields import Fields, Place, Shapes
-from .inequalities import KEPT, VALUE, Held, Slacks, Surveyed
+from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Surveyed, Turn
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
 from .residuals import NUMBERS, SHARES, Appraisal
@@ -39,8 +39,8 @@ OUT = (
     *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
     *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
     *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "sums", "zeros"),
-    *("slopes|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
-    *("x/", "u/"),
+    *("driven|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
+    *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier"),
 )
 
 
@@ -113,7 +113,7 @@ class Pursuit(NamedTuple):
     far: bool  # it takes more than a pass
 
 
-NOT_JUDGED = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0
+NOT_JUDGED = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0, 0.0
 SIZES = (FAR, KEPT), (VALUE, PRICES), SHARES
 SETTING_KINDS = {"start_entries": bool, "end_entries": bool, "columns": int, "arrays": int}
 ROOM_KINDS = {"pivots": int, "order": int, "swaps": int, "curved": bool}
@@ -178,26 +178,21 @@ class Trial(ABC):
         self, setting: Setting, conditions: "Conditions", before: tuple[Iterate, Assembled, Step], part: np.ndarray
     ) -> Tried | None:
         """The trial of a part of a step; None where it takes more than this, as where ends of steps are far apart."""
-        (iterate, _, step), to, known = before, self.written.place(), self._known(*before)
-        numbers, v = self._given_for(conditions, part.item())
-        barrier, slacks, turn = conditions.barrier, iterate.slacks, step.turn
-        if self.limited:
-            if slacks is None or barrier is None or turn is None:
-                return None
-            v["least"][...] = conditions.judging.cost  # with a barrier the curvature of the Hessian has no bound
-            v["s"][...], v["nu"][...], v["t"][...], v["price"][...], v["barrier"][...] = slacks
-            v["turn_s"][...], v["turn_nu"][...], v["turn_t"][...] = turn.slacks, turn.multipliers, turn.excess
-            v["dual"][...], v["bounds"][...], v["rate"][...] = turn.dual, barrier.limits, barrier.rate
-            v["weighed"][...] = setting.weights
+        iterate, _, step = before
+        if self.limited and (iterate.slacks is None or step.turn is None):
+            return None
+        to, known = self.written.place(), self._known(*before)
+        known.v["part"][...] = part
+        numbers, _ = self._given_for(conditions, iterate.slacks, setting.weights)
         standing = np.array(Standing(), float)
         _, end = self._run(setting, numbers, [to, to, known], NOT_JUDGED, (standing, 0, False))
-        return None if end == self._kernels.FAR else self._tried(to.v, slacks, setting.weights)
+        return None if end == self._kernels.FAR else self._tried(to.v, iterate.slacks, setting.weights)
 
     def set_out(self, setting: Setting, guess: Iterate, going: tuple[tuple, int]) -> SetOut | None:
         """The guess with its system, units from there, and iterations with whole steps; None where ends of steps are
         far apart; ``going``: rules, and how many iterations at most."""
         places = [self.written.place(), self._known(guess, None, None), self.written.place()]
-        (numbers, v), stands, (rules, most) = self._given_for(None, 0.0), np.array(Standing(), float), going
+        (numbers, v), stands, (rules, most) = self._given_for(None), np.array(Standing(), float), going
         count, end = self._run(setting, numbers, places, rules, (stands, most, True))
         if end == self._kernels.APART:
             return None
@@ -205,7 +200,7 @@ class Trial(ABC):
         if end == self._kernels.LOST:
             return SetOut(first, units, None)
         last = (first, self._step(places[2].v)) if count == 0 else None
-        return SetOut(first, units, self._pursuit(places, count, end, stands, last))
+        return SetOut(first, units, self._pursuit(places, (count, end, stands), last))
 
     def pursue(
         self,
@@ -216,46 +211,64 @@ class Trial(ABC):
     ) -> Pursuit:
         """Iterations with whole steps; ``going``: rules, what stands, and how many at most."""
         (rules, standing, most), places = going, [self.written.place(), self.written.place(), self._known(*before)]
-        stands, (numbers, _) = np.array(standing, float), self._given_for(conditions, 1.0)
+        slacks, stands = before[0].slacks, np.array(standing, float)
+        numbers, _ = self._given_for(conditions, slacks, setting.weights)
         count, end = self._run(setting, numbers, places, rules, (stands, most, False))
-        return self._pursuit(places, count, end, stands, (None, before[2]) if count == 0 else None)
+        last = (None, before[2]) if count == 0 else None
+        return self._pursuit(places, (count, end, stands), last, slacks, setting.weights)
 
     def _pursuit(
-        self, places: list[Place], count: int, end: int, standing: np.ndarray, last: tuple[Tried | None, Step] | None
+        self,
+        places: list[Place],
+        ended: tuple[int, int, np.ndarray],
+        last: tuple[Tried | None, Step] | None,
+        slacks: Slacks | None = None,
+        weights: np.ndarray | None = None,
     ) -> Pursuit:
-        """What was found; ``last``: where it set out from, if it has led nowhere else."""
+        """What was found; ``ended``: after how many steps and how, and what stands then; ``last``: where it set out
+        from, if it has led nowhere else."""
+        (count, end, standing), kinds = ended, self._kernels
         if last is None:
             written = places[(count - 1) % 2].v
-            last = self._tried(written), self._step(written)
-        kinds = self._kernels
-        ahead = self._tried(places[count % 2].v) if end in (kinds.TRIED, kinds.ARRIVED) else None
+            last = self._tried(written, slacks, weights), self._step(written)
+        is_tried = end in (kinds.TRIED, kinds.ARRIVED)
+        ahead = self._tried(places[count % 2].v, slacks, weights) if is_tried else None
         return Pursuit(count, *last, Standing(*standing.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
 
     def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> Place:
         """What a trial sets out from; without a step, the iterate where it stays."""
         place, unknowns = self.written.place(), iterate.unknowns
         v = place.v
-        v["x"][...], v["u"][...] = unknowns.centres, unknowns.controls
+        v["x"][...], v["u"][...], v["barrier"][...] = unknowns.centres, unknowns.controls, 0.0
         if assembled is None or step is None:  # each covector is the first vector of a frame
             for name in ("coordinates", "frames", "multipliers"):
                 v[name][...] = 0.0
-            v["coordinates"][:, :, 0], v["frames"][:, :, 0] = 1.0, iterate.costates
+            v["coordinates"][:, :, 0], v["frames"][:, :, 0], v["part"][...] = 1.0, iterate.costates, 0.0
         else:
             v["coordinates"][...], v["frames"][...] = assembled.coordinates, assembled.frames
-            v["steps"][...], v["multipliers"][...] = step.unknowns, step.multipliers
+            v["steps"][...], v["multipliers"][...], v["part"][...] = step.unknowns, step.multipliers, step.reach
+        if iterate.slacks is not None and step is not None and step.turn is not None:
+            v["s"][...], v["nu"][...], v["t"][...], _, v["barrier"][...] = iterate.slacks
+            v["turn_s"][...], v["turn_nu"][...], v["turn_t"][...], _, v["dual"][...], *_ = step.turn
         self.put(v, iterate, assembled, step)
         return place
 
-    def _given_for(self, conditions: "Conditions | None", part: float) -> Place:
+    def _given_for(
+        self, conditions: "Conditions | None", slacks: Slacks | None = None, weights: np.ndarray | None = None
+    ) -> Place:
         """What is given to a pass, of which the units are known if there are conditions."""
         given = self._given.place()
         v = given.v
-        v["least"][...], v["raised"][...], v["barrier"][...], v["rate"][...], v["part"][...] = 0.0, 0.0, 0.0, 1.0, part
+        v["least"][...], v["raised"][...], v["rate"][...] = 0.0, 0.0, 1.0
         if conditions is not None:
             judging, measured = conditions.judging, conditions.measured
             v["nodes"][...], v["unknowns"][...] = judging.nodes, judging.unknowns
             v["wide_nodes"][...], v["wide"][...] = measured.nodes, measured.unknowns
             v["inverse"][...], v["unit"][...], v["cost"][...] = 1 / measured.nodes, measured.cost, measured.cost
+            if slacks is not None and conditions.barrier is not None:
+                v["least"][...] = judging.cost  # with a barrier the curvature of the Hessian has no bound
+                v["price"][...], v["weighed"][...] = slacks.price, weights
+                v["rate"][...], v["bounds"][...] = conditions.barrier
         return given
 
     def _run(
@@ -277,7 +290,7 @@ class Trial(ABC):
             tuple([place.numbers for place in places]),
             (setting.numbers, given, room),
             self._rows,
-            (rules[0], judge, (*steps, self._weight), *others, *SIZES),
+            (rules[0], judge, (*steps, self._weight, BOUNDARY), *others[:-1], *SIZES, (LAST, LOWERING, others[-1])),
             *going,
         )
 
@@ -286,7 +299,7 @@ class Trial(ABC):
         held = None
         if slacks is not None and weights is not None:
             held = Held(v["limits"], v["pushes"], weights)
-            slacks = Slacks(v["s"], v["nu"], v["t"], slacks.price, slacks.barrier)
+            slacks = Slacks(v["s"], v["nu"], v["t"], slacks.price, v["barrier"])
         (unknowns, blocks), extent = self.found(v, held), Extent(*[v[name] for name in Extent._fields])
         at = v["gap"], v["gap"], v["frames"], v["coordinates"], v["nodes"], v["costates"], v["cost"]
         assembled = Assembled(blocks, *at, (None, None), v["largest"], extent)
@@ -296,10 +309,12 @@ class Trial(ABC):
     def _step(self, v: Any) -> Step:
         """The step that the kernel has written."""
         count, (negative, smallest) = v["multipliers"].size, (v["negative"], v["smallest"])
-        every, inner = np.ones(1, bool), self.inner(v)
+        every, inner, turn = np.ones(1, bool), self.inner(v), None
         inertia = positive_definite(negative, smallest, count), negative == count
         whole = v["steps"], v["multipliers"], v["grown"]
-        return Step(*whole, *inertia, every, inner, share=np.ones(1), followed=np.ones(1))
+        if self.limited:
+            turn = Turn(v["turn_s"], v["turn_nu"], v["turn_t"], *v["turned"].T)
+        return Step(*whole, *inertia, every, inner, turn, share=np.ones(1), followed=np.ones(1))
 
 
 def _programs(programs: list[Placed]) -> tuple[np.ndarray, np.ndarray, int]:
@@ -326,16 +341,18 @@ def _programs(programs: list[Placed]) -> tuple[np.ndarray, np.ndarray, int]:
     return vector, fields.rows(zip(sizes, (part.shape for part in parts), strict=True)), memory
 
 
-def common_rows(fields: Fields, others: dict[str, tuple[str, tuple[int, ...]]]) -> np.ndarray:
-    """The rows of ``OUT``; ``others``: what stands in the place of something else."""
-    shapes = fields.shapes
-    known = {name: (name, shape) for name, shape in shapes.items()} | others
+def common_rows(fields: Fields) -> np.ndarray:
+    """The rows of ``OUT``."""
+    known = {name: (name, shape) for name, shape in fields.shapes.items()}
     for name, (first, shape) in tuple(known.items()):
         known |= {
             f"{name}.": (first, (*shape[:2], 1, *shape[2:])),
             f"{name}|": (first, (*shape, 1)),
             f"{name}/": (first, (math.prod(shape),)),
         }
+    for name, first in (("driven", "slopes"), ("lacks", "gap")):
+        for sign in ("", "|"):
+            known.setdefault(f"{name}{sign}", known[f"{first}{sign}"])
     known["zeros"] = "surveyed", (fields.size - fields.begins["surveyed"],)
     return fields.rows(known[name] for name in OUT)
 
@@ -349,7 +366,8 @@ def _written(steps: Any, count: int) -> Shapes:
         "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
         "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
         "change": (2,), "standing": (len(Standing._fields),), **dict.fromkeys(TOLD, (1,)),
-        "s": (*each, 1, c), "nu": (*each, 1, c), "t": (*each, 1, c),
+        **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), (*each, 1, c)),
+        "part": (1,), "dual": (1,), "turned": (1, 4), "barrier": (1,), **({"driven": (*each, z)} if c else {}),
         "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         "points": (1, OF_POINTS, n),
         # These come as zeros.
@@ -376,9 +394,7 @@ def _given(steps: Any, count: int) -> Shapes:
     return {
         "nodes": (1, n), "unknowns": (1, z), "least": (1,), "wide_nodes": (1, n), "unit": (1,),
         "wide": (1, z), "inverse": (1, n), "cost": (1,), "raised": (1,), "scales": (1, z),
-        "s": each, "nu": each, "t": each, "price": each, "barrier": (1,),
-        "turn_s": each, "turn_nu": each, "turn_t": each, "part": (1,), "dual": (1,),
-        "bounds": (1, c), "rate": (1,), "room": (c,), "weighed": each,
+        "price": each, "bounds": (1, c), "rate": (1,), "room": (c,), "weighed": each,
     }  # fmt: skip
 
 

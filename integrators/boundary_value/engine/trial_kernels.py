@@ -38,21 +38,24 @@ def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
 
 
 # What a pass takes and gives, each in one vector. What it gives, in the order of ``trial.OUT``:
-(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, unknowns_of), _after = laid_parts(
-    (F3, F3, F2, F1, F4, F3, F3, F3),
-    (F3, F3, array(2, TRUTH), F2),
-    (F4, F4, F4, F3, F3),
-    (F5, F4, F4, F5, F2, F1),
-    EXTENT,
-    (F2, F2, F2, F2, F3),
-    ((F4, F4, F4), F5, F2, F1),
-    (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
-    (F1, F1),
-    after=0,
+(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, unknowns_of, turned_of), _after = (
+    laid_parts(
+        (F3, F3, F2, F1, F4, F3, F3, F3),
+        (F3, F3, array(2, TRUTH), F2),
+        (F4, F4, F4, F3, F3),
+        (F5, F4, F4, F5, F2, F1),
+        EXTENT,
+        (F2, F2, F2, F2, F3),
+        ((F4, F4, F4), F5, F2, F1),
+        (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
+        (F1, F1),
+        ((F1, F1), (F4, F4, F4), F2, F1),
+        after=0,
+    )
 )
 # What of these is asked for alone.
-cost_of, standing_of, x_of, u_of, covectors_of, change_of = (
-    laid(F1, OUT.index(name)) for name in ("cost", "standing", "x/", "u/", "covectors", "change")
+cost_of, standing_of, x_of, u_of, covectors_of, change_of, barrier_of = (
+    laid(F1, OUT.index(name)) for name in ("cost", "standing", "x/", "u/", "covectors", "change", "barrier")
 )
 along_of, numbers_of, grown_of, lacking_of, curvature_of, sizes_of, largest_of, costs_of, line_of = (
     laid(F2, OUT.index(name))
@@ -75,17 +78,9 @@ spread_of = laid((F2, F2, F3), OUT.index("highest"))
     (F1, F1, F2, F1), F1, (F2, F2, FLAGS, FLAGS), (INDICES, INDICES), F1, after=_after
 )
 # What is given to a pass: units of success and of steps, in the orders of ``measure`` and of an elimination, and what
-# raises Hessians; slacks, their steps, parts of these; units, room, and weights of the inequalities.
-(units_of, wide_of, raising_of, slacks_of, turn_of, parts_of, limits_of, weights_of), _after = laid_parts(
-    (F2, F2, F1, F2, F1),
-    (F2, F2, F1),
-    (F1, F2),
-    (F4, F4, F4, F4, F1),
-    (F4, F4, F4),
-    (F1, F1),
-    (F2, F1, F1),
-    F4,
-    after=_after,
+# raises Hessians; prices, units, room, and weights of the inequalities.
+(units_of, wide_of, raising_of, price_of, limits_of, weights_of), _after = laid_parts(
+    (F2, F2, F1, F2, F1), (F2, F2, F1), (F1, F2), F4, (F2, F1, F1), F4, after=_after
 )
 # What an elimination works in; and what units are found in.
 (work_of, factors_of, unit_work_of, unit_sizes_of), AFTER = laid_parts(
@@ -97,10 +92,11 @@ spread_of = laid((F2, F2, F3), OUT.index("highest"))
 )  # the rows of what a transcription has for itself stand after these
 
 # Which address is whose; those from ``AT_OWN`` on are for what a transcription has for itself.
-AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_HELD_SURVEY, AT_RAISE, AT_SOLVE, AT_UNITS, AT_TRIAL, AT_COMPLETE, AT_OWN = (
+AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_HELD_SURVEY, AT_RAISE, AT_TURN, AT_SOLVE, AT_UNITS, AT_TRIAL, AT_COMPLETE = (
     range(11)
 )
-ADDRESSES = types.UniTuple(WHOLE, 14)
+AT_OWN = 11
+ADDRESSES = types.UniTuple(WHOLE, 15)
 # A trial, from what was written before to what it writes: whether ends of steps are near each other.
 TRIAL = signature(TRUTH, ADDRESSES, INDICES, F1, F1, F1, F1, F1, PLACES, types.UniTuple(REAL, 2))
 COMPLETE = signature(types.none, ADDRESSES, F1, F1, PLACES)
@@ -139,6 +135,7 @@ HELD_SURVEY = signature(
     types.none, WHOLE, WHOLE, HELD, FIVE, types.Tuple((F2, F1, F1)), REAL, types.UniTuple(REAL, 3), F2
 )
 RAISE = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F5, F4, F5)
+TURN = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F4, REAL, THREE, F2)
 MOVE = signature(types.none, WHOLE, WHOLE, FIVE, THREE, types.UniTuple(F1, 2), REAL, THREE)
 SOLVE = signature(
     types.none,
@@ -157,7 +154,7 @@ SOLVE = signature(
 solve, trial, complete, units_by = map(called, (SOLVE, TRIAL, COMPLETE, UNITS))
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
-_held_survey, _raise = called(HELD_SURVEY), called(RAISE)
+_raise, held_survey, turn = called(RAISE), called(HELD_SURVEY), called(TURN)
 
 
 @cache
@@ -166,6 +163,7 @@ def addresses(limited: bool) -> tuple[int, ...]:
     of_limits = (
         limited and address(inequality_kernels.survey, HELD_SURVEY),
         limited and address(inequality_kernels.raise_points, RAISE),
+        limited and address(inequality_kernels.turn, TURN),
     )
     return (
         address(machine.run, machine.RUN),
@@ -250,10 +248,17 @@ def put_ends(read: np.ndarray, at: int, nodes: np.ndarray, costates: np.ndarray)
 
 
 @pasted
+def slacks_of(written: np.ndarray, given: np.ndarray, rows: np.ndarray) -> tuple:
+    """Slacks, multipliers and excesses that are written, their prices, and the barrier."""
+    s, nu, t = held_of(written, rows)[0]
+    return s, nu, t, price_of(given, rows), barrier_of(written, rows)
+
+
+@pasted
 def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarray, sizes: tuple) -> None:
     """What is largest in what is written, with the shares of the inequalities in the blocks; ``sizes``: what measures
     values and prices of inequalities."""
-    (new, pushed, sums, zeros), limits, extent = (
+    (_, pushed, sums, zeros), limits, extent = (
         held_of(written, rows),
         limits_of(given, rows),
         extent_of(written, rows),
@@ -266,11 +271,10 @@ def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarra
     for k in range(costs.size):
         cost[0] += costs[0, k]
     if limits[0].shape[1] > 0:
-        _, _, _, price, barrier = slacks_of(given, rows)
-        held_by, after = (values, pushes, weights_of(given, rows)), (new[0], new[1], new[2], price, barrier)
-        _raise(calls[AT_RAISE], (0, 1, held_by, after, points_hessian, points_slope, pushed))
+        held, slacks = (values, pushes, weights_of(given, rows)), slacks_of(written, given, rows)
+        _raise(calls[AT_RAISE], (0, 1, held, slacks, points_hessian, points_slope, pushed))
         told = told_of(written, rows)[3]
-        _held_survey(calls[AT_HELD_SURVEY], (0, 1, held_by, after, limits, sizes[0], sizes[1], told))
+        held_survey(calls[AT_HELD_SURVEY], (0, 1, held, slacks, limits, sizes[0], sizes[1], told))
     trajectory = (
         nodes_of(written, rows),
         frames_of(written, rows),
@@ -288,7 +292,8 @@ def measure(
     along, entries, numbers, surveyed, points = told_of(written, rows)
     highest, lowest, support, _, missing, lacking, total, parts, slopes, curvature = extent_of(written, rows)
     of = highest, lowest, support, missing, lacking, total, parts, slopes, curvature
-    limits = surveyed, slacks_of(given, rows)[4], limits_of(given, rows)[1]
+    limits = surveyed, barrier_of(written, rows), limits_of(given, rows)[1]
     trajectory = largest_of(written, rows), mean_of(setting, rows), cost_of(written, rows)
     found = along, entries, numbers
+    clear(view(numbers, 0, (numbers.size,)))
     _measure(calls[AT_MEASURE], (of, points, trajectory, units_of(given, rows), limits, shares, found))
