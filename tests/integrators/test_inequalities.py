@@ -285,6 +285,22 @@ def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
     assert np.all(np.diff(many.cost / factors**2) > 0)
 
 
+@pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-6, 0.05])
+@pytest.mark.parametrize("radius", [0.1, 0.45])
+def test_a_guess_through_the_middle_of_an_obstacle_is_led_around(radius, beside):
+    """As much speaks for either side there: the path is as long as those around from beside, and is one of them."""
+    around = {"disk": lambda q, u: radius**2 - jnp.sum((q - jnp.array([0.5, beside])) ** 2)}
+    problem = OptimalControlProblem(PLANE, lambda q, u: u, lambda q, u: u @ u / 2, 2, constraints=around)
+    found = solve(problem, Midpoint(Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 20)
+    # Straight lines to the disk and an arc around it, at one speed.
+    tangents = np.hypot(0.5, beside) ** 2 - radius**2
+    angle = np.pi - 2 * np.arctan2(beside, 0.5) - 2 * np.arccos(radius / np.hypot(0.5, beside))
+    length = 2 * np.sqrt(tangents) + radius * angle
+    assert found.cost == pytest.approx(length**2 / 2, rel=2e-2)
+    assert found.checks.strict_minimum
+    assert np.all(np.sum((found.stage_states - np.array([0.5, beside])) ** 2, axis=1) >= radius**2 - 1e-7)
+
+
 def test_random_slews_with_limits_are_solved_or_impossible():
     """By shares of the largest torque of the slews without limits: a turn about one axis needs two thirds of it."""
     body, rng, count = SO(3) * Euclidean(3), np.random.default_rng(5), 40

@@ -35,16 +35,19 @@ def newton(
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
     one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and
     the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
-    they have to. Where inequalities contradict each other near the guess, or the ends, the trajectory that violates
-    them least is a guess once more: its jam may be of the way there. Success is judged in units of the guess; where
-    the cost is another one at the solution, that is a guess once more.
+    they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
+    inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
+    once more: its jam may be of the way there. Success is judged in units of the guess; where the cost is another one
+    at the solution, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
         moved, held = aside(conditions, *search.first)
-        found = _again(search, found, moved, np.flatnonzero(failed & held))
+        slacks = search.first[0].slacks
+        violated = np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
+        found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)
     found = _again(search, found, found.iterate.bare, jammed)
     for _ in range(AGAIN):
