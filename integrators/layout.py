@@ -59,10 +59,6 @@ class Layout:
         """The entries of the vectors of a frame, shape ``(n, size)``, in a function that is traced."""
         return jax.vmap(self.flat)(frame)
 
-    def in_their_columns(self, entries: np.ndarray) -> np.ndarray:
-        """The largest of the sizes of the entries in the column that each is in, along the last axis."""
-        return np.max(self.in_columns * entries[..., None, :], axis=-1, initial=0.0)[..., self.columns]
-
     def rows(self, points: Ambient, axes: int) -> np.ndarray:
         """NumPy array with the entries along the last axis from points with some leading axes."""
         return self._rows([np.asarray(leaf) for leaf in jax.tree.leaves(points)], axes)

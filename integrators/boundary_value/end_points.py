@@ -92,8 +92,8 @@ def _of_parts(marks: Sequence[bool], parts: tuple[Part, ...], what: str) -> np.n
 class EndPoints(NamedTuple):
     """Ends of trajectories as flat points, shape (B, E), or (1, E) for all, and what is prescribed of each.
 
-    What is free at one end is as at the other where that is prescribed, else as it is guessed with ``Free``; the
-    entries of which neither end says anything are ``unknown``.
+    What is free at one end is as it is guessed with ``Free``, else as at the other; the entries of which neither end
+    says anything are ``unknown``.
     """
 
     start: np.ndarray
@@ -138,8 +138,7 @@ class EndReader:
         last, end_rows = self._read(end, "end", batched)
         if first.whole and last.whole and len(start_rows) == len(end_rows):
             return EndPoints(start_rows, end_rows, (first, last), np.zeros(self.layout.size, bool))
-        own = first.entries | (first.known & ~last.entries), last.entries | (last.known & ~first.entries)
-        rows = np.where(own[0], start_rows, end_rows), np.where(own[1], end_rows, start_rows)
+        rows = np.where(first.known, start_rows, end_rows), np.where(last.known, end_rows, start_rows)
         return EndPoints(*rows, (first, last), ~(first.known | last.known))
 
     def point(self, given: Any) -> np.ndarray:

@@ -4,11 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Guess, OptimalControlProblem, Solver, default_guess, solve
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
 from retrax.manifolds import DomainError, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+from scipy.spatial.transform import Rotation
 
-from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation
+from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation, spacecraft
 
 START, END = (IDENTITY, REST), (SLEW_END, REST)
 METHOD = Midpoint(Cayley(RIGID))
@@ -114,3 +115,20 @@ def test_gaps_through_the_length_at_which_they_are_measured_along_arcs(place):
         assert solution.cost == pytest.approx(solver.solve(start, end, 1.0).cost, rel=1e-10)
         counts.append(solution.statistics.iterations)
     assert max(counts) <= 6
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0, -0.5])
+def test_a_free_end_is_guessed_where_it_is_said(share):
+    """From the target itself, by half of the way there, to the other way round; without a guess it is the start."""
+    way = np.array([0.0, 0.0, 2.5])
+    start, guessed = ((Rotation.from_rotvec(turn).as_matrix(), np.zeros(3)) for turn in (way, (1 - share) * way))
+    problem = OptimalControlProblem(
+        RIGID, spacecraft, half_square, 3, terminal_cost=lambda q: 50 * (3 - jnp.trace(q[0])) + 50 * q[1] @ q[1]
+    )
+    method = Midpoint(Cayley(RIGID))
+    for end in ((Free(guessed[0]), None), (Free(guessed[0]), Free(guessed[1]))):
+        last = default_guess(problem, method, start, end, 20).states[0][-1]
+        middle = Rotation.from_matrix(guessed[0]) * Rotation.from_matrix(last).inv()
+        assert middle.magnitude() <= 2.5 * abs(share) / 20 + 1e-12
+    last = default_guess(problem, method, start, None, 20).states[0][-1]
+    np.testing.assert_allclose(last, start[0], atol=1e-12)

@@ -55,7 +55,7 @@ def test_an_end_is_swept_from_above_the_start_to_far_beside_it(upwards, beside):
 
 @pytest.mark.parametrize("beside", [10.0**-5.5, 10.0**-4.5, 1e-4])
 def test_a_family_met_loosely_is_not_left_where_the_next_step_ends_beside_the_end(upwards, beside):
-    """Where all is met to the tolerance, what a step lacks afterwards is the square of its size: from there it moves."""
+    """Where all is met to the tolerance, a step lacks the square of its size afterwards: from there it moves."""
     found = upwards.solve(np.zeros(3), np.array([beside, 0.0, 1.0]), 1.0, max_iterations=150, tolerance=1e-4)
     assert found.cost == pytest.approx(LEAST, rel=1e-2)
 

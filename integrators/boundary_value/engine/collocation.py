@@ -116,9 +116,10 @@ class Collocation:
 
         if self.inequalities:
             return None
-        if self._trial is None or self._trial[0] != count:
-            self._trial = count, CollocationTrial.of(self, nodes, count)
-        return self._trial[1]
+        known = self._trial
+        if known is None or known[0] != count:
+            known = self._trial = count, CollocationTrial.of(self, nodes, count)
+        return known[1]
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -6,6 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
+from ...evaluator import Placed
 from .arrays import whole
 from .collocation import Collocation, GaussUnknowns, Inner
 from .condensing import Ends, Points
@@ -13,7 +14,7 @@ from .fields import Fields, Shapes
 from .inequalities import Held
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes
-from .trial import Called, Placed, Trial, common_rows
+from .trial import Called, Trial, common_rows
 
 # What its kernels work with, in the order of ``collocation_kernels.ARRAYS``: of all steps, or where there is a dot of
 # the trajectory; with an axis for one column where there is a bar, the last two axes in one where there is a sign of
@@ -24,7 +25,7 @@ OWN = (
     *("hessian_of", "left_of", "right_of", "pull|"),
     *("factors", "swaps", "maps"),
     *("hessian", "left", "right", "slopes|", "before|", "after|"),
-    *("slope_at", "gradient_at", "pull", "sloped=", "paid=", "whole", "gradient"),
+    *("slope_at", "gradient_at", "pull", "sloped=", "inner_gradient=", "whole", "gradient"),
     *("defect.", "multipliers_at.", "sloped.", "weights."),
     *("equations", "mapped", "images", "pivots", "total"),
     *("steps", "slope_at", "pull", "e", "right_side", "pulled", "dnu=", "dlambda="),
@@ -71,7 +72,7 @@ class CollocationTrial(Trial):
             "velocities": (*inner, n), "covectors_at": (*inner, e), "xi": (*inner, n), "eta": (*each, n),
             "weights": inner, "factors": (*each, p, p), "swaps": (*each, p), "maps": (*each, p, width),
             "hessian": (*each, z, z), "left": (*each, n, z), "right": (*each, n, z), "slopes": (*each, z),
-            "before": (*each, n), "after": (*each, n), "sloped": (*inner, n), "paid": (*inner, n),
+            "before": (*each, n), "after": (*each, n), "sloped": (*inner, n), "inner_gradient": (*inner, n),
             "whole": (*each, z), "gradient": (*each, z), "costs": each, "lacks": (*at, n),
             "dnu": (*inner, n), "dlambda": (*inner, n),
             "equations": (1, p, whole(p) + width), "mapped": (1, q, width), "images": (1, q, width),
@@ -103,7 +104,7 @@ class CollocationTrial(Trial):
         ends = Ends(v["hessian_of"], v["left_of"], v["right_of"], v["pull"][..., None])
         kept = v["factors"], v["swaps"].view(int), v["maps"]
         lacking = v["defect"], v["multipliers_at"], v["sloped"], v["points"]
-        inner = Inner(v["before"], v["after"], *lacking, v["paid"], v["frames_at"], points, ends, kept)
+        inner = Inner(v["before"], v["after"], *lacking, v["inner_gradient"], v["frames_at"], points, ends, kept)
         blocks = Blocks(v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"], inner)
         return GaussUnknowns(v["x"], v["velocities"], v["u"], v["covectors_at"]), blocks
 

@@ -44,7 +44,7 @@ class Points(NamedTuple):
 @final
 class Ends(NamedTuple):
     """At both ends of each step, in ``(dx, deta)``, ``eta = h sum_j b_j nu_j``: derivatives of the Lagrangian and of
-    the ends."""
+    the ends. Hessians are symmetric."""
 
     hessian: Float[np.ndarray, "B N 2n 2n"]
     left: Float[np.ndarray, "B N n 2n"]

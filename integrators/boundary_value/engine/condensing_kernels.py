@@ -218,7 +218,7 @@ def expand(
             nu[i], x[i] = kept[2][t, i, column], 0.0
             for j in range(w.shape[1]):
                 nu[i] += kept[2][t, i, j] * w[t, j]
-        for c in range(2 * n):
+        for c in range(n, 2 * n):  # the rows of what was condensed
             pull[c] = pulls[t, c]
             for a in range(n):
                 pull[c] += ends[1][t, a, c] * before[t, a] - ends[2][t, a, c] * after[t, a]

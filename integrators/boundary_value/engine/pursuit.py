@@ -26,7 +26,11 @@ def set_out(
     conditions: "Conditions", guess: Iterate, most: int, tolerance: float
 ) -> tuple[State | None, int, tuple[Iterate, Assembled]] | None:
     """The state after whole steps from a guess, if the first is one, how many trials that took, and the guess with its
-    system, from which units are taken; None where it has no compiled pass."""
+    system, from which units are taken.
+
+    None where there is no compiled pass for it, as with inequalities, whose slacks are to be found first, or where ends
+    of its steps are far apart.
+    """
     if conditions.joint or conditions.transcription.inequalities or guess.slacks is not None:
         return None
     if not conditions.at_nodes.flat_controls or (setting := conditions.setting) is None:

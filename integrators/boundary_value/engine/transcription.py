@@ -136,9 +136,10 @@ class OneStage:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
         from .one_stage_trial import OneStageTrial
 
-        if self._trial is None or self._trial[0] != count:
-            self._trial = count, OneStageTrial.of(self, nodes, count)
-        return self._trial[1]
+        known = self._trial
+        if known is None or known[0] != count:
+            known = self._trial = count, OneStageTrial.of(self, nodes, count)
+        return known[1]
 
     def ends(self, unknowns: Unknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""

@@ -279,7 +279,8 @@ class Trial(ABC):
         rules: tuple,
         going: tuple[np.ndarray, int, bool],
     ) -> tuple[int, int]:
-        """Run the kernel: how many steps were taken, and how it ends."""
+        """Run the kernel: how many steps were taken, and how it ends; ``places``: two in which trials are written, and
+        what the pass sets out from, or its guess in the second one, and the system there."""
         memory, room = scratch(((self._memory,), (self._room.size,)))
         room[: self._room.begins["kept"]] = 0.0  # others work there too
         judge, steps, *others = rules[1:]

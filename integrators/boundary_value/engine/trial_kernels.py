@@ -38,20 +38,18 @@ def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
 
 
 # What a pass takes and gives, each in one vector. What it gives, in the order of ``trial.OUT``:
-(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, unknowns_of, turned_of), _after = (
-    laid_parts(
-        (F3, F3, F2, F1, F4, F3, F3, F3),
-        (F3, F3, array(2, TRUTH), F2),
-        (F4, F4, F4, F3, F3),
-        (F5, F4, F4, F5, F2, F1),
-        EXTENT,
-        (F2, F2, F2, F2, F3),
-        ((F4, F4, F4), F5, F2, F1),
-        (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
-        (F1, F1),
-        ((F1, F1), (F4, F4, F4), F2, F1),
-        after=0,
-    )
+(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, _, turned_of), _after = laid_parts(
+    (F3, F3, F2, F1, F4, F3, F3, F3),
+    (F3, F3, array(2, TRUTH), F2),
+    (F4, F4, F4, F3, F3),
+    (F5, F4, F4, F5, F2, F1),
+    EXTENT,
+    (F2, F2, F2, F2, F3),
+    ((F4, F4, F4), F5, F2, F1),
+    (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
+    (F1, F1),
+    ((F1, F1), (F4, F4, F4), F2, F1),
+    after=0,
 )
 # What of these is asked for alone.
 cost_of, standing_of, x_of, u_of, covectors_of, change_of, barrier_of = (
