@@ -36,11 +36,11 @@ from .trial_kernels import (
     meet_ends,
     multipliers_of,
     nodes_of,
+    part_of,
     point_survey_of,
     programs_of,
     put_ends,
     read_by,
-    turned_of,
 )
 from .vectors import compiled, inner
 
@@ -212,7 +212,7 @@ def trial(
     """The condensed system after a part of a step; whether the ends of the steps are near each other, else there is
     none; see ``one_stage_kernels.trial``."""
     codes, registers, values, sources, targets, table = programs_of(programs, rows)
-    tapes, part = (codes, registers, values, sources, targets, table, memory, written), turned_of(before, rows)[0][0][0]
+    tapes, part = (codes, registers, values, sources, targets, table, memory, written), part_of(before, rows)[0]
     lengths, run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
     frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
     covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)

@@ -25,6 +25,7 @@ from .trial_kernels import (
     meet_ends,
     multipliers_of,
     nodes_of,
+    part_of,
     point_survey_of,
     programs_of,
     put_ends,
@@ -80,7 +81,7 @@ def trial(
     multiplier is kept within; see ``pursuit_kernels.pursue`` for the others.
     """
     codes, registers, values, sources, targets, table = programs_of(programs, rows)
-    tapes, part = (codes, registers, values, sources, targets, table, memory, written), turned_of(before, rows)[0][0][0]
+    tapes, part = (codes, registers, values, sources, targets, table, memory, written), part_of(before, rows)[0]
     (h, parameters, _, _), run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
     frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
     covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)

@@ -5,12 +5,33 @@ import numpy as np
 
 from ....kernels import pasted
 from ....linked import view
+from . import limit_kernels, trial_kernels
 from .acceptance_kernels import judged
 from .extent_kernels import find_moves, larger, left_over
-from .inequality_kernels import lowered
+from .limit_kernels import (
+    BEST,
+    CHEAP,
+    CORRECTION,
+    COST,
+    FIRST,
+    FUNNEL,
+    HELD,
+    ISOLATED,
+    LESS,
+    MISSING,
+    PROMISED,
+    TURNED,
+    drive,
+    is_jammed,
+    lower,
+    set_out,
+    turn,
+)
 from .trial_kernels import (
     AT_COMPLETE,
-    AT_HELD_SURVEY,
+    AT_DRIVE,
+    AT_JAMMED,
+    AT_LOWER,
     AT_SOLVE,
     AT_TRIAL,
     AT_TURN,
@@ -23,54 +44,47 @@ from .trial_kernels import (
     complete,
     cost_of,
     curvature_of,
+    dual_of,
     factors_of,
     fixed_of,
     found_of,
     gap_of,
     grown_of,
-    held_of,
-    held_survey,
     lacking_of,
     lacks_of,
-    limits_of,
     line_of,
     measure,
     numbers_of,
-    raised_of,
+    part_of,
+    price_of,
     raising_of,
     sizes_of,
-    slacks_of,
     solve,
     spread_of,
     standing_of,
     steps_of,
     survey,
-    told_of,
     trial,
-    turn,
-    turned_of,
     u_of,
     unit_sizes_of,
     unit_work_of,
     units_by,
     units_of,
-    weights_of,
+    way_of,
     wide_of,
     work_of,
     x_of,
 )
 from .vectors import compiled, inner
 
+NO_LIMITS = (0,) * 7
+
 FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED = range(7)  # how a pass ends
-# What stands between the trials of a pass.
-PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED = range(10)
 
 
-@inner
-def _set_out(standing: np.ndarray, numbers: np.ndarray) -> None:
-    """The merit where a search begins, and a funnel as wide."""
-    standing[MISSING], standing[COST], standing[HELD] = numbers[9, 0], numbers[10, 0], numbers[11, 0]
-    standing[FUNNEL], standing[BEST], standing[FIRST] = max(numbers[9, 0], 1.0), numbers[8, 0], 1.0
+def addresses(limited: bool) -> tuple[int, ...]:
+    """Where the kernels stand in this process that all passes call; those of inequalities only if there are any."""
+    return *trial_kernels.addresses(), *(limit_kernels.addresses() if limited else NO_LIMITS)
 
 
 @inner
@@ -163,62 +177,6 @@ def _first_units(
 
 
 @pasted
-def _lowered(
-    calls: tuple,
-    setting: np.ndarray,
-    given: np.ndarray,
-    written: np.ndarray,
-    rows: np.ndarray,
-    standing: np.ndarray,
-    rules: tuple,
-) -> tuple[bool, bool]:
-    """Lower the barrier while its problem is solved, and measure anew what depends on it: whether that was so, and
-    whether excesses are too cheap for it."""
-    (tolerance, last, own, sizes, shares), barrier, numbers = (
-        rules,
-        barrier_of(written, rows),
-        numbers_of(written, rows),
-    )
-    surveyed, limits = told_of(written, rows)[3], limits_of(given, rows)
-    rate = limits[1][0] * max(surveyed[7, 0], 1.0)
-    found, before = (surveyed[2, 0], surveyed[3, 0], surveyed[8, 0]), barrier[0]
-    lower, told = lowered(before, rate, last * tolerance * limits[1][0] / rate, found, numbers[6, 0], tolerance, own)
-    if told or lower == before:
-        return False, told
-    barrier[0] = lower
-    clear(view(surveyed, 0, (surveyed.size,)))
-    _, _, values, pushes, _, _ = raised_of(written, rows)
-    held = values, pushes, weights_of(given, rows)
-    held_survey(
-        calls[AT_HELD_SURVEY], (0, 1, held, slacks_of(written, given, rows), limits, sizes[0], sizes[1], surveyed)
-    )
-    measure(calls, written, setting, given, rows, shares)
-    _set_out(standing, numbers)
-    standing[FIRST] = 0.0
-    return True, False
-
-
-@pasted
-def _driven(written: np.ndarray, rows: np.ndarray) -> None:
-    """The slopes with the share of the inequalities at their barrier."""
-    pushed, barrier, slopes = held_of(written, rows)[1], barrier_of(written, rows)[0], found_of(written, rows)[0]
-    for k in range(slopes.shape[1]):
-        for i in range(slopes.shape[2]):
-            slopes[0, k, i, 0] = pushed[0, k, 0, i, 0] + barrier * pushed[0, k, 0, i, 1]
-
-
-@pasted
-def _turned(calls: tuple, given: np.ndarray, written: np.ndarray, rows: np.ndarray, share: float) -> None:
-    """The steps of slacks, multipliers and excesses, and how far these may go."""
-    _, _, values, pushes, _, _ = raised_of(written, rows)
-    (part, dual), moves, found, _ = turned_of(written, rows)
-    held, steps = (values, pushes, weights_of(given, rows)), steps_of(written, rows)
-    ways = view(steps, 0, (1, steps.shape[1], 1, steps.shape[2]))
-    turn(calls[AT_TURN], (0, 1, held, slacks_of(written, given, rows), ways, share, moves, found))
-    part[0], dual[0] = found[0, 0], found[0, 1]
-
-
-@pasted
 def _stepped(
     calls: tuple,
     room: np.ndarray,
@@ -238,9 +196,9 @@ def _stepped(
         raising_of(given, rows),
         fixed_of(setting, rows),
     )
-    limited, (parts, _, turned, _) = limits_of(given, rows)[0].shape[1] > 0, turned_of(written, rows)
+    limited, part, dual = price_of(given, rows).shape[3] > 0, part_of(written, rows), dual_of(written, rows)
     if limited:  # with a barrier the curvature of the Hessian has no bound
-        _driven(written, rows)
+        drive(calls[AT_DRIVE], (written, rows))
         for i in range(curvature.shape[1]):
             raised[1][0, i] = 1.0
     else:
@@ -270,11 +228,12 @@ def _stepped(
     for k in range(gap.shape[1]):
         for a in range(n):
             change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
-    parts[0][0], parts[1][0] = 1.0, 1.0
+    part[0], dual[0] = 1.0, 1.0
     if limited:
-        _turned(calls, given, written, rows, rules[5])
-        change[0] = parts[0][0] * (change[0] + turned[0, 2])
-        change[1] = parts[0][0] * change[1] + parts[1][0] * turned[0, 3]
+        turn(calls[AT_TURN], (calls, given, written, rows, rules[5]))
+        way = way_of(written, rows)
+        change[0] = part[0] * (change[0] + way[0, 2])
+        change[1] = part[0] * change[1] + dual[0] * way[0, 3]
     standing[PROMISED], standing[TURNED] = change[0] / units[2][0], change[1] / units[2][0]
     return True
 
@@ -333,14 +292,6 @@ def _settled(
     return True
 
 
-@pasted
-def _is_for_others(written: np.ndarray, given: np.ndarray, rows: np.ndarray, near: float, rules: tuple) -> bool:
-    """Whether inequalities contradict each other or the ends, or a step jams at them."""
-    barrier, rate, numbers = barrier_of(written, rows)[0], limits_of(given, rows)[1][0], numbers_of(written, rows)
-    left = barrier <= near * rate and numbers[6, 0] <= rules[0] and told_of(written, rows)[3][10, 0] > near
-    return left or turned_of(written, rows)[0][0][0] <= rules[1]
-
-
 @inner
 def _copied(to: np.ndarray, numbers: np.ndarray) -> None:
     """Copy numbers."""
@@ -383,12 +334,7 @@ def pursue(
     those of ``lowered``, and a share of a step at which it jams.
     """
     (setting, given, room), done, tolerance = vectors, 0, rules[0]
-    before, limited, changed, told = (
-        places[1] if fresh else places[2],
-        limits_of(given, rows)[0].shape[1] > 0,
-        False,
-        False,
-    )
+    before, limited, end = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0, 0
     while True:
         written = places[2] if fresh else places[done % 2]
         barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
@@ -398,16 +344,16 @@ def pursue(
         if fresh:
             _first_units(calls, room, setting, given, written, rows, rules[8][2])
         measure(calls, written, setting, given, rows, rules[8])
-        numbers, kept, reach = numbers_of(written, rows), standing_of(written, rows), turned_of(before, rows)[0][0][0]
+        numbers, kept, reach = numbers_of(written, rows), standing_of(written, rows), part_of(before, rows)[0]
         _copied(kept, standing)
         if fresh:
-            _set_out(kept, numbers)
+            set_out(kept, numbers)
         elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, rules):
             return done, TRIED
         if limited:
             of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
-            changed, told = _lowered(calls, setting, given, written, rows, kept, of)
-            if told:
+            end = lower(calls[AT_LOWER], (calls, setting, given, written, rows, kept, of))
+            if end == CHEAP:
                 return done, TRIED
         lacking, along = lacking_of(written, rows), along_of(written, rows)
         arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
@@ -417,7 +363,7 @@ def pursue(
             if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
                 return done, LOST
             if refused:
-                return done, CHANGED if changed else TRIED
+                return done, CHANGED if end == LESS else TRIED
         _copied(standing, kept)
         if last:
             return done, ARRIVED
@@ -425,7 +371,7 @@ def pursue(
             done += 1
             if done == most or resting:
                 return done, GOING
-            if limited and _is_for_others(written, given, rows, rules[4][0], (tolerance, rules[9][2])):
+            if limited and is_jammed(calls[AT_JAMMED], (written, given, rows, tolerance, rules[4][0], rules[9][2])):
                 return done, GOING
             exact = numbers[8, 0] <= rules[5]
             if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):

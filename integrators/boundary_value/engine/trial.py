@@ -125,9 +125,9 @@ class Trial(ABC):
     tableau: tuple[np.ndarray, np.ndarray] = np.zeros((0, 0)), np.zeros(0)
 
     def __init__(self, programs: list[Placed], steps: Any, count: int) -> None:
-        from . import pursuit_kernels, trial_kernels
+        from . import pursuit_kernels
 
-        self._kernels, self._addresses, self.limited = pursuit_kernels, trial_kernels.addresses, steps.inequalities > 0
+        self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0
         self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, _programs(programs)
         self.written = Fields(self.shapes(steps, count) | _written(steps, count))
         self.setting = Fields(_setting(steps, count, self.tableau), SETTING_KINDS)
@@ -285,7 +285,7 @@ class Trial(ABC):
         room[: self._room.begins["kept"]] = 0.0  # others work there too
         judge, steps, *others = rules[1:]
         return self._kernels.pursue(
-            (*self._addresses(self.limited), *self.addresses()),
+            (*self._kernels.addresses(self.limited), *self.addresses()),
             self._programs,
             memory,
             tuple([place.numbers for place in places]),

@@ -14,7 +14,7 @@ from numba.core.typing.templates import signature
 from ....kernels import kernel_part, pasted
 from ....linked import address, array, called, laid, leaves, put, view
 from ....tape import machine
-from . import elimination_kernels, extent_kernels, inequality_kernels, scaling_kernels
+from . import elimination_kernels, extent_kernels, scaling_kernels
 from .trial import OUT
 from .vectors import inner
 
@@ -22,7 +22,11 @@ REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
 
 FIVE, THREE = types.Tuple((F4, F4, F4, F4, F1)), types.Tuple((F4, F4, F4))
-HELD, TRAJECTORY, BLOCKS = types.Tuple((F4, F5, F4)), types.Tuple((F3, F4, F3, F3)), types.Tuple((F4, F4, F4, F3, F3))
+INEQUALITIES, TRAJECTORY, BLOCKS = (
+    types.Tuple((F4, F5, F4)),
+    types.Tuple((F3, F4, F3, F3)),
+    types.Tuple((F4, F4, F4, F3, F3)),
+)
 EXTENT = F2, F2, F3, F2, F2, F2, F1, F2, F2, F2  # the fields of ``Extent``
 FLAGS, PLACES, INDICES = array(1, TRUTH), array(2, WHOLE), array(1, WHOLE)
 MET = types.Tuple((F2, F2, FLAGS, FLAGS))
@@ -52,18 +56,21 @@ def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
     after=0,
 )
 # What of these is asked for alone.
-cost_of, standing_of, x_of, u_of, covectors_of, change_of, barrier_of = (
-    laid(F1, OUT.index(name)) for name in ("cost", "standing", "x/", "u/", "covectors", "change", "barrier")
+cost_of, standing_of, x_of, u_of, covectors_of, change_of, barrier_of, part_of, dual_of = (
+    laid(F1, OUT.index(name))
+    for name in ("cost", "standing", "x/", "u/", "covectors", "change", "barrier", "part", "dual")
 )
-along_of, numbers_of, grown_of, lacking_of, curvature_of, sizes_of, largest_of, costs_of, line_of = (
-    laid(F2, OUT.index(name))
-    for name in ("along", "numbers", "grown", "lacking", "curvature", "sizes", "largest", "costs", "work")
+along_of, numbers_of, grown_of, lacking_of, curvature_of, sizes_of = (
+    laid(F2, OUT.index(name)) for name in ("along", "numbers", "grown", "lacking", "curvature", "sizes")
+)
+largest_of, costs_of, line_of, surveyed_of, way_of = (
+    laid(F2, OUT.index(name)) for name in ("largest", "costs", "work", "surveyed", "turned")
 )
 nodes_of, gap_of, coordinates_of, costates_of, point_survey_of = (
     laid(F3, OUT.index(name)) for name in ("nodes", "gap", "coordinates", "costates", "points")
 )
-frames_of, lacks_of, steps_of, multipliers_of = (
-    laid(F4, OUT.index(name)) for name in ("frames", "lacks|", "steps|", "multipliers|")
+frames_of, lacks_of, steps_of, multipliers_of, driven_of = (
+    laid(F4, OUT.index(name)) for name in ("frames", "lacks|", "steps|", "multipliers|", "driven|")
 )
 spread_of = laid((F2, F2, F3), OUT.index("highest"))
 # The programs of a trial, one after the other, and a table of where each stands, reads and writes.
@@ -90,11 +97,10 @@ spread_of = laid((F2, F2, F3), OUT.index("highest"))
 )  # the rows of what a transcription has for itself stand after these
 
 # Which address is whose; those from ``AT_OWN`` on are for what a transcription has for itself.
-AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_HELD_SURVEY, AT_RAISE, AT_TURN, AT_SOLVE, AT_UNITS, AT_TRIAL, AT_COMPLETE = (
-    range(11)
-)
-AT_OWN = 11
-ADDRESSES = types.UniTuple(WHOLE, 15)
+AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_SOLVE, AT_UNITS = range(6)
+AT_HELD_SURVEY, AT_RAISE, AT_TURN_POINTS, AT_LOWER, AT_DRIVE, AT_TURN, AT_JAMMED = range(6, 13)  # of inequalities
+AT_TRIAL, AT_COMPLETE, AT_OWN = range(13, 16)
+ADDRESSES = types.UniTuple(WHOLE, AT_OWN + 4)
 # A trial, from what was written before to what it writes: whether ends of steps are near each other.
 TRIAL = signature(TRUTH, ADDRESSES, INDICES, F1, F1, F1, F1, F1, PLACES, types.UniTuple(REAL, 2))
 COMPLETE = signature(types.none, ADDRESSES, F1, F1, PLACES)
@@ -130,10 +136,9 @@ MEASURE = signature(
     types.Tuple((F2, F2, F2)),
 )
 HELD_SURVEY = signature(
-    types.none, WHOLE, WHOLE, HELD, FIVE, types.Tuple((F2, F1, F1)), REAL, types.UniTuple(REAL, 3), F2
+    types.none, WHOLE, WHOLE, INEQUALITIES, FIVE, types.Tuple((F2, F1, F1)), REAL, types.UniTuple(REAL, 3), F2
 )
-RAISE = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F5, F4, F5)
-TURN = signature(types.none, WHOLE, WHOLE, HELD, FIVE, F4, REAL, THREE, F2)
+RAISE = signature(types.none, WHOLE, WHOLE, INEQUALITIES, FIVE, F5, F4, F5)
 MOVE = signature(types.none, WHOLE, WHOLE, FIVE, THREE, types.UniTuple(F1, 2), REAL, THREE)
 SOLVE = signature(
     types.none,
@@ -152,23 +157,17 @@ SOLVE = signature(
 solve, trial, complete, units_by = map(called, (SOLVE, TRIAL, COMPLETE, UNITS))
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
-_raise, held_survey, turn = called(RAISE), called(HELD_SURVEY), called(TURN)
+_raise, held_survey = called(RAISE), called(HELD_SURVEY)
 
 
 @cache
-def addresses(limited: bool) -> tuple[int, ...]:
-    """Where the kernels stand in this process that all passes call; those of inequalities only if there are any."""
-    of_limits = (
-        limited and address(inequality_kernels.survey, HELD_SURVEY),
-        limited and address(inequality_kernels.raise_points, RAISE),
-        limited and address(inequality_kernels.turn, TURN),
-    )
+def addresses() -> tuple[int, ...]:
+    """Where the kernels stand in this process that all passes call."""
     return (
         address(machine.run, machine.RUN),
         address(extent_kernels.meet, MEET),
         address(extent_kernels.survey, SURVEY),
         address(extent_kernels.measure, MEASURE),
-        *map(int, of_limits),
         address(elimination_kernels.solve, SOLVE),
         address(scaling_kernels.units, UNITS),
     )
@@ -271,7 +270,7 @@ def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarra
     if limits[0].shape[1] > 0:
         held, slacks = (values, pushes, weights_of(given, rows)), slacks_of(written, given, rows)
         _raise(calls[AT_RAISE], (0, 1, held, slacks, points_hessian, points_slope, pushed))
-        told = told_of(written, rows)[3]
+        told = surveyed_of(written, rows)
         held_survey(calls[AT_HELD_SURVEY], (0, 1, held, slacks, limits, sizes[0], sizes[1], told))
     trajectory = (
         nodes_of(written, rows),
