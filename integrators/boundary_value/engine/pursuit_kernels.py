@@ -39,6 +39,7 @@ from .trial_kernels import (
     along_of,
     barrier_of,
     blocks_of,
+    change_of,
     clear,
     columns_of,
     complete,
@@ -49,11 +50,13 @@ from .trial_kernels import (
     fixed_of,
     found_of,
     gap_of,
+    gradient_of,
     grown_of,
     lacking_of,
     lacks_of,
     line_of,
     measure,
+    multipliers_of,
     numbers_of,
     part_of,
     price_of,
@@ -177,6 +180,32 @@ def _first_units(
 
 
 @pasted
+def _promise(
+    calls: tuple, setting: np.ndarray, given: np.ndarray, written: np.ndarray, rows: np.ndarray, rules: tuple
+) -> None:
+    """How far the step may go, and what it promises to first order; ``rules``: the unit of the cost, and the share of
+    the way to the boundary."""
+    steps, multipliers, change = steps_of(written, rows), multipliers_of(written, rows), change_of(written, rows)
+    gradient, gap, standing = gradient_of(written, rows), gap_of(written, rows), standing_of(written, rows)
+    part, dual = part_of(written, rows), dual_of(written, rows)
+    change[0], change[1], part[0], dual[0] = 0.0, 0.0, 1.0, 1.0
+    if calls[AT_COMPLETE] != 0:  # what was condensed follows, and changes the cost too
+        complete(calls[AT_COMPLETE], (calls, written, setting, rows))
+    for k in range(steps.shape[1]):
+        for i in range(steps.shape[2]):
+            change[0] += gradient[0, k, i] * steps[0, k, i, 0]
+    for k in range(gap.shape[1]):
+        for a in range(gap.shape[2]):
+            change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
+    if price_of(given, rows).shape[3] > 0:
+        turn(calls[AT_TURN], (calls, given, written, rows, rules[1]))
+        way = way_of(written, rows)
+        change[0] = part[0] * (change[0] + way[0, 2])
+        change[1] = part[0] * change[1] + dual[0] * way[0, 3]
+    standing[PROMISED], standing[TURNED] = change[0] / rules[0], change[1] / rules[0]
+
+
+@pasted
 def _stepped(
     calls: tuple,
     room: np.ndarray,
@@ -187,16 +216,11 @@ def _stepped(
     rules: tuple,
 ) -> bool:
     """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
-    hessian, left, right, _, gradient = blocks_of(written, rows)
-    slopes, lacks, steps, multipliers, finite, largest, told, change, standing = found_of(written, rows)
+    hessian, left, right, _, _ = blocks_of(written, rows)
+    slopes, lacks, steps, multipliers, finite, largest, told, _, _ = found_of(written, rows)
     curvature, sizes, (_, _, support) = curvature_of(written, rows), sizes_of(written, rows), spread_of(written, rows)
-    (_, count, n, _), units, raised, fixed = (
-        left.shape,
-        wide_of(given, rows),
-        raising_of(given, rows),
-        fixed_of(setting, rows),
-    )
-    limited, part, dual = price_of(given, rows).shape[3] > 0, part_of(written, rows), dual_of(written, rows)
+    (_, count, n, _), units, raised = left.shape, wide_of(given, rows), raising_of(given, rows)
+    limited, fixed = price_of(given, rows).shape[3] > 0, fixed_of(setting, rows)
     if limited:  # with a barrier the curvature of the Hessian has no bound
         drive(calls[AT_DRIVE], (written, rows))
         for i in range(curvature.shape[1]):
@@ -218,23 +242,7 @@ def _stepped(
         followed = largest[0, a] <= rules[2] * sizes[0, a]
         if not (followed or _may_move(a, largest[0, a] / rules[2], support, points, groups, rules[3])):
             return False
-    change[0], change[1] = 0.0, 0.0
-    if calls[AT_COMPLETE] != 0:  # what was condensed follows, and changes the cost too
-        complete(calls[AT_COMPLETE], (calls, written, setting, rows))
-    for k in range(steps.shape[1]):
-        for i in range(steps.shape[2]):
-            change[0] += gradient[0, k, i] * steps[0, k, i, 0]
-    gap = gap_of(written, rows)
-    for k in range(gap.shape[1]):
-        for a in range(n):
-            change[1] += multipliers[0, k, a, 0] * gap[0, k, a]
-    part[0], dual[0] = 1.0, 1.0
-    if limited:
-        turn(calls[AT_TURN], (calls, given, written, rows, rules[5]))
-        way = way_of(written, rows)
-        change[0] = part[0] * (change[0] + way[0, 2])
-        change[1] = part[0] * change[1] + dual[0] * way[0, 3]
-    standing[PROMISED], standing[TURNED] = change[0] / units[2][0], change[1] / units[2][0]
+    _promise(calls, setting, given, written, rows, (units[2][0], rules[5]))
     return True
 
 
@@ -333,8 +341,8 @@ def pursue(
     a multiplier is kept within; those of ``survey``; those of ``measure``; the last barrier relative to the tolerance,
     those of ``lowered``, and a share of a step at which it jams.
     """
-    (setting, given, room), done, tolerance = vectors, 0, rules[0]
-    before, limited, end = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0, 0
+    (setting, given, room), done, tolerance, end = vectors, 0, rules[0], 0
+    before, limited = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0
     while True:
         written = places[2] if fresh else places[done % 2]
         barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
@@ -353,27 +361,22 @@ def pursue(
         if limited:
             of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
             end = lower(calls[AT_LOWER], (calls, setting, given, written, rows, kept, of))
-            if end == CHEAP:
-                return done, TRIED
         lacking, along = lacking_of(written, rows), along_of(written, rows)
         arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
-        last = arrived and kept[ISOLATED] > 0
-        if not last:
-            refused = not _stepped(calls, room, setting, given, written, rows, rules[2])
-            if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
-                return done, LOST
-            if refused:
-                return done, CHANGED if end == LESS else TRIED
+        last = arrived and kept[ISOLATED] > 0 and end != CHEAP
+        refused = end == CHEAP or not (last or _stepped(calls, room, setting, given, written, rows, rules[2]))
+        if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
+            return done, LOST
+        if refused:
+            return done, CHANGED if end == LESS else TRIED
         _copied(standing, kept)
         if last:
             return done, ARRIVED
-        if not fresh:
-            done += 1
-            if done == most or resting:
-                return done, GOING
-            if limited and is_jammed(calls[AT_JAMMED], (written, given, rows, tolerance, rules[4][0], rules[9][2])):
-                return done, GOING
-            exact = numbers[8, 0] <= rules[5]
-            if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):
-                return done, GOING
+        done += not fresh
+        jammed = limited and is_jammed(calls[AT_JAMMED], (written, given, rows, tolerance, rules[4][0], rules[9][2]))
+        if not fresh and (done == most or resting or jammed):
+            return done, GOING
+        exact = numbers[8, 0] <= rules[5]
+        if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):
+            return done, GOING
         fresh, before = False, written

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
 
-from ....aligned import LINE, scratch
+from ....aligned import scratch
 from ...evaluator import Evaluated, Placed
 from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, positive_definite, work_shapes
@@ -22,6 +22,7 @@ from .fields import Fields, Place, Shapes
 from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Surveyed, Turn
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
+from .programs import joined
 from .residuals import NUMBERS, SHARES, Appraisal
 from .scaling import Units, unit_shapes
 from .transcription import Blocks, Nodes
@@ -128,7 +129,7 @@ class Trial(ABC):
         from . import pursuit_kernels
 
         self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0
-        self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, _programs(programs)
+        self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, joined(programs)
         self.written = Fields(self.shapes(steps, count) | _written(steps, count))
         self.setting = Fields(_setting(steps, count, self.tableau), SETTING_KINDS)
         self._given = Fields(_given(steps, count))
@@ -316,30 +317,6 @@ class Trial(ABC):
         if self.limited:
             turn = Turn(v["turn_s"], v["turn_nu"], v["turn_t"], *v["turned"].T)
         return Step(*whole, *inertia, every, inner, turn, share=np.ones(1), followed=np.ones(1))
-
-
-def _programs(programs: list[Placed]) -> tuple[np.ndarray, np.ndarray, int]:
-    """All programs in one vector, where their parts stand there, and the size of the memory that they need.
-
-    The last part is a table: for each program the begin and the end of its instructions, of its sources, and of its
-    targets; the begin and the size of what it reads, and of what it writes; the begin and the shape of its registers.
-    """
-    ends, rows, memory, written = np.zeros(3, int), [], 0, 0
-    for own in programs:
-        after = ends + np.array([len(own.code[0]), len(own.sources), len(own.targets)])
-        read, memory = memory, memory + -(-own.numbers[0] // LINE) * LINE
-        (reads, writes), registers = own.numbers, own.registers
-        rows.append([*np.ravel((ends, after), "F"), read, reads, written, writes, memory, *registers])
-        memory, written, ends = memory + registers[0] * registers[1], written + writes, after
-    joined = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
-    parts = [*map(np.concatenate, joined), np.array(rows)]
-    sizes = {str(k): (-(-part.nbytes // 8),) for k, part in enumerate(parts)}
-    fields = Fields(sizes)
-    vector = np.zeros(fields.size, int)
-    for name, part in zip(sizes, parts, strict=True):
-        begin = fields.begins[name]
-        vector[begin : begin + sizes[name][0]].view(np.uint8)[: part.nbytes] = part.ravel().view(np.uint8)
-    return vector, fields.rows(zip(sizes, (part.shape for part in parts), strict=True)), memory
 
 
 def common_rows(fields: Fields) -> np.ndarray:

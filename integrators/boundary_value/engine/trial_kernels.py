@@ -66,8 +66,8 @@ along_of, numbers_of, grown_of, lacking_of, curvature_of, sizes_of = (
 largest_of, costs_of, line_of, surveyed_of, way_of = (
     laid(F2, OUT.index(name)) for name in ("largest", "costs", "work", "surveyed", "turned")
 )
-nodes_of, gap_of, coordinates_of, costates_of, point_survey_of = (
-    laid(F3, OUT.index(name)) for name in ("nodes", "gap", "coordinates", "costates", "points")
+nodes_of, gap_of, coordinates_of, costates_of, point_survey_of, gradient_of = (
+    laid(F3, OUT.index(name)) for name in ("nodes", "gap", "coordinates", "costates", "points", "gradient")
 )
 frames_of, lacks_of, steps_of, multipliers_of, driven_of = (
     laid(F4, OUT.index(name)) for name in ("frames", "lacks|", "steps|", "multipliers|", "driven|")

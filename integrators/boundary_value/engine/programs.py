@@ -1,0 +1,31 @@
+"""The tapes of a compiled pass in one vector, which the kernel takes."""
+
+import numpy as np
+
+from ....aligned import LINE
+from ...evaluator import Placed
+from .fields import Fields
+
+
+def joined(programs: list[Placed]) -> tuple[np.ndarray, np.ndarray, int]:
+    """All programs in one vector, where their parts stand there, and the size of the memory that they need.
+
+    The last part is a table: for each program the begin and the end of its instructions, of its sources, and of its
+    targets; the begin and the size of what it reads, and of what it writes; the begin and the shape of its registers.
+    """
+    ends, rows, memory, written = np.zeros(3, int), [], 0, 0
+    for own in programs:
+        after = ends + np.array([len(own.code[0]), len(own.sources), len(own.targets)])
+        read, memory = memory, memory + -(-own.numbers[0] // LINE) * LINE
+        (reads, writes), registers = own.numbers, own.registers
+        rows.append([*np.ravel((ends, after), "F"), read, reads, written, writes, memory, *registers])
+        memory, written, ends = memory + registers[0] * registers[1], written + writes, after
+    arrays = zip(*((*own.code, own.sources, own.targets) for own in programs), strict=True)
+    parts = [*map(np.concatenate, arrays), np.array(rows)]
+    sizes = {str(k): (-(-part.nbytes // 8),) for k, part in enumerate(parts)}
+    fields = Fields(sizes)
+    vector = np.zeros(fields.size, int)
+    for name, part in zip(sizes, parts, strict=True):
+        begin = fields.begins[name]
+        vector[begin : begin + sizes[name][0]].view(np.uint8)[: part.nbytes] = part.ravel().view(np.uint8)
+    return vector, fields.rows(zip(sizes, (part.shape for part in parts), strict=True)), memory
