@@ -14,6 +14,7 @@ from .constraints import TAKEN
 from .functions import in_precision, real_vector, shapes_in
 
 PERIODIC = "periodic"
+ZERO = "return a number that is zero where the condition holds, as a - b for a == b"
 BoundaryConstraint = Callable[..., Any]
 
 
@@ -65,7 +66,7 @@ class BoundaryConditions(eqx.Module):
     def each(self, first: Ambient, last: Ambient) -> tuple[Array, ...]:
         """The values of each function, in a row."""
         named = zip(self.names, self.functions, strict=True)
-        return tuple(jnp.ravel(real_vector(boundary_words(name), function(first, last))) for name, function in named)
+        return tuple(boundary_values(name, function(first, last)) for name, function in named)
 
     def values(self, first: Ambient, last: Ambient) -> Array:
         """The values of all functions."""
@@ -80,6 +81,11 @@ def same(q: Ambient) -> Ambient:
 def boundary_words(name: str) -> str:
     """What the function of a boundary constraint is called in a message."""
     return f"boundary_constraints[{name!r}]"
+
+
+def boundary_values(name: str, value: Any) -> Array:
+    """What the function of a boundary constraint returned, in a row; raises if it is something else than numbers."""
+    return jnp.ravel(real_vector(boundary_words(name), value, ZERO))
 
 
 def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:

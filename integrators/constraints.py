@@ -18,6 +18,8 @@ LOWER, UPPER = "control_bounds lower", "control_bounds upper"
 HORIZON_LOWER, HORIZON_UPPER = "horizon lower", "horizon upper"
 PARAMETERS_LOWER, PARAMETERS_UPPER = "parameters lower", "parameters upper"
 TAKEN = LOWER, UPPER, HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER
+NOT_POSITIVE = "return a number that is not positive where the {0} is admissible, as {1}[0] - 1 for {1}[0] < 1"
+OF_CONTROL, OF_STATE = NOT_POSITIVE.format("control", "u"), NOT_POSITIVE.format("state", "q")
 NO_BOUND = "-numpy.inf or numpy.inf where there is no bound"
 Constraint = Callable[..., Any]
 
@@ -110,11 +112,11 @@ class Inequalities(eqx.Module):
 
     def _each(self, q: Ambient, u: Ambient) -> list[Array]:
         named = zip(self.names, self.functions, strict=True)
-        return [real_vector(constraint_words(name), function(q, u)) for name, function in named]
+        return [real_vector(constraint_words(name), function(q, u), OF_CONTROL) for name, function in named]
 
     def _each_at_node(self, q: Ambient) -> list[Array]:
         named = zip(self.node_names, self.node_functions, strict=True)
-        return [real_vector(node_words(name), function(q)) for name, function in named]
+        return [real_vector(node_words(name), function(q), OF_STATE) for name, function in named]
 
     def sizes(self, q: Ambient, u: Ambient) -> dict[str, int | None]:
         """How many entries each function at the points has at states and controls of this structure, None for a

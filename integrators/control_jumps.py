@@ -9,6 +9,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
+from .constraints import OF_CONTROL
 from .crossings import Crossings, Given, Jump, Lines, largest, rate_names, rates
 from .jumps import steps_in
 from .kinks import rounded
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     from .problem import OptimalControlProblem
 
 SCALES = 10.0 ** np.arange(-4, 7)  # sizes of controls between which a jump is looked for
+SMOOTH = (
+    "try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of "
+    "them"
+)
 BOUND = 1e-9  # of a bound: a control beyond it by more is not admitted
 
 
@@ -67,9 +72,9 @@ def control_words(problem: "OptimalControlProblem", jump: Jump, steps: list[str]
     """What is said of a jump; ``at``: of which state."""
     name = rate_names(problem)[jump.entry]
     place = jax.tree.map(lambda leaf: rounded(leaf, float(np.max(np.abs(leaf), initial=0.0))), jump.control)
+    hint = OF_CONTROL if name in problem.limits.function_words else SMOOTH
     return (
         f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no "
         "derivative tells of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a "
-        "jump; try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem "
-        "for each of them"
+        f"jump; {hint}"
     )

@@ -78,7 +78,13 @@ def _real(name: str, value: Any) -> np.ndarray:
     try:
         array = np.asarray(value)
     except ValueError as error:
-        raise InvalidInputError(f"Free: {name} must be a number or an array, got {value!r:.80}") from error
+        parts = len(value) if isinstance(value, tuple) else 0
+        hint = (
+            f"; for a point of a product try a Free for each part, ({', '.join(f'Free(q[{i}])' for i in range(parts))})"
+            if parts
+            else ""
+        )
+        raise InvalidInputError(f"Free: {name} must be a number or an array, got {value!r:.80}{hint}") from error
     if array.dtype.kind not in "fiu" or np.any(np.isnan(array)):
         raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {value!r:.80}")
     array = np.array(array, float)

@@ -23,19 +23,21 @@ from .results import warn_of_coarse_values
 LIBRARIES = frozenset(
     {"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"}
 )
+TRUTH = "try jnp.where(condition, 1.0, 0.0)"
 
 
 def real_number(name: str, value: Any) -> Array:
     """What a user's function returned, as one real number in the precision in use; raises if it is something else."""
-    return _real(name, value, 0)
+    return _real(name, value, 0, TRUTH)
 
 
-def real_vector(name: str, value: Any) -> Array:
-    """What a user's function returned, as a real number or a vector of them; raises if it is something else."""
-    return _real(name, value, 1)
+def real_vector(name: str, value: Any, truth: str) -> Array:
+    """What a user's function returned, as a real number or a vector of them; raises if it is something else.
+    ``truth``: what to try in place of a comparison."""
+    return _real(name, value, 1, truth)
 
 
-def _real(name: str, value: Any, axes: int) -> Array:
+def _real(name: str, value: Any, axes: int, truth: str) -> Array:
     """Real numbers with at most ``axes`` axes."""
     expected = "a real number or a vector of them" if axes else "a real number"
     got = "nothing; did it forget to return?" if value is None else f"{value!r}"
@@ -53,7 +55,7 @@ def _real(name: str, value: Any, axes: int) -> Array:
             f"{name} must return {expected}, got a complex one; try jnp.real(...) of it, or vdot and abs"
         )
     if not jnp.issubdtype(kind, jnp.number):
-        raise InvalidInputError(f"{name} must return {expected}, got {kind} values; try jnp.where(condition, 1.0, 0.0)")
+        raise InvalidInputError(f"{name} must return {expected}, got {kind} values; {truth}")
     shape = getattr(value, "shape", ())
     if len(shape) > axes:
         wanted, hint = ("a number or a vector", "jnp.ravel it") if axes else ("a scalar", "sum it or pick an entry")

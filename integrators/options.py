@@ -24,6 +24,11 @@ BOUNDS = (
     'bounds belong to OptimalControlProblem: control_bounds=(lower, upper), or constraints={"name": function} of '
     "(q, u) that is not positive where a state and a control are admissible"
 )
+ENDS = (
+    "conditions on the ends are start and end of solve, with None or Free(guess) for what is free, and of "
+    'OptimalControlProblem boundary_constraints={"name": function} of (q_0, q_T) that is zero where they hold'
+)
+OF_ENDS, CONDITIONS = ("terminal", "final", "end", "initial", "start", "boundary"), ("constraint", "condition", "equal")
 ACCURACY = "for steps that are refined until the error is small give accuracy=1e-8"
 REFINED = "_error", "error_", "refin", "mesh", "adapt"  # parts of names of what accuracy does
 # Parts of names, in the order in which they are looked for.
@@ -48,14 +53,32 @@ ASKED_FOR = {
     TIME: ("time", "clock", "t0", "t"),
 }
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
+SHORT = 3  # letters that a name cut short has at least
 TIMES = frozenset({"t", "time", "tau"})
 CLOCKS = TIMES | {"horizon", "tf", "final_time"}
 
 
 def asked_for(name: str) -> str:
     """Words on what a name asks for that is not offered; empty for other names."""
+    if asks_of_ends(name):
+        return ENDS
     fits = (words for words, parts in ASKED_FOR.items() if any(p == name or (len(p) > 2 and p in name) for p in parts))
     return next(fits, "")
+
+
+def asks_of_ends(name: str) -> bool:
+    """Whether a name is one of conditions on the ends."""
+    return any(part.startswith(OF_ENDS) for part in name.split("_")) and any(part in name for part in CONDITIONS)
+
+
+def meant(unknown: str, names: list[str]) -> str:
+    """The name that an unknown one is a slip of the pen for, or cut short of; empty if there is none."""
+    near = get_close_matches(unknown, names, 1, CLOSE)
+    if asks_of_ends(unknown.lower()):  # a terminal constraint is no terminal cost
+        near = [name for name in near if asks_of_ends(name)]
+    cut = unknown.lower().replace("_", "")
+    longer = [name for name in names if len(cut) >= SHORT and name.replace("_", "").startswith(cut)]
+    return next(iter([*near, *longer]), "")
 
 
 def known_options(function: Callable[P, R]) -> Callable[P, R]:
@@ -74,8 +97,8 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
         if unknown is None:
             require_all(len(arguments), tuple(options))
             return function(*arguments, **options)
-        near = get_close_matches(unknown, names, 1, CLOSE)
-        hint = f"did you mean {near[0]}?" if near else asked_for(unknown.lower())
+        near = meant(unknown, names)
+        hint = f"did you mean {near}?" if near else asked_for(unknown.lower())
         if "accuracy" in names and any(part in unknown.lower() for part in REFINED):
             hint = ACCURACY
         raise InvalidInputError(

@@ -65,7 +65,7 @@ class RecordFile:
         except InvalidInputError as error:
             raise InvalidInputError(f"this {self.name.lower()} cannot be saved: {error}") from error
         flat = {"schema": np.asarray(self._mark), **_flattened(values)}
-        with _path(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
+        with _writable(path).open("wb") as file:  # a file, because a path without the ending .npz would be given it
             np.savez(file, allow_pickle=False, **flat)
 
     def read(self, path: str | Path) -> dict[str, Any]:
@@ -118,6 +118,21 @@ def _path(path: Any) -> Path:
         return Path(path)
     except TypeError as error:
         raise InvalidInputError(f"the path must be a text or a pathlib.Path, got {path!r}") from error
+
+
+def _writable(path: Any) -> Path:
+    """The path of a file, in a folder that exists."""
+    target = _path(path)
+    if target.is_dir():
+        raise InvalidInputError(
+            f"the path {str(target)!r} is that of a folder, expected one of a file; try a file in it"
+        )
+    if not target.parent.is_dir():
+        raise InvalidInputError(
+            f"the path {str(target)!r} leads to a folder that does not exist, expected one that does; try "
+            "Path(path).parent.mkdir(parents=True)"
+        )
+    return target
 
 
 def _ordered(times: Any) -> bool:

@@ -3,7 +3,7 @@
 import re
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NoReturn
 
 import equinox as eqx
 import jax
@@ -14,6 +14,7 @@ from jaxtyping import Array
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
+from .numerics.errors import InvalidInputError
 from .numerics.precision import default_tolerance
 from .numerics.shapes import check_shapes
 
@@ -48,6 +49,8 @@ class Manifold(eqx.Module):
     In symbols: ``P_x: E -> T_xM``, orthogonal, and ``sum_i <E_i, a> E_i = P_x a`` for the basis ``E_i`` of ``T_xM``.
     """
 
+    # Words on arrays that come in place of a point, by the shapes of the array that is expected and of the other.
+    _in_place_of: ClassVar[dict[tuple[tuple[int, ...], tuple[int, ...]], str]] = {}
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
         "projection": ("a point", "an ambient vector"),
         "basis": ("a point",),
@@ -172,7 +175,8 @@ class Manifold(eqx.Module):
             return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for shape, leaf in zip(expected, leaves, strict=True):
             if np.shape(leaf) != shape.shape:
-                hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else ""
+                known = self._in_place_of.get((shape.shape, np.shape(leaf)), "") if "point" in role else ""
+                hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else known
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
                 return f"{self._named(role)} has shape {shape.shape} where {came} came{hint}"
         return ""
@@ -203,9 +207,24 @@ class Manifold(eqx.Module):
         """Cartesian product; chains of ``*`` give one flat tuple of factors."""
         from .product import Product
 
+        if not isinstance(other, Manifold):
+            raise self._no_product(other)
         mine = self.factors if isinstance(self, Product) else (self,)
         theirs = other.factors if isinstance(other, Product) else (other,)
         return Product(*mine, *theirs)
+
+    def __rmul__(self, other: Any) -> NoReturn:
+        raise self._no_product(other)
+
+    def __pow__(self, k: Any) -> NoReturn:
+        raise self._no_product(k)
+
+    def _no_product(self, other: Any) -> InvalidInputError:
+        """The error for a factor that is none, as a number of copies."""
+        return InvalidInputError(
+            f"a product is one of manifolds, got {self} and {other!r:.80}; try M * N for two of them, or Power(M, 3) "
+            "for three copies of one"
+        )
 
 
 class HomogeneousSpace(Manifold):

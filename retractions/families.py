@@ -11,6 +11,7 @@ from ..manifolds import (
     FixedRank,
     Grassmann,
     Hyperbolic,
+    InvalidInputError,
     LevelSet,
     Manifold,
     MatrixLieGroup,
@@ -104,7 +105,9 @@ class RetractionFamily:
             return self.knows(manifold.factor)
         return self._member(manifold) is not None
 
-    def __call__(self, manifold: Manifold) -> Retraction:
+    def __call__(self, manifold: Manifold | None = None) -> Retraction:
+        if manifold is None:
+            raise InvalidInputError(f"{self.name} takes a manifold, got none; try {self.name}(problem.manifold)")
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
         if isinstance(manifold, Power):

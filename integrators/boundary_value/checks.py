@@ -22,7 +22,7 @@ class Checks(ABC):
     rotation, the orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the
     largest of its parts ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on
     which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
-    components are conserved.
+    components are constant along this extremal, whose brackets ``{J, H}`` vanish there.
     """
 
     gap: float
@@ -71,13 +71,13 @@ class Checks(ABC):
 class RegularChecks(Checks):
     """The checks of a regular extremal.
 
-    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what the problem
-    conserves by symmetry; with ``constraints``, which may break it, nothing is claimed. ``strict_minimum``: whether the
-    Hessian is positive definite on the null space of the constraints. ``violation`` of the inequalities and
-    ``complementarity``: largest product of a multiplier and its inequality, both at the stages and nodes, and relative.
-    ``active``: at how many stages, or nodes, inequalities of each name hold the trajectory. If an accuracy was asked
-    for: ``error``, the sum of the relative errors of the steps, and the largest violations ``between`` these, by the
-    names of the inequalities.
+    ``stationarity``: largest derivative of the Lagrangian relative to its parts. ``conserved`` counts what is constant
+    along the extremal, for which a symmetry of the problem may be the reason; with ``constraints``, which may break it,
+    nothing is claimed. ``strict_minimum``: whether the Hessian is positive definite on the null space of the
+    constraints. ``violation`` of the inequalities and ``complementarity``: largest product of a multiplier and its
+    inequality, both at the stages and nodes, and relative. ``active``: at how many stages, or nodes, inequalities of
+    each name hold the trajectory. If an accuracy was asked for: ``error``, the sum of the relative errors of the steps,
+    and the largest violations ``between`` these, by the names of the inequalities.
     """
 
     strict_minimum: bool = False  # pyright: ignore[reportIncompatibleMethodOverride]  # a field is read as a property is

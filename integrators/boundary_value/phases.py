@@ -11,9 +11,9 @@ import numpy as np
 from ...manifolds import ConvergenceError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...reading import reads_once
-from ..boundary_conditions import BoundaryConditions, boundary_words, linked
+from ..boundary_conditions import BoundaryConditions, boundary_values, boundary_words, linked
 from ..free import guessed, is_free, near, scaled
-from ..functions import real_vector, require_concrete
+from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..results import sentence
@@ -188,7 +188,7 @@ class _Task:
     def _equations(self, parts: list[PosedPhase], sizes: dict[str, int], ends: list[Any], given: list[Any]) -> Any:
         """The boundary constraints of all phases, the sum of the durations, and the times at which phases begin."""
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
-        values = {n: jnp.ravel(real_vector(boundary_words(n), f(each))) for n, f in self.constraints.items()}
+        values = {name: boundary_values(name, function(each)) for name, function in self.constraints.items()}
         if self.horizon is not None:
             values[HORIZON] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
         passed: Any = 0.0

@@ -2,8 +2,9 @@
 
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields, is_dataclass
+from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .guess import Guess
 from .interpolation import Interpolant, Sample
 
 VERSION = 5  # of the file
+SYMBOLS = {"t": "times", "q": "states", "x": "states", "u": "controls", "p": "costates", "J": "cost", "T": "horizon"}
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
@@ -124,6 +126,13 @@ class Solution:
                 "load_solution(path, retraction, controls)"
             )
         return self.interpolant
+
+    if not TYPE_CHECKING:  # a checker knows the attributes
+
+        def __getattr__(self, name: str) -> Any:
+            near = SYMBOLS.get(name) or next(iter(get_close_matches(name, _ATTRIBUTES, 1)), "")
+            hint = f"; did you mean {near}?" if near and not name.startswith("_") else ""
+            raise AttributeError(f"a Solution has no attribute {name!r}{hint}")
 
     def guess(self, after: float = 0.0) -> Guess:
         """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of
@@ -249,6 +258,7 @@ def _write_protect(value: Any) -> None:
 
 
 _SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name not in IN_TEXT}
+_ATTRIBUTES = sorted({*_SCHEMA, *(name for name in dir(Solution) if not name.startswith("_"))})
 _FILE = RecordFile(
     "Solution",
     VERSION,

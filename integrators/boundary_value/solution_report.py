@@ -95,18 +95,18 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     )
     if solution.success and checks.too_coarse:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
-    # On P_f a secondary constraint {J, H} = 0 keeps a momentum that no symmetry of the problem conserves.
-    keeps = "the problem conserves" if solution.singular is None else "constant along this extremal:"
     for name, momentum in solution.momenta.items():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         conserved, count = checks.conserved[name], momentum.shape[1]
+        constant = f"constant along this extremal: {conserved or 'none'} of {count} components"
         if not conserved:
-            yield title, f"{name}: {keeps} none of {count} components"
+            yield title, f"{name}: {constant}"
             continue
         first = np.array2string(momentum[0], precision=8) if count <= LONGEST_MOMENTUM else "at the start"
         size, spread = np.max(np.abs(momentum)), checks.momentum_spreads[name]
-        kept = f"spread over the nodes {spread:.1e}; {keeps} {conserved} of {count} components"
-        yield title, f"{name}: {first}, size {size:.3g}, {kept}"
+        # The spread of those that are not constant is no error.
+        kept = f", spread over the nodes {spread:.1e}" if conserved == count else ""
+        yield title, f"{name}: {first}, size {size:.3g}; {constant}{kept}"
 
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from functools import cache
 from itertools import combinations
-from typing import final
+from typing import ClassVar, final
 
 import equinox as eqx
 import jax
@@ -57,6 +57,13 @@ class SO(MatrixLieGroup):
     action: for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
     """
 
+    _in_place_of: ClassVar[dict[tuple[tuple[int, ...], tuple[int, ...]], str]] = {
+        (
+            (3, 3),
+            (4,),
+        ): '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part',
+        ((3, 3), (3,)): "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()",
+    }
     n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:

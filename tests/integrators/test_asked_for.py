@@ -22,6 +22,7 @@ def effort(_: Array, u: Array) -> Array:
 
 CART = OptimalControlProblem(PLANE, cart, effort, 1)
 BOUNDS, TIME = "bounds belong to OptimalControlProblem", "time_dependent=True"
+ENDS = r"conditions on the ends are start and end of solve, .* boundary_constraints="
 HORIZON = r"for a free one give horizon=Free\(guess\)"
 
 
@@ -32,7 +33,9 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
         *((name, "refined until the error is small give accuracy=1e-8") for name in ("tolerance_error", "mesh")),
-        ("toleranse", r"did you mean tolerance\?"),
+        *((name, ENDS) for name in ("terminal_constraint", "final_condition", "boundary_constraints")),
+        *((name, r"did you mean tolerance\?") for name in ("toleranse", "tol")),
+        *((name, r"did you mean max_iterations\?") for name in ("max_iter", "maxiter", "iterations")),
         ("quiet", "callback, verbose, accuracy$"),
     ],
 )
@@ -42,6 +45,20 @@ def test_an_option_that_does_not_exist_is_answered(name, words):
     if words == BOUNDS and name not in ("control_bounds", "path_constraints"):
         with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*{words}"):
             OptimalControlProblem(PLANE, cart, effort, 1, **{name: (-1, 1)})
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        *((name, ENDS) for name in ("terminal_constraint", "terminal_constraints", "end_constraints")),
+        ("boundary_constraint", r"did you mean boundary_constraints\?"),
+        ("terminal_costs", r"did you mean terminal_cost\?"),
+        ("node_constraint", r"did you mean node_constraints\?"),
+    ],
+)
+def test_a_condition_on_the_ends_is_no_terminal_cost(name, words):
+    with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*; {words}"):
+        OptimalControlProblem(PLANE, cart, effort, 1, **{name: lambda q: q})
 
 
 @pytest.mark.parametrize("horizon", [None, "free", (1.0, 2.0)])

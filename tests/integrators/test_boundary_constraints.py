@@ -172,6 +172,10 @@ def test_equations_from_independent_to_dependent():
         ({"three": lambda a, b, c, d: b}, r"boundary_constraints\['three'\] must be a function of \(q_0, q_T\)"),
         ({"text": lambda a, b: "no"}, r"boundary_constraints\['text'\] must return a real number or a vector"),
         (
+            {"truth": lambda a, b: a[0] == b[0]},
+            r"boundary_constraints\['truth'\] must .* bool values; return a number that is zero where .*, as a - b",
+        ),
+        (
             {"table": lambda a, b: jnp.outer(a, b)},
             r"boundary_constraints\['table'\] must return a number or a vector, got an array",
         ),

@@ -208,7 +208,11 @@ def test_other_mappings_are_taken_and_bounds_that_are_traced_are_not():
             r"constraints\['cone'\] must return a real number or a vector of them, got nothing; did it forget",
         ),
         (lambda q, u: "no", r"must return a real number or a vector of them, got 'no'"),
-        (lambda q, u: u[0] < 1, r"must return a real number or a vector of them, got bool values; try jnp.where"),
+        (
+            lambda q, u: u[0] < 1,
+            r"must return a real number or a vector of them, got bool values; return a number that is not positive "
+            r"where the control is admissible, as u\[0\] - 1 for u\[0\] < 1",
+        ),
         (lambda q, u: 1j * u, r"must return a real number or a vector of them, got a complex one"),
         (
             lambda q, u: jnp.outer(u, u),

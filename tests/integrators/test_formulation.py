@@ -270,6 +270,10 @@ def test_bounds_are_inequalities_at_the_first_point():
         ((np.nan,), "Free: guess must be a real number or an array of them, got nan"),
         ((np.inf,), "Free: guess must be finite, got inf"),
         (([[1.0], [1.0, 2.0]],), "Free: guess must be a number or an array"),
+        (
+            ((np.eye(3), np.zeros(3)),),
+            r"(?s)got \(array.*; .* try a Free for each part, \(Free\(q\[0\]\), Free\(q\[1\]\)\)$",
+        ),
         ((1.0, np.nan), "Free: lower must be a real number or an array of them, got nan"),
         ((1.0, 2.0, 0.0), "Free: lower must be less than upper, got 2.0 and 0.0"),
         ((1.0, 1.0, 1.0), "Free: lower must be less than upper, got 1.0 and 1.0"),

@@ -48,6 +48,16 @@ def test_jumps_of_the_dynamics_are_refused():
         given.check(AT, REST)
 
 
+def test_a_constraint_that_is_a_step_is_answered_with_one_that_is_none():
+    def given(limit: Any) -> OptimalControlProblem:
+        return OptimalControlProblem(PLANE, cart, lambda q, u: u @ u / 2, 1, constraints={"most": limit})
+
+    words = r"constraints\['most'\] jumps in the controls at u = \[1.\].*; return a number that is not positive where"
+    with pytest.raises(InvalidInputError, match=rf"{words} the control is admissible, as u\[0\] - 1 for u\[0\] < 1$"):
+        given(lambda q, u: jnp.where(u[0] < 1, 0.0, 1.0)).check(AT, REST)
+    given(lambda q, u: u[0] - 1).check(AT, REST)
+
+
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_steps_that_make_no_jump_are_not_refused(name):
     step = CONTINUOUS[name]

@@ -352,6 +352,7 @@ def test_bad_node_constraints_are_named(given, words):
     ("function", "words"),
     [
         (lambda q: jnp.sqrt(q[0] - 5), r"node_constraints\['a'\] is not finite at q"),
+        (lambda q: q[0] < 1, r"node_constraints\['a'\] must .* bool values; .*, as q\[0\] - 1 for q\[0\] < 1"),
         (lambda q: jnp.ones((2, 2)), r"node_constraints\['a'\] must return a number or a vector"),
         (lambda q, p: q[0], "parameters"),
     ],

@@ -260,6 +260,31 @@ def test_what_is_no_path_is_named(record, path):
         record[0].save(path)
 
 
+def test_a_file_is_written_into_a_folder_that_exists(record, tmp_path):
+    with pytest.raises(InvalidInputError, match=r"the path .*nowhere.* leads to a folder that does not exist, .*mkdir"):
+        record[0].save(tmp_path / "nowhere" / "record.npz")
+    with pytest.raises(InvalidInputError, match=r"the path .* is that of a folder, expected one of a file"):
+        record[0].save(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        *(("u", "controls"), ("t", "times"), ("x", "states"), ("state", "states"), ("control", "controls")),
+        *(("p", "costates"), ("requires_success", "require_success")),
+    ],
+)
+def test_an_attribute_of_a_solution_is_found_by_its_symbol(name, words):
+    with pytest.raises(AttributeError, match=rf"^a Solution has no attribute '{name}'; did you mean {words}\?$"):
+        getattr(SOLUTION, name)
+
+
+def test_other_attributes_of_a_solution_are_none():
+    assert not hasattr(SOLUTION, "weather")
+    assert not hasattr(SOLUTION, "__array__")
+    assert pickle.loads(pickle.dumps(SOLUTION)).cost == SOLUTION.cost
+
+
 def test_a_file_that_is_not_there_is_the_usual_error(record, tmp_path):
     with pytest.raises(FileNotFoundError):
         record[1](tmp_path / "nothing.npz")

@@ -338,11 +338,22 @@ def test_a_hamiltonian_that_is_zero_gives_no_alarm():
 
 
 @pytest.mark.slow
-def test_the_report_says_which_momenta_the_problem_conserves():
-    """A top with gravity along the third axis conserves the third component alone, a free body all three."""
+def test_the_report_says_which_momenta_are_constant():
+    """A top with gravity along the third axis conserves the third component alone, a free body all three. The spread of
+    components that are not constant is not printed."""
     heavy = problem(cost=lambda q, u: u @ u / 2 + q[2, 0])
     tied = problem(cost=lambda q, u: u @ u / 2 + q[2, 0] + q[0, 1])
     for given, count in ((KINEMATIC, 3), (heavy, 1), (tied, 0)):
         solution = slew(given)
         assert list(solution.checks.conserved.values()) == [count]
-        assert f"the problem conserves {count or 'none'} of 3 components" in " ".join(str(solution).split())
+        report = " ".join(str(solution).split())
+        assert f"constant along this extremal: {count or 'none'} of 3 components" in report
+        assert ("components, spread over the nodes" in report) == (count == 3)
+
+
+def test_a_momentum_that_is_zero_along_the_extremal_is_not_ascribed_to_a_symmetry():
+    """``F = |u|^2 / 2 + y^2`` depends on ``y``, which is zero along the extremal, and so is its costate."""
+    plane = Euclidean(2)
+    valley = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u / 2 + q[1] ** 2, 2)
+    solution = solve(valley, Midpoint(Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 4)
+    assert "constant along this extremal: 2 of 2 components" in " ".join(str(solution).split())

@@ -1,5 +1,6 @@
 """Rotations in three coordinates, group actions and their momenta."""
 
+import re
 from functools import lru_cache
 
 import jax
@@ -7,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SO, Euclidean, HomogeneousSpace, Product, Sphere, hat, vee
+from retrax.manifolds import SO, Euclidean, HomogeneousSpace, InvalidInputError, Product, Sphere, hat, vee
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.product import homogeneous_factors
 
@@ -121,6 +122,22 @@ def test_homogeneous_factors_are_named_by_their_path():
 def test_a_product_of_other_things_is_refused(factors):
     with pytest.raises(ValueError, match="Product takes one or more manifolds, got"):
         Product(*factors)
+
+
+@pytest.mark.parametrize("product", [lambda m: m * 3, lambda m: 3 * m, lambda m: m**3], ids=["m 3", "3 m", "m^3"])
+def test_a_number_of_copies_is_a_power(product):
+    with pytest.raises(InvalidInputError, match=r"got SO\(3\) and 3; try M \* N for two of them, or Power\(M, 3\) for"):
+        product(SO(3))
+
+
+def test_other_forms_of_attitudes_are_answered():
+    for form, words in (
+        (np.array([0, 0, 0, 1.0]), r'; for a quaternion try retrax\.interop\.from_quaternions\(q, "last"\)'),
+        (np.zeros(3), r"; for a rotation vector try scipy's Rotation\.from_rotvec\(v\)\.as_matrix\(\)$"),
+        (np.zeros(2), r"has shape \(3, 3\) where \(2,\) came$"),
+    ):
+        assert re.search(words, SO(3).contains(form).reason)
+        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(" came")
 
 
 def test_one_rotation_of_a_batch_is_orthogonal():

@@ -77,6 +77,11 @@ def test_a_product_with_an_unknown_factor_is_unknown():
         Cayley(NESTED)
 
 
+def test_a_family_without_a_manifold_is_no_retraction():
+    with pytest.raises(InvalidInputError, match=r"Cayley takes a manifold, got none; try Cayley\(problem\.manifold\)"):
+        Cayley()
+
+
 def test_a_family_takes_new_members_for_a_class_and_its_subclasses():
     @final
     class Line(LevelSet):

@@ -176,6 +176,42 @@ class Volume(LevelSet):
         return jnp.linalg.det(x) - 1.0
 
 
+class Nowhere(LevelSet):
+    """No point at all."""
+
+    def constraint(self, x):
+        return x @ x + 1.0
+
+
+class Doubled(LevelSet):
+    """The sphere, by an equation without a gradient on it, and one more equation."""
+
+    def constraint(self, x):
+        return jnp.stack([x[0] - 0.5, (x @ x - 1.0) ** 2])
+
+
+def test_a_level_set_without_points_is_reported_as_one():
+    report = check_manifold(Nowhere(shape=(3,)), throw=False)
+    words = (
+        r"random_points_are_on_the_manifold: it could not be measured: no point of Nowhere\(\(3,\)\) was found from 20"
+    )
+    assert re.search(rf"{words} random starts; check its equations$", str(report).splitlines()[1])
+    assert "Callback" not in str(report)
+    assert "for the same error: random_points_differ, " in str(report)
+
+
+def test_the_square_of_an_equation_is_reported_before_what_follows_from_it():
+    only = "restore_makes_errors_second_order"
+    words = (
+        r"rank lost by the constraint's Jacobian is 1 on Doubled\(\(3,\)\): the gradient of equation 1 is \S+ at "
+        r"random points, and \S+ at a distance of 0.01 from them; expected .* in place of its square$"
+    )
+    report = check_manifold(Doubled(shape=(3,)), only=only, throw=False)
+    assert len(report.failures) == 1
+    assert re.search(words, str(report).splitlines()[1])
+    assert check_manifold(Volume(shape=(2, 2)), only=only).reason == ""
+
+
 @pytest.mark.slow
 def test_zero_is_not_said_to_be_a_kink_where_an_equation_is_missing():
     volume, names = Volume(shape=(2, 2)), ["random_tangents_are_tangent", "restore_is_the_identity_on_the_manifold"]

@@ -17,8 +17,8 @@ from .axes import draw, one, several, time_axis
 def conserved(solution: Solution, ax: Any = None) -> Any:
     """Errors of what the continuous extremal keeps: its Hamiltonian, its momenta and the equations of its manifold.
 
-    The Hamiltonian is compared with its mean, relative to the largest of its parts; the components of a momentum that
-    the problem conserves with those at the start, relative to the largest; the equations are those of
+    The Hamiltonian is compared with its mean, relative to the largest of its parts; a momentum whose components are all
+    constant along the extremal with that at the start, relative to the largest; the equations are those of
     ``manifold.violations`` at the nodes, as they are. Errors of zero are drawn at the rounding of 1. The Hamiltonian of
     a problem with an explicit time is not constant. Returns the axes; raises ``InvalidInputError`` for anything but a
     ``Solution``.

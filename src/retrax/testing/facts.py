@@ -9,12 +9,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..manifolds import InvalidInputError, Manifold, MatrixLieGroup
+from ..manifolds import InvalidInputError, LevelSet, Manifold, MatrixLieGroup
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from .draws import Sampler
 from .numerics import SCALES, coarse_differences, compiled, differences, violation_kernel
 from .precision import WORST, precision
+from .ranks import lost_rank
 from .report import THE_VALUE, Batch, Check, Comparison, ConformanceError, Hint, Outcome, Report, judge, multiple
 from .sites import Site, given_sites, special_sites
 
@@ -111,6 +112,22 @@ class Facts(ABC):
         judged = self.subject is self.manifold and not isinstance(self.manifold, MatrixLieGroup)
         return np.array([judged and site.special for site in self.sites])
 
+    def report(self, *outcomes: Outcome) -> Report:
+        """The report of some outcomes."""
+        failed = any(outcome.status == "fails" for outcome in outcomes)
+        return Report(str(self.subject), outcomes, self._reason if failed else "")
+
+    @cached_property
+    def _reason(self) -> str:
+        """Why the manifold is none, where its equations say so."""
+        if not isinstance(self.manifold, LevelSet):
+            return ""
+        try:
+            points = [self.sampler.random(seed) for seed in self.seeds]
+        except Exception:  # the checks that need points report it
+            return ""
+        return lost_rank(self.manifold, np.stack(points))
+
     def compare(
         self,
         what: str,
@@ -191,7 +208,7 @@ def examine(
         for check in checks
         if check.name in named
     ]
-    report = Report(str(facts.subject), tuple(outcomes))
+    report = facts.report(*outcomes)
     if throw and report.failures:
         raise ConformanceError(report)
     return report

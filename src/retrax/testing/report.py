@@ -1,5 +1,6 @@
 """What a check is, what it measured, and the report in words."""
 
+import re
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ DOUBTFUL = (
     "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
 )
 THE_VALUE = "the value"
+_TOLD = re.compile(r"EquinoxRuntimeError: (.+)")  # the line of an error of a compiled program that is for its user
 # Folders of files that errors pass through on their way from what is checked.
 _INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
 
@@ -112,10 +114,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Report:
-    """Outcomes of the checks of one object; printing it shows them as a table."""
+    """Outcomes of the checks of one object; printing it shows them as a table. ``reason``: one for several that
+    fail."""
 
     subject: str
     outcomes: tuple[Outcome, ...]
+    reason: str = ""
 
     @property
     def failures(self) -> tuple[Outcome, ...]:
@@ -132,6 +136,7 @@ class Report:
             f"{' '.join(self.subject.split())}: "
             + ", ".join(f"{count} {status}" for status, count in counts.items() if count)
         ]
+        lines += [f"  {self.reason}"] if self.reason else []
         again = [outcome.check.name for outcome in outcomes if outcome.same_as]
         for outcome in outcomes:
             if outcome.same_as:
@@ -192,10 +197,13 @@ def _in_words(error: Exception, check: Check, facts: Any) -> tuple[str, str]:
     did."""
     frames = [f for f in traceback.extract_tb(error.__traceback__) if not any(part in f.filename for part in _INNER)]
     where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
-    line = next(iter(str(error).strip().splitlines()), "no message")
+    told = _TOLD.search(str(error))
+    line = told[1] if told else next(iter(str(error).strip().splitlines()), "no message")
     first = facts.errors.setdefault((type(error), where or line), check.name)
     if first != check.name:
         return f"the {type(error).__name__}{where} of {first}", first
+    if told:
+        return line, ""
     advice = f"; {TRACEABLE}" if isinstance(error, jax.errors.JAXTypeError) else ""
     return f"{type(error).__name__}{where}: {line}{advice}", ""
 

@@ -8,7 +8,7 @@ from ..manifolds import CotangentBundle, InvalidInputError, Manifold, MatrixLieG
 from ..retractions import DiscretizationMap, Retraction
 from . import checks as kit
 from .facts import Facts, refuse_unknown
-from .report import Check, ConformanceError, Report, judge
+from .report import Check, ConformanceError, judge
 
 
 class Suite(NamedTuple):
@@ -64,7 +64,7 @@ def parametrize_with_checks(subjects: dict[str, Any], skip: dict[str, str] | Non
             if outcome.status in ("not applicable", "not decided"):
                 pytest.skip(outcome.words)
             if outcome.status == "fails":
-                raise ConformanceError(Report(str(facts().subject), (outcome,)))
+                raise ConformanceError(facts().report(outcome))
 
         return call
 
