@@ -231,6 +231,37 @@ def test_paths_of_poses_are_their_positions(n):
         assert rotations(view(record, SE(3))).shape == (9, 3, 3)
 
 
+@pytest.mark.parametrize("lengths", [(1, 1, 1), (5, 1, 0.02), (0.02, 1, 5), (1, 0.02, 0.02)])
+def test_the_three_axes_of_a_path_in_space_are_named_within_the_figure(lengths):
+    angles = np.linspace(0, 6, 40)
+    points = np.stack([np.cos(angles), np.sin(angles), angles / 3], axis=1) * lengths
+    axis = plotting.path(made_by_hand(q=points), problem=Euclidean(3))
+    axis.figure.canvas.draw()
+    for name in "xyz":
+        side = getattr(axis, f"{name}axis")
+        assert side.label.get_text() == name
+        drawn = side.label.get_window_extent()
+        assert np.all(axis.figure.bbox.min <= drawn.min)
+        assert np.all(drawn.max <= axis.figure.bbox.max)
+        ticks = [tick.label1.get_window_extent() for tick in side.get_major_ticks() if tick.label1.get_visible()]
+        assert not any(drawn.overlaps(tick) for tick in ticks)
+    scales = [np.ptp(getattr(axis, f"get_{name}lim")()) for name in "xyz"] / axis._box_aspect
+    np.testing.assert_allclose(scales, scales[0])
+
+
+def test_the_end_of_a_body_axis_is_seen_where_another_one_starts():
+    turn = Rotation.from_rotvec(np.linspace(0, np.pi / 2, 9)[:, None] * [0, 0, 1]).as_matrix()
+    axis = plotting.body_axes(made_by_hand(q=turn), problem=SO(3))
+    dots = [line for line in axis.lines if line.get_marker() == "o"]
+    starts = [dot for dot in dots if dot.get_markerfacecolor() == "white"]
+    ends = [dot for dot in dots if dot.get_markerfacecolor() != "white"]
+    np.testing.assert_allclose(ends[0].get_data_3d(), starts[1].get_data_3d(), atol=1e-15)
+    curves = [line for line in axis.lines if line not in dots]
+    assert max(line.zorder for line in curves) < min(dot.zorder for dot in starts)
+    assert max(dot.zorder for dot in starts) < min(dot.zorder for dot in ends)
+    assert max(dot.get_markersize() for dot in ends) < min(dot.get_markersize() for dot in starts)
+
+
 def test_slopes_are_those_of_the_kit():
     axis = plotting.slopes(Cayley(SO(3)), seeds=[0, 1])
     words = [text.get_text() for text in axis.get_legend().get_texts()]
