@@ -83,14 +83,14 @@ def linear_deviation():
 def plot(found, nominal, deviation, path):
     """Histograms of the cost, with what the first order says of it, and of the peak torque, with their percentiles."""
     figure, panels = plt.subplots(1, 2, figsize=(10, 4.5), layout="constrained")
-    names = "cost [N$^2$ m$^2$ s]", "largest torque on an axis [N m]"
-    for panel, values, name in zip(panels, (found.cost, found.kept["torque"]), names, strict=True):
+    names = {"cost": "N$^2$ m$^2$ s", "largest torque on an axis": "N m"}
+    for panel, values, (name, unit) in zip(panels, (found.cost, found.kept["torque"]), names.items(), strict=True):
         panel.hist(values, bins=40, density=True, alpha=0.6)
         for percent, value in zip(PERCENT, np.percentile(values, PERCENT), strict=True):
             panel.axvline(value, color="C3", linewidth=1)
             panel.annotate(f"{percent} %", (value, 1.01), xycoords=("data", "axes fraction"), ha="center", fontsize=8)
-        panel.set_xlabel(name)
-        panel.set_yticks([])
+        panel.set_xlabel(f"{name} [{unit}]")
+        panel.set_ylabel(f"density [1/({unit})]")
     costs = np.linspace(*panels[0].get_xlim(), 200)
     normal = np.exp(-(((costs - nominal) / deviation) ** 2) / 2) / (deviation * np.sqrt(2 * np.pi))
     panels[0].plot(costs, normal, color="black", linewidth=1, label="to first order")

@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
+from retrax import plotting
 from retrax.integrators import Guess, OptimalControlProblem, solve
 from retrax.manifolds import LevelSet, MatrixLieGroup
 from retrax.retractions import Exponential, Midpoint, Projection, Retraction
@@ -114,20 +115,33 @@ def heisenberg(steps):
     return retraction, solution, np.pi
 
 
+def surfaces():
+    """Points of the torus and of the ellipsoid at two angles."""
+    around, along = np.mgrid[0 : 2 * np.pi : 25j, 0 : 2 * np.pi : 49j]
+    far = 2 + np.cos(around)
+    torus = far * np.cos(along), far * np.sin(along), np.sin(around)
+    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
+    sphere = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
+    return {"torus": torus, "ellipsoid": [x / np.sqrt(weight) for x, weight in zip(sphere, (1, 2, 3), strict=True)]}
+
+
 def plot(solutions, path):
-    """The three extremals, those in space as seen from above."""
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.6), layout="constrained")
-    titles = {
-        "torus": "geodesic of a torus",
-        "ellipsoid": "geodesic of an ellipsoid",
-        "Heisenberg group": "isoperimetric loop",
-    }
-    labels = {"torus": ("x", "y"), "ellipsoid": ("x", "y"), "Heisenberg group": ("a", "b")}
-    for axis, (name, solution) in zip(axes, solutions.items(), strict=True):
-        x = solution.states
-        curve = (x[:, 0, 1], x[:, 1, 2]) if x.ndim == 3 else (x[:, 0], x[:, 1])
-        axis.plot(*curve, color="C3", linewidth=2)
-        axis.set(title=titles[name], xlabel=labels[name][0], ylabel=labels[name][1], aspect="equal")
+    """Two geodesics on their surfaces, and the loop of the Heisenberg group in its plane."""
+    figure = plt.figure(figsize=(12, 4.2), layout="constrained")
+    parts = figure.subfigures(1, 3)
+    for part, (name, wires) in zip(parts, surfaces().items(), strict=False):
+        axis = part.add_subplot(projection="3d", computed_zorder=False, elev=45)  # wires lie behind the curve
+        axis.plot_wireframe(*wires, color="0.8", linewidth=0.4, zorder=0)
+        axis.set_prop_cycle(color=["tab:red"])
+        plotting.path(solutions[name], ax=axis)
+        axis.set_box_aspect([np.ptp(x) for x in wires], zoom=1.3)
+        axis.set_axis_off()
+        part.suptitle(f"geodesic of {'a' if name == 'torus' else 'an'} {name}")
+    x = solutions["Heisenberg group"].states
+    axis = parts[2].add_subplot()
+    axis.plot(x[:, 0, 1], x[:, 1, 2], color="C3", linewidth=2)
+    axis.set(xlabel="a", ylabel="b", aspect="equal")
+    parts[2].suptitle("isoperimetric loop")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 

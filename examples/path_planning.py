@@ -127,14 +127,16 @@ def plot(solution, paths, path):
     polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
     ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
     space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
-    for (name, poses), style in zip(paths.items(), ("-", "-", "--"), strict=True):  # the last two are nearly the same
+    widths = 1.5, 5.0, 1.5  # the last two ways are nearly the same
+    for (name, poses), colour, width in zip(paths.items(), ("C0", "#ffbf7f", "C2"), widths, strict=True):
         if poses is not solution.states:
-            space.plot(*positions(poses).T)
+            space.plot(*positions(poses).T, color=colour, linewidth=width)
         away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
-        axis.plot(np.linspace(0, 1, len(poses)), away, style, label=name)
+        axis.plot(np.linspace(0, 1, len(poses)), away, color=colour, linewidth=width, label=name)
+    space.set_prop_cycle(color=["tab:green"])
     plotting.path(solution, ax=space)
     space.view_init(50, -70)
-    space.set(zlabel="", title="the optimal motion, with body axes x red, y green, z blue")
+    space.set(title="the optimal motion, with body axes x red, y green, z blue")
     space.title.set_fontsize("medium")
     space.set_zticks([-1, 0, 1])
     axis.axhline(RADIUS, color="0.3", linestyle=":", label="the ball")

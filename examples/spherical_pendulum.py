@@ -55,14 +55,22 @@ def explicit_midpoint(start, steps, every):
     return jax.jit(lambda z: jax.lax.scan(block, z, None, length=steps // every)[1])(start)
 
 
+def largest(times, error, windows=100):
+    """The largest size of an error in each of some windows of the logarithm of time, and the times where these end."""
+    window = np.digitize(times, np.geomspace(times[0], times[-1], windows)[:-1])
+    begins = np.flatnonzero(np.diff(window, prepend=-1))
+    return np.append(times[begins[1:] - 1], times[-1]), np.maximum.reduceat(np.abs(error), begins)
+
+
 def plot(times, errors, path):
-    """Energy errors of both methods against time."""
+    """Energy errors of both methods against time: the largest ones, for they swing between these and zero."""
     figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
     for name, error in errors.items():
-        axis.loglog(times, np.maximum(np.abs(error), 1e-17), label=name, linewidth=0.8)
+        (line,) = axis.loglog(*largest(times, error), label=name)
+        axis.loglog(times, np.abs(error), ".", color=line.get_color(), markersize=1, alpha=0.4)
     axis.set_xlabel("time")
     axis.set_ylabel("|energy error|")
-    axis.set_title(f"Spherical pendulum, steps of {STEP}")
+    axis.set_title(f"Spherical pendulum, steps of {STEP}; lines: the largest error in each window of time")
     axis.legend()
     figure.savefig(path, dpi=150)
     plt.close(figure)

@@ -18,13 +18,18 @@ def main() -> None:
     from retrax import plotting
 
     with mpl.rc_context({"font.size": 8, "lines.linewidth": 1.2}):
-        figure = plt.figure(figsize=(9, 4.2), layout="constrained")
+        figure = plt.figure(figsize=(9, 5), layout="constrained")
         left, right = figure.subfigures(1, 2, width_ratios=(1, 1.25))
         solution = example.slew(50)
         plotting.body_axes(solution, ax=left.add_subplot(projection="3d"))
-        plotting.histories(solution, ax=right.subplots(3, 1, sharex=True))
-        right.axes[0].set_ylabel("rotation vector [rad]")
-        figure.savefig(ROOT / "docs" / "slew.png", dpi=100)
+        panels = plotting.histories(solution, ax=right.subplots(3, 1, sharex=True))
+        panels[0].set_ylabel("rotation vector [rad]")  # its whole name is longer than the panel is high
+        for axis in panels:
+            axis.get_legend().remove()
+            axis.label_outer()
+        right.align_ylabels()
+        right.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)  # off the curves
+        figure.savefig(ROOT / "docs" / "slew.png", dpi=200)
     with Image.open(ROOT / "docs" / "slew.png") as picture:  # few colours, a third of the size
         picture.convert("RGB").quantize(64).save(ROOT / "docs" / "slew.png", optimize=True)
 

@@ -13,6 +13,7 @@ from .manifolds import Euclidean, InvalidInputError, Manifold
 
 ROTATIONS, POSES, SPHERE = ("SO(2)", "SO(3)"), ("SE(2)", "SE(3)"), "Sphere(2)"
 BODY = ("SO(3)", "SE(3)")
+SAME = 1e-6  # of a step: rounding of its times
 About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
 
 
@@ -36,7 +37,12 @@ class Channel(NamedTuple):
 
     @property
     def labels(self) -> list[str]:
-        """The names of the entries, with their units where these differ."""
+        """The names of the entries, with their units where these differ; x, y, z where three have places only, and
+        one unit, and none for a place that is the only one."""
+        if self.entries == ("0",):
+            return [""]
+        if self.entries == ("0", "1", "2") and len(set(self.units)) == 1:
+            return list("xyz")
         units = self.units if len(self.units) > 1 and not self.unit else [""] * len(self.entries)
         return [with_unit(*pair) for pair in zip(self.entries, units, strict=True)]
 
@@ -46,7 +52,7 @@ class View(NamedTuple):
     array.
 
     ``stage_times`` and ``controls`` have one leading axis, that of all stages; ``controls`` is empty where there are
-    none.
+    none. ``is_held``: each step has one control, which holds along it.
     """
 
     times: np.ndarray
@@ -55,6 +61,7 @@ class View(NamedTuple):
     stage_times: np.ndarray
     controls: list[np.ndarray]
     quantities: Quantities
+    is_held: bool = False
 
 
 def view(record: Any, problem: About = None) -> View:
@@ -67,12 +74,14 @@ def view(record: Any, problem: About = None) -> View:
     if isinstance(record, Solution):
         states, costates, controls = map(_leaves, (record.states, record.costates, record.controls))
         given = record.quantities if problem is None else problem
-        found = View(record.times, states, costates, record.stage_times, controls, _quantities(given, states, controls))
+        quantities, is_held = _quantities(given, states, controls), len(record.stage_times) == record.steps
+        found = View(record.times, states, costates, record.stage_times, controls, quantities, is_held)
     elif isinstance(record, Trajectory) and np.ndim(record.times) == 1:
         states, costates, stages = _leaves(record.q), _leaves(record.p), np.asarray(record.stage_times)
         controls = [a.reshape(-1, *a.shape[stages.ndim :]) for a in _leaves(record.controls)]
         quantities = _quantities(problem, states, controls)
-        found = View(np.asarray(record.times), states, costates, stages.ravel(), controls, quantities)
+        times = np.asarray(record.times)
+        found = View(times, states, costates, stages.ravel(), controls, quantities, _is_held(times, stages))
     else:
         raise InvalidInputError(
             f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, "
@@ -80,6 +89,12 @@ def view(record: Any, problem: About = None) -> View:
         )
     found.quantities.require_fits("", tuple(found.states), tuple(found.controls or _nothing(found.quantities)))
     return found
+
+
+def _is_held(times: np.ndarray, stages: np.ndarray) -> bool:
+    """Whether a trajectory has one control from each node to the next; one behind the middle may be that of the last of
+    several steps."""
+    return stages.size == len(times) - 1 and bool(np.all(stages.ravel() - times[:-1] <= (0.5 + SAME) * np.diff(times)))
 
 
 def _leaves(tree: Any) -> list[np.ndarray]:

@@ -7,11 +7,11 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from retrax import plotting
-from retrax.channels import rotation_vectors, rotations, view
-from retrax.integrators import OptimalControlProblem, Result, Trajectory, solve
+from retrax.channels import Channel, rotation_vectors, rotations, view
+from retrax.integrators import OptimalControlProblem, Quantities, Quantity, Result, Trajectory, solve
 from retrax.interop import to_casadi
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
-from retrax.retractions import Cayley, Midpoint
+from retrax.retractions import Cayley, Gauss, Midpoint, Theta
 from scipy.spatial.transform import Rotation
 
 mpl.use("Agg")
@@ -86,7 +86,7 @@ def test_histories_are_the_numbers_with_names_and_units(solved):
     for axis, times, values in (
         (attitude, solution.times, vectors),
         (beside, solution.times, solution.states[1]),
-        (control, solution.stage_times, solution.controls),
+        (control, solution.times, np.concatenate([solution.controls, solution.controls[-1:]])),
     ):
         drawn = np.stack([line.get_ydata() for line in axis.lines], axis=1)
         np.testing.assert_allclose(drawn, values, atol=1e-14)
@@ -98,7 +98,71 @@ def test_histories_are_the_numbers_with_names_and_units(solved):
         "rate [rad/s]",
     ]
     legends = [[text.get_text() for text in axis.get_legend().get_texts()] for axis in (attitude, beside, control)]
-    assert legends == [["x", "y", "z"], ["left [m]", "right [kg]"], ["0", "1", "2"]]
+    assert legends == [["x", "y", "z"], ["left [m]", "right [kg]"], ["x", "y", "z"]]
+
+
+def with_controls(fractions, places=("u",), unit="N"):
+    """A view of three steps with a control of one entry for each place, at these fractions of each step."""
+    times = np.array([0.0, 1.0, 3.0, 4.0])
+    stages = (times[:-1, None] + np.diff(times)[:, None] * fractions).ravel()
+    values = np.arange(1.0, stages.size + 1)
+    quantities = Quantities((), tuple(Quantity(place, (unit,), ("0",), "") for place in places))
+    trajectory = Trajectory(
+        times,
+        (),
+        (),
+        tuple(values.reshape(3, -1, 1) for _ in places),
+        stages.reshape(3, -1),
+        Result.successful,
+        jnp.asarray(-1),
+    )
+    return trajectory, quantities, stages, values
+
+
+@pytest.mark.parametrize(("fractions", "is_held"), [([0.0], True), ([0.5], True), ([0.8], False), ([0.2, 0.8], False)])
+def test_controls_are_steps_where_each_step_has_one(fractions, is_held):
+    record, quantities, stages, values = with_controls(fractions)
+    (line,) = plotting.controls(record, quantities).lines
+    assert line.get_drawstyle() == ("steps-post" if is_held else "default")
+    np.testing.assert_array_equal(line.get_xdata(), record.times if is_held else stages)
+    np.testing.assert_array_equal(line.get_ydata(), [*values, values[-1]] if is_held else values)
+
+
+def test_the_steps_of_a_solution_begin_and_end_at_its_nodes(solved):
+    solution, _ = solved
+    backward = solve(PROBLEM, Theta(Cayley(Q), 1.0), START, END, 3.0, STEPS)
+    for found in (solution, backward):
+        for axis in (plotting.controls(found), plotting.optimality(found)[0], plotting.histories(found)[-1]):
+            assert [line.get_drawstyle() for line in axis.lines] == 3 * ["steps-post"]
+            np.testing.assert_array_equal(axis.lines[0].get_xdata(), found.times)
+            np.testing.assert_array_equal(axis.lines[0].get_ydata()[:-1], found.controls[:, 0])
+    both = solve(PROBLEM, Gauss(2, Cayley(Q)), START, END, 3.0, STEPS)
+    for axis in (plotting.controls(both), plotting.optimality(both)[0], plotting.histories(both)[-1]):
+        np.testing.assert_array_equal(axis.lines[0].get_xdata(), both.stage_times)
+        assert axis.lines[0].get_drawstyle() == "default"
+
+
+def test_entries_without_names_are_x_y_z_where_there_are_three_and_nothing_where_there_is_one():
+    def labels(entries, units=("m",)):
+        return Channel("q", entries, units, np.zeros((2, len(entries)))).labels
+
+    assert labels(("0", "1", "2")) == ["x", "y", "z"]
+    assert labels(("0", "1", "2"), ("m", "m", "m")) == ["x", "y", "z"]
+    assert labels(("0", "1", "2"), ("m", "m", "rad")) == ["0 [m]", "1 [m]", "2 [rad]"]
+    assert labels(("a", "b", "c")) == ["a", "b", "c"]
+    assert labels(("0", "1")) == ["0", "1"]
+    assert labels(("0",)) == [""]
+    record, quantities, *_ = with_controls([0.5])
+    axis = plotting.controls(record, quantities)
+    assert axis.get_legend() is None
+    assert axis.get_ylabel() == "u [N]"
+
+
+def test_controls_of_several_arrays_have_the_names_of_these():
+    record, quantities, *_ = with_controls([0.5], places=("thrust", "torque"))
+    axis = plotting.controls(record, quantities)
+    assert [text.get_text() for text in axis.get_legend().get_texts()] == ["thrust [N]", "torque [N]"]
+    assert axis.get_ylabel() == "controls"
 
 
 def test_every_picture_takes_axes_and_makes_no_figure_of_its_own_then(solved):
@@ -229,6 +293,37 @@ def test_paths_of_poses_are_their_positions(n):
         plotting.body_axes(record)
     if n == 3:
         assert rotations(view(record, SE(3))).shape == (9, 3, 3)
+
+
+@pytest.mark.parametrize("lengths", [(1, 1, 1), (5, 1, 0.02), (0.02, 1, 5), (1, 0.02, 0.02)])
+def test_the_three_axes_of_a_path_in_space_are_named_within_the_figure(lengths):
+    angles = np.linspace(0, 6, 40)
+    points = np.stack([np.cos(angles), np.sin(angles), angles / 3], axis=1) * lengths
+    axis = plotting.path(made_by_hand(q=points), problem=Euclidean(3))
+    axis.figure.canvas.draw()
+    for name in "xyz":
+        side = getattr(axis, f"{name}axis")
+        assert side.label.get_text() == name
+        drawn = side.label.get_window_extent()
+        assert np.all(axis.figure.bbox.min <= drawn.min)
+        assert np.all(drawn.max <= axis.figure.bbox.max)
+        ticks = [tick.label1.get_window_extent() for tick in side.get_major_ticks() if tick.label1.get_visible()]
+        assert not any(drawn.overlaps(tick) for tick in ticks)
+    scales = [np.ptp(getattr(axis, f"get_{name}lim")()) for name in "xyz"] / axis._box_aspect
+    np.testing.assert_allclose(scales, scales[0])
+
+
+def test_the_end_of_a_body_axis_is_seen_where_another_one_starts():
+    turn = Rotation.from_rotvec(np.linspace(0, np.pi / 2, 9)[:, None] * [0, 0, 1]).as_matrix()
+    axis = plotting.body_axes(made_by_hand(q=turn), problem=SO(3))
+    dots = [line for line in axis.lines if line.get_marker() == "o"]
+    starts = [dot for dot in dots if dot.get_markerfacecolor() == "white"]
+    ends = [dot for dot in dots if dot.get_markerfacecolor() != "white"]
+    np.testing.assert_allclose(ends[0].get_data_3d(), starts[1].get_data_3d(), atol=1e-15)
+    curves = [line for line in axis.lines if line not in dots]
+    assert max(line.zorder for line in curves) < min(dot.zorder for dot in starts)
+    assert max(dot.zorder for dot in starts) < min(dot.zorder for dot in ends)
+    assert max(dot.get_markersize() for dot in ends) < min(dot.get_markersize() for dot in starts)
 
 
 def test_slopes_are_those_of_the_kit():

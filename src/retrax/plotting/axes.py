@@ -52,15 +52,43 @@ def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float,
 
 def draw(ax: Any, times: np.ndarray, channel: Channel, found: View, **style: Any) -> Any:
     """A history with its name, units and the names of its entries."""
-    names = channel.labels
+    _lines(ax, times, channel, channel.labels, **style)
+    ax.set_ylabel(channel.title)
+    time_axis(ax, found)
+    return ax
+
+
+def draw_controls(ax: Any, channels: list[Channel], found: View) -> Any:
+    """Histories of controls: as steps where each step has one, which holds along it. Of several arrays each line has
+    the name."""
+    if len(channels) == 1:
+        draw(ax, *_held(channels[0], found), found, **_style(found))
+        return ax
+    for channel in channels:
+        names = [with_unit(f"{channel.name} {label}".rstrip(), channel.unit) for label in channel.labels]
+        _lines(ax, *_held(channel, found), names, **_style(found))
+    ax.set_ylabel("controls")
+    time_axis(ax, found)
+    return ax
+
+
+def _held(channel: Channel, found: View) -> tuple[np.ndarray, Channel]:
+    """Times and values of controls: those of a step from its beginning on."""
+    if not found.is_held:
+        return found.stage_times, channel
+    return found.times, channel._replace(values=np.concatenate([channel.values, channel.values[-1:]]))
+
+
+def _style(found: View) -> dict[str, str]:
+    return {"drawstyle": "steps-post"} if found.is_held else {}
+
+
+def _lines(ax: Any, times: np.ndarray, channel: Channel, names: list[str], **style: Any) -> None:
     shown = len(names) <= MANY and any(names)
     for column, name in zip(channel.values.T, names, strict=True):
         ax.plot(times, column, label=name if shown else None, **style)
-    ax.set_ylabel(channel.title)
-    time_axis(ax, found)
     if shown:
         ax.legend(fontsize="small")
-    return ax
 
 
 def time_axis(ax: Any, found: View) -> None:

@@ -11,7 +11,7 @@ from ..integrators.functions import require_concrete
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
-from .axes import draw, one, several, time_axis
+from .axes import draw, draw_controls, one, several, time_axis
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
@@ -117,8 +117,9 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     has_multipliers = bool(solution.stage_multipliers or solution.node_multipliers)
     rows = 1 + (problem is not None) + has_multipliers
     axes = several(ax, rows, columns=1, panel=(6.4, 2.6))
-    for channel in control_channels(found):
-        draw(axes[0], found.stage_times, channel, found)
+    channels = control_channels(found)
+    draw_controls(axes[0], channels, found)
+    for channel in channels:
         _bounds(axes[0], problem, channel)
     if problem is not None:
         switching(problem, solution, axes[1])

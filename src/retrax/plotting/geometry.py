@@ -13,6 +13,10 @@ FRAMES = 8
 ARM = 0.08  # length of the axes of a frame, of the extent of the path
 FLOOR = 1e-9
 TICKS = 8  # on the longest axis of a box
+FLATTEST = 0.2  # of a box, that its names fit
+ROOM, LONGEST = 0.85, 0.7  # of a box and of its longest side in its axes: names would be cut off at 1
+OFFSET = 21.0, 30.0  # of names from a box, in points of a cube: that of matplotlib, and all
+OPEN, FULL = (7, 3.0), (4.5, 3.1)  # sizes and layers of dots: a full one is seen inside of an open one
 
 
 def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
@@ -56,9 +60,10 @@ def path(record: Any, array: int | None = None, problem: About = None, frames: i
     ):
         if set_label is not None:
             set_label(with_unit(name, quantity.unit))
-    axis.set_aspect("equal", *([] if n == 3 else ["datalim"]))
     if n == 3:
-        _fewer_ticks(axis)
+        _fit_box(axis)
+    else:
+        axis.set_aspect("equal", "datalim")
     return axis
 
 
@@ -91,8 +96,8 @@ def curve(axis: Any, points: np.ndarray, name: str | None) -> None:
     """A curve from an open dot to a full one."""
     (drawn,) = axis.plot(*points.T, label=name)
     colour = drawn.get_color()
-    axis.plot(*points[:1].T, "o", color=colour, markerfacecolor="white")
-    axis.plot(*points[-1:].T, "o", color=colour)
+    for place, face, (size, layer) in ((0, "white", OPEN), (-1, colour, FULL)):
+        axis.plot(*points[[place]].T, "o", color=colour, markerfacecolor=face, markersize=size, zorder=layer)
 
 
 def bare(axis: Any) -> None:
@@ -101,11 +106,23 @@ def bare(axis: Any) -> None:
     axis.set_axis_off()
 
 
-def _fewer_ticks(axis: Any) -> None:
-    """Fewer ticks on the short axes of a box, where their numbers would lie over each other."""
-    lengths = np.array([np.ptp(limits()) for limits in (axis.get_xlim, axis.get_ylim, axis.get_zlim)])
-    for name, share in zip("xyz", lengths / lengths.max(), strict=True):
-        axis.locator_params(axis=name, nbins=max(2, round(TICKS * share)))
+def _fit_box(axis: Any) -> None:
+    """Equal scales in a box that leaves room for its names, with fewer ticks on its short sides, where their numbers
+    would lie over each other."""
+    limits = np.array([axis.get_xlim(), axis.get_ylim(), axis.get_zlim()])
+    lengths = np.ptp(limits, axis=1)
+    longer = np.maximum(lengths, FLATTEST * lengths.max())
+    sides = limits.mean(axis=1)[:, None] + np.outer(longer, [-0.5, 0.5])
+    for set_side, side in zip((axis.set_xlim, axis.set_ylim, axis.set_zlim), sides, strict=True):
+        set_side(*side)
+    axis.set_aspect("equal")
+    diagonal = np.linalg.norm(longer)
+    axis.set_box_aspect(tuple(longer), zoom=min(ROOM, LONGEST * diagonal / longer.max()))
+    for k, (name, side) in enumerate(zip("xyz", (axis.xaxis, axis.yaxis, axis.zaxis), strict=True)):
+        axis.locator_params(axis=name, nbins=max(2, round(TICKS * longer[k] / longer.max())))
+        # Matplotlib sets names off by shares of the two other sides.
+        across = np.linalg.norm(np.delete(longer, k)) / (np.sqrt(2 / 3) * diagonal)
+        side.labelpad = OFFSET[1] / across - OFFSET[0]
 
 
 def _frames(axis: Any, poses: np.ndarray, extent: float) -> None:

@@ -6,22 +6,24 @@ import numpy as np
 
 from ..channels import About, Channel, control_channels, rotation_vectors, rotations, state_channels, view
 from ..manifolds import InvalidInputError
-from .axes import draw, one, several
+from .axes import draw, draw_controls, one, several
 
 
 def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
     """States and controls of a solution or a trajectory against time, one panel for each.
 
-    Rotations are shown as rotation vectors, poses as rotation vectors and positions. ``problem`` has the names and
-    units of a trajectory, a manifold its spaces; a solution has its own. ``ax``: as many axes as there are panels.
+    Rotations are shown as rotation vectors, poses as rotation vectors and positions; controls as steps where each step
+    has one, which holds along it. Three entries with one unit and without names are x, y, z. ``problem`` has the names
+    and units of a trajectory, a manifold its spaces; a solution has its own. ``ax``: as many axes as there are panels.
     Returns the array of axes. Raises ``InvalidInputError`` for another record or number of axes.
     """
     found = view(record, problem)
-    pairs = [(found.times, channel) for channel in state_channels(found)]
-    pairs += [(found.stage_times, channel) for channel in control_channels(found)]
-    axes = several(ax, len(pairs))
-    for axis, (times, channel) in zip(axes, pairs, strict=True):
-        draw(axis, times, channel, found)
+    states, own = state_channels(found), control_channels(found)
+    axes = several(ax, len(states) + len(own))
+    for axis, channel in zip(axes[: len(states)], states, strict=True):
+        draw(axis, found.times, channel, found)
+    for axis, channel in zip(axes[len(states) :], own, strict=True):
+        draw_controls(axis, [channel], found)
     return axes
 
 
@@ -44,17 +46,17 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) ->
 
 
 def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
-    """The controls at the stages against time. Returns the axes; raises ``InvalidInputError`` where there are none."""
+    """The controls against time: lines through those of the stages, or steps where each step has one.
+
+    Returns the axes; raises ``InvalidInputError`` where there are none.
+    """
     found = view(record, problem)
     channels = control_channels(found)
     if not channels:
         raise InvalidInputError(
             "the trajectory has no controls, it is one of Hamilton's equations; try plotting.histories"
         )
-    axis = one(ax)
-    for channel in channels:
-        draw(axis, found.stage_times, channel, found)
-    return axis
+    return draw_controls(one(ax), channels, found)
 
 
 def attitude(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
