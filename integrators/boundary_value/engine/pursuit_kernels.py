@@ -335,11 +335,11 @@ def pursue(
     ``calls``: addresses; ``programs``, ``memory``: of the tapes, and what they work in; ``vectors``: what stays the
     same, what is given to this pass, and room; ``rows``: where all stands in these (``trial_kernels``); ``rules``: the
     tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of a
-    point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, and the
-    share of the way to the boundary that a step may go; those of
-    ``_leads_on``; those of ``_settled``; a residual that is rounding; from which share on ends are far apart, and what
-    a multiplier is kept within; those of ``survey``; those of ``measure``; the last barrier relative to the tolerance,
-    those of ``lowered``, and a share of a step at which it jams.
+    point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, and the share of
+    the way to the boundary that a step may go; those of ``_leads_on``; those of ``_settled``; a residual that is
+    rounding; from which share on ends are far apart, and what a multiplier is kept within; those of ``survey``; those
+    of ``measure``; the last barrier relative to the tolerance, those of ``lowered``, and a share of a step at which it
+    jams.
     """
     (setting, given, room), done, tolerance, end = vectors, 0, rules[0], 0
     before, limited = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0
