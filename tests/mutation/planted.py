@@ -801,6 +801,18 @@ PLANTED: dict[str, Planted] = {
         "lacking += 0 * np.abs(after.blocks.inner.defect - before.blocks.inner.defect).sum(axis=(1, 2))",
         (RESTING,),
     ),
+    "a guess through the middle of an obstacle is left": Planted(
+        f"{ENGINE}/newton.py",
+        "np.flatnonzero(failed & (held | violated))",
+        "np.flatnonzero(failed & held)",
+        (f"{TESTS}/test_inequalities.py::test_a_guess_through_the_middle_of_an_obstacle_is_led_around",),
+    ),
+    "a free end that is guessed is where the other one is": Planted(
+        "integrators/boundary_value/end_points.py",
+        "np.where(last.known, end_rows, start_rows)",
+        "np.where(last.entries, end_rows, start_rows)",
+        (f"{TESTS}/test_guesses.py::test_a_free_end_is_guessed_where_it_is_said",),
+    ),
     "a family of extremals is left for want of a step": Planted(
         f"{ENGINE}/descent.py",
         "stays &= np.isinf(state.correction)",
