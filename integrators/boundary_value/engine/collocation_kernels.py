@@ -23,24 +23,21 @@ from .trial_kernels import (
     WHOLE,
     change_of,
     clear,
-    coordinates_of,
     costates_of,
     costs_of,
-    covectors,
-    covectors_of,
     evaluate,
-    frames_of,
     in_frames,
     laid_parts,
     lengths_of,
     meet_ends,
+    move_covectors,
     multipliers_of,
     nodes_of,
     part_of,
     point_survey_of,
-    programs_of,
     put_ends,
     read_by,
+    tapes_of,
 )
 from .vectors import compiled, inner
 
@@ -211,11 +208,8 @@ def trial(
 ) -> bool:
     """The condensed system after a part of a step; whether the ends of the steps are near each other, else there is
     none; see ``one_stage_kernels.trial``."""
-    codes, registers, values, sources, targets, table = programs_of(programs, rows)
-    tapes, part = (codes, registers, values, sources, targets, table, memory, written), part_of(before, rows)[0]
-    lengths, run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
-    frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
-    covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)
+    tapes, nodal = tapes_of(programs, memory, written, rows), move_covectors(before, written, rows)
+    lengths, run, table, part = lengths_of(setting, rows), calls[AT_RUN], tapes[5], part_of(before, rows)[0]
     moved, (h, _, matrix, b) = moved_of(written, rows), lengths
     _move_unknowns(run, tapes, moved_of(before, rows), stepped_of(before, rows), lengths, part, moved)
     (x, _, _, velocities, _, eta, _, _, _), of = moved, (h, matrix, b)

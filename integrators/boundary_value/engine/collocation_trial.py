@@ -16,9 +16,9 @@ from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes
 from .trial import Called, Trial, common_rows
 
-# What its kernels work with, in the order of ``collocation_kernels.ARRAYS``: of all steps, or where there is a dot of
-# the trajectory; with an axis for one column where there is a bar, the last two axes in one where there is a sign of
-# equality, and without axes where there is a stroke.
+# What its kernels work with, in the order in which ``collocation_kernels`` lays it out: of all steps, or where there is
+# a dot of the trajectory; with an axis for one column where there is a bar, the last two axes in one where there is a
+# sign of equality, and without axes where there is a stroke.
 OWN = (
     *("x/", "u/", "turns", "velocities", "xi", "eta", "covectors_at/", "frames_at", "multipliers_at"),
     *("hessian_at", "constraints", "slope_at|", "defect|"),

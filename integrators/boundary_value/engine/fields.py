@@ -35,9 +35,9 @@ class Fields:
         offsets, itemsize = [8 * begin for begin in self.begins.values()], 8 * self.size
         self._type = np.dtype({"names": [*shapes], "formats": formats, "offsets": offsets, "itemsize": itemsize})
 
-    def place(self, numbers: np.ndarray | None = None) -> Place:
-        """A vector of numbers that are not set, or this one, with its arrays."""
-        numbers = np.empty(self.size) if numbers is None else numbers
+    def place(self) -> Place:
+        """A vector of numbers that are not set, with its arrays."""
+        numbers = np.empty(self.size)
         return Place(numbers, np.ndarray((), self._type, numbers))
 
     def filled(self, **arrays: Any) -> np.ndarray:

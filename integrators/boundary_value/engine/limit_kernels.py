@@ -94,6 +94,7 @@ def lower_barrier(
         return CHEAP if cheap else SAME
     barrier[0] = less
     clear(view(surveyed, 0, (surveyed.size,)))
+    clear(view(numbers, 0, (numbers.size,)))
     _, _, values, pushes, _, _ = raised_of(written, rows)
     held, slacks = (values, pushes, weights_of(given, rows)), slacks_of(written, given, rows)
     held_survey(calls[AT_HELD_SURVEY], (0, 1, held, slacks, limits, sizes[0], sizes[1], surveyed))

@@ -13,25 +13,21 @@ from .trial_kernels import (
     MOVE,
     TRIAL,
     clear,
-    coordinates_of,
     costates_of,
-    covectors,
-    covectors_of,
     evaluate,
-    frames_of,
     held_of,
     in_frames,
     lengths_of,
     meet_ends,
-    multipliers_of,
+    move_covectors,
     nodes_of,
     part_of,
     point_survey_of,
-    programs_of,
     put_ends,
     read_by,
     slacks_of,
     steps_of,
+    tapes_of,
     turned_of,
     u_of,
     x_of,
@@ -80,12 +76,9 @@ def trial(
     ``before``: where it sets out from, with the step; ``sizes``: from which share on ends are far apart, and what a
     multiplier is kept within; see ``pursuit_kernels.pursue`` for the others.
     """
-    codes, registers, values, sources, targets, table = programs_of(programs, rows)
-    tapes, part = (codes, registers, values, sources, targets, table, memory, written), part_of(before, rows)[0]
-    (h, parameters, _, _), run, nodal = lengths_of(setting, rows), calls[AT_RUN], covectors_of(written, rows)
-    frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
-    covectors(coordinates, frames, multipliers_of(before, rows), part, nodal)
-    known = x_of(before, rows), u_of(before, rows)
+    tapes, nodal = tapes_of(programs, memory, written, rows), move_covectors(before, written, rows)
+    (h, parameters, _, _), run, table = lengths_of(setting, rows), calls[AT_RUN], tapes[5]
+    known, part = (x_of(before, rows), u_of(before, rows)), part_of(before, rows)[0]
     _move_unknowns(run, tapes, known, steps_of(before, rows), (h, parameters), part)
     read, moved = read_by(tapes, ENDS), view(written, 0, (table[MOVED, 9],))
     put(read, put(read, put(read, 0, moved, 0, moved.size), h, 0, h.size), parameters, 0, parameters.size)

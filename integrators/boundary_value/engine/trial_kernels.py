@@ -219,6 +219,21 @@ def covectors(
 
 
 @pasted
+def tapes_of(programs: np.ndarray, memory: np.ndarray, written: np.ndarray, rows: np.ndarray) -> tuple:
+    """The programs of a trial, a table of where each stands, reads and writes, and where they work and write."""
+    codes, registers, values, sources, targets, table = programs_of(programs, rows)
+    return codes, registers, values, sources, targets, table, memory, written
+
+
+@pasted
+def move_covectors(before: np.ndarray, written: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Write the covectors at the nodes after the part of the step that is made."""
+    frames, coordinates, moved = frames_of(before, rows), coordinates_of(before, rows), covectors_of(written, rows)
+    covectors(coordinates, frames, multipliers_of(before, rows), part_of(before, rows)[0], moved)
+    return moved
+
+
+@pasted
 def meet_ends(calls: tuple, k: int, tapes: tuple, setting: np.ndarray, far: float, rows: np.ndarray) -> bool:
     """Whether the ends of the steps, which the tape ``k`` finds, are near each other; then the nodes are known."""
     evaluate(calls[AT_RUN], tapes[5][k], tapes, lengths_of(setting, rows)[0].size)
@@ -285,12 +300,11 @@ def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarra
 def measure(
     calls: tuple, written: np.ndarray, setting: np.ndarray, given: np.ndarray, rows: np.ndarray, shares: tuple
 ) -> None:
-    """What the trial is judged by."""
+    """What the trial is judged by, in numbers that come as zeros."""
     along, entries, numbers, surveyed, points = told_of(written, rows)
     highest, lowest, support, _, missing, lacking, total, parts, slopes, curvature = extent_of(written, rows)
     of = highest, lowest, support, missing, lacking, total, parts, slopes, curvature
     limits = surveyed, barrier_of(written, rows), limits_of(given, rows)[1]
     trajectory = largest_of(written, rows), mean_of(setting, rows), cost_of(written, rows)
     found = along, entries, numbers
-    clear(view(numbers, 0, (numbers.size,)))
     _measure(calls[AT_MEASURE], (of, points, trajectory, units_of(given, rows), limits, shares, found))
