@@ -112,12 +112,12 @@ class Collocation:
 
     def trial(self, nodes: Nodes, count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        from .collocation_trial import CollocationTrial
-
         if self.inequalities:
             return None
         known = self._trial
         if known is None or known[0] != count:
+            from .collocation_trial import CollocationTrial
+
             known = self._trial = count, CollocationTrial.of(self, nodes, count)
         return known[1]
 

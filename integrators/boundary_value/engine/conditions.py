@@ -372,7 +372,7 @@ class Conditions:
     @cached_property
     def mean_step(self) -> np.ndarray:
         """The mean step of each member."""
-        return np.mean(self.data.steps, axis=1)
+        return self.data.steps.sum(axis=1) / self.data.steps.shape[1]
 
     def control_sizes(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""

@@ -77,9 +77,7 @@ class Descent:
         while True:
             self.state = state
             self.report(state, state.descends)
-            finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
-            finished |= self.contradictory(state)
-            state = self.leave(state, finished)
+            state = self.leave(state, state.done if state.done.all() else self.finished(state))
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
@@ -93,8 +91,8 @@ class Descent:
             return self.begun(guess)
         state, trials, known = found
         if state is None:
-            return self.begun(guess, known)
-        self.first, self.lost, self.trials = known, np.zeros(1, bool), trials + 1
+            return self.begun(guess, known()[:2])
+        self.first, self.lost, self.trials = lambda: known()[:2], np.zeros(1, bool), trials + 1
         return self.settled_after(state, self.conditions)
 
     def pursued(self, state: State) -> State | None:
@@ -135,7 +133,7 @@ class Descent:
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
             step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        self.first, residuals = (guess, assembled), conditions.residuals(guess, assembled)
+        self.first, residuals = lambda: (guess, assembled), conditions.residuals(guess, assembled)
         merit = Merit.of(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
@@ -224,7 +222,7 @@ class Descent:
             stuck &= conditions.is_hard(iterate, state.assembled)
         if stuck.any():
             # Once more from the guess: multipliers that grew against a bound would hold the trajectory where it jammed.
-            first, assembled = taken(self.first, state.member)
+            first, assembled = taken(self.first(), state.member)
             iterate = merged(stuck, conditions.softened(first, assembled, stuck), iterate)
             state = state._replace(shift=np.where(stuck, 0.0, state.shift))
         if (stuck | cheap).any():
@@ -306,6 +304,11 @@ class Descent:
         exact = state.isolated | (state.residuals.largest <= EXACT * EPS)
         return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
 
+    def finished(self, state: State) -> np.ndarray:
+        """Which members are done, or have no reason to go on."""
+        finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
+        return finished | self.contradictory(state)
+
     def hopeless(self, state: State) -> np.ndarray:
         """Whether no step is left, be it from the guess once more with elastic inequalities."""
         stuck = ~_solvable(state)
@@ -357,17 +360,18 @@ class Descent:
         if self.state is not None:
             self.left.append((self.state, self.trials))
         states = [state for state, _ in self.left]
-        counts = np.concatenate([np.full(len(state.member), trials) for state, trials in self.left])
-        whole = joined(states)
-        order = np.argsort(whole.member)
-        whole = whole if len(states) == 1 else taken(whole, order)
+        counts = np.repeat([trials for _, trials in self.left], [len(state.member) for state in states])
+        whole = states[0]
+        if len(states) > 1:
+            order = np.argsort(np.concatenate([state.member for state in states]))
+            whole, counts = taken(joined(states), order), counts[order]
         strict = whole.step.strict & (whole.shift == 0)
         if whole.iterate.slacks is not None:
             strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
         missing = whole.assembled.extent.lacking / self.conditions.judging.nodes
         ended = (
             strict & whole.isolated,
-            counts[order] - 1,
+            counts - 1,
             whole.claimed & (whole.residuals.final <= self.tolerance),  # it may have gone on from where it was
             _solvable(whole),
             self.stopped,

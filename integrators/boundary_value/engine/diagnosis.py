@@ -194,5 +194,5 @@ class Diagnosis:
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """What arrays of the stages, (B, S, ...), have at the first, the last and those between that are looked at."""
     last = stages[0].shape[1] - 1
-    places = np.array([k * last // (SAMPLES - 1) for k in range(SAMPLES)])
-    return tuple([part[:, places] for part in stages])
+    places = [k * last // (SAMPLES - 1) for k in range(SAMPLES)]
+    return tuple([part.take(places, axis=1) for part in stages])

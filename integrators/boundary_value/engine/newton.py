@@ -44,8 +44,9 @@ def newton(
     found = search.ended(guess)
     found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
-        moved, held = aside(conditions, *search.first)
-        slacks = search.first[0].slacks
+        first = search.first()
+        moved, held = aside(conditions, *first)
+        slacks = first[0].slacks
         violated = np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     jammed = np.flatnonzero(found.contradictory & ~found.claimed)

@@ -20,8 +20,7 @@ def newton_in_parts(
 ) -> Found:
     """What ``newton`` finds; ``shape``: number of members, and of the points of each."""
     count, points = shape
-    parts = parts_of(count, -(-FEWEST // points), max(1, MOST // points))
-    if len(parts) == 1:
+    if count == 1 or len(parts := parts_of(count, -(-FEWEST // points), max(1, MOST // points))) == 1:
         return newton(conditions, guess, tolerance, max_iterations)
     stop = Event()
 

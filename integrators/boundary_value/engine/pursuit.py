@@ -1,5 +1,6 @@
 """Newton's method on one trajectory while its whole steps are taken, in compiled passes, which decide nothing else."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -7,10 +8,10 @@ import numpy as np
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import RULES, SHIFTS, Merit, State
 from .aside import FAR, MET, UNMET
-from .kkt_system import Assembled, Iterate
+from .kkt_system import Iterate
 from .scaling import SOFTEST
 from .share import DIAMETER, UNCHANGED
-from .trial import Pursuit, Standing
+from .trial import Pursuit, Standing, Tried
 
 if TYPE_CHECKING:
     from .conditions import Conditions
@@ -24,7 +25,7 @@ JAMMED = 1e-3  # a share of a step at which hard inequalities are made elastic
 
 def set_out(
     conditions: "Conditions", guess: Iterate, most: int, tolerance: float
-) -> tuple[State | None, int, tuple[Iterate, Assembled]] | None:
+) -> tuple[State | None, int, Callable[[], Tried]] | None:
     """The state after whole steps from a guess, if the first is one, how many trials that took, and the guess with its
     system, from which units are taken.
 
@@ -38,14 +39,11 @@ def set_out(
     begun = setting.trial.set_out(setting, guess, (_rules(conditions, tolerance), min(most, MOST)))
     if begun is None:
         return None
-    (tried, conditions.units, found), conditions.wider, one, no = begun, None, np.ones(1), np.zeros(1, bool)
-    first = tried.iterate, tried.assembled
+    first, conditions.units, found = begun
+    conditions.wider = None
     if found is None:
         return None, 0, first
-    merit, infinite = Merit(one, one, one), np.full(1, np.inf)
-    numbers = one, one, merit, one, one, np.zeros(1), one, infinite, no, no, no
-    state = State(np.arange(1), *first, tried.appraisal.residuals, found.step, one > 0, *numbers)
-    state, trials = _reached(conditions, state, found) or (_standing(state, found.standing), 0)
+    state, trials = _reached(conditions, found) or (_state(first(), found), 0)
     return state, trials, first
 
 
@@ -76,7 +74,10 @@ def pursued(
     going = _rules(conditions, tolerance), standing, min(most, MOST)
     before = state.iterate, state.assembled, state.step
     found = setting.trial.pursue(setting, conditions, before, going)
-    return _reached(conditions, state, found)
+    if (reached := _reached(conditions, found)) is None:
+        return None
+    after, trials = reached
+    return after._replace(member=state.member, claimed=after.claimed | state.claimed), trials
 
 
 def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
@@ -95,22 +96,21 @@ def _is_plain(conditions: "Conditions", state: State) -> bool:
     return bool(whole and np.all(state.step.followed == 1.0) and conditions.at_nodes.flat_controls)
 
 
-def _reached(conditions: "Conditions", state: State, found: Pursuit) -> tuple[State, int] | None:
-    """The state that a pursuit has led to."""
-    tried = found.ahead if found.arrived else found.last
+def _reached(conditions: "Conditions", found: Pursuit) -> tuple[State, int] | None:
+    """The state that a pursuit has led to, and how many trials that took; None where it took no step."""
     if found.far or (found.ahead is not None and not found.arrived):
         conditions.ahead = found.step, found.ahead
-    if tried is None or not found.taken + found.arrived:
+    tried = found.ahead if found.arrived else found.last
+    if tried is None:
         return None
-    appraisal = conditions.knows(tried)
-    own = {"iterate": tried.iterate, "assembled": tried.assembled, "residuals": appraisal.residuals, "step": found.step}
-    state = _standing(state, found.standing)._replace(**own, done=np.array([found.arrived]))
-    return state, found.taken + found.arrived
+    conditions.knows(tried)
+    return _state(tried, found), found.taken + found.arrived
 
 
-def _standing(state: State, standing: Standing) -> State:
-    """The state with what stands."""
-    promised, turned, *merit, funnel, best, _, correction, isolated = (np.array([number]) for number in standing)
-    settled = isolated > 0
-    numbers = {"promised": promised, "turned": turned, "merit": Merit(*merit), "funnel": funnel, "best": best}
-    return state._replace(**numbers, correction=correction, isolated=settled, claimed=state.claimed | settled)
+def _state(tried: Tried, found: Pursuit) -> State:
+    """The state at the end of a pursuit, of a single member: nothing is shifted or cut there."""
+    promised, turned, *merit, funnel, best, _, correction, isolated = np.array([found.standing], float).T
+    one, no, settled = np.ones(1), np.zeros(1), isolated > 0
+    at = np.arange(1), tried.iterate, tried.assembled, tried.appraisal.residuals, found.step, one > 0
+    numbers = promised, turned, Merit(*merit), funnel, one, no, best, correction
+    return State(*at, *numbers, settled, settled, np.array([found.arrived]))

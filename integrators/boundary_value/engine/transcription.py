@@ -134,10 +134,10 @@ class OneStage:
 
     def trial(self, nodes: "Nodes", count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        from .one_stage_trial import OneStageTrial
-
         known = self._trial
         if known is None or known[0] != count:
+            from .one_stage_trial import OneStageTrial
+
             known = self._trial = count, OneStageTrial.of(self, nodes, count)
         return known[1]
 

@@ -8,7 +8,8 @@ transcription: ``one_stage_trial``, ``collocation_trial``.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -94,9 +95,10 @@ class Standing(NamedTuple):
 
 
 class SetOut(NamedTuple):
-    """The guess with its system, which has units now; and the pursuit from there, if its first step is a whole one."""
+    """The guess with its system when it is asked for, the units from there, and the pursuit, if its first step is a
+    whole one."""
 
-    first: Tried
+    first: Callable[[], Tried]
     units: Units
     pursuit: "Pursuit | None"
 
@@ -106,7 +108,7 @@ class Pursuit(NamedTuple):
     step that was not gone on from, if there is one; how the pass ended with it."""
 
     taken: int
-    last: Tried | None  # none where it set out from a known step and took no other
+    last: Tried | None  # none where it set out from a known step and took no other, or has arrived
     step: Step
     standing: Standing
     ahead: Tried | None
@@ -163,6 +165,11 @@ class Trial(ABC):
     def addresses(self) -> tuple[int, ...]:
         """Those of its kernels."""
 
+    @cached_property
+    def _calls(self) -> tuple[int, ...]:
+        """The addresses of all kernels that a pass calls."""
+        return *self._kernels.addresses(self.limited), *self.addresses()
+
     @abstractmethod
     def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:
         """Write what a trial sets out from beside what all do: unknowns, and what was condensed, with its steps."""
@@ -197,10 +204,10 @@ class Trial(ABC):
         count, end = self._run(setting, numbers, places, rules, (stands, most, True))
         if end == self._kernels.APART:
             return None
-        units, first = Units(v["unknowns"], v["nodes"], v["unit"]), self._tried(places[2].v)
+        units, first = Units(v["unknowns"], v["nodes"], v["unit"]), cache(lambda: self._tried(places[2].v))
         if end == self._kernels.LOST:
             return SetOut(first, units, None)
-        last = (first, self._step(places[2].v)) if count == 0 else None
+        last = None if count else (first(), self._step(places[2].v))
         return SetOut(first, units, self._pursuit(places, (count, end, stands), last))
 
     def pursue(
@@ -215,7 +222,7 @@ class Trial(ABC):
         slacks, stands = before[0].slacks, np.array(standing, float)
         numbers, _ = self._given_for(conditions, slacks, setting.weights)
         count, end = self._run(setting, numbers, places, rules, (stands, most, False))
-        last = (None, before[2]) if count == 0 else None
+        last = None if count else (None, before[2])
         return self._pursuit(places, (count, end, stands), last, slacks, setting.weights)
 
     def _pursuit(
@@ -229,12 +236,13 @@ class Trial(ABC):
         """What was found; ``ended``: after how many steps and how, and what stands then; ``last``: where it set out
         from, if it has led nowhere else."""
         (count, end, standing), kinds = ended, self._kernels
+        arrived = end == kinds.ARRIVED
         if last is None:
             written = places[(count - 1) % 2].v
-            last = self._tried(written, slacks, weights), self._step(written)
-        is_tried = end in (kinds.TRIED, kinds.ARRIVED)
+            last = None if arrived else self._tried(written, slacks, weights), self._step(written)
+        is_tried = arrived or end == kinds.TRIED
         ahead = self._tried(places[count % 2].v, slacks, weights) if is_tried else None
-        return Pursuit(count, *last, Standing(*standing.tolist()), ahead, end == kinds.ARRIVED, end == kinds.FAR)
+        return Pursuit(count, *last, Standing(*standing.tolist()), ahead, arrived, end == kinds.FAR)
 
     def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> Place:
         """What a trial sets out from; without a step, the iterate where it stays."""
@@ -286,7 +294,7 @@ class Trial(ABC):
         room[: self._room.begins["kept"]] = 0.0  # others work there too
         judge, steps, *others = rules[1:]
         return self._kernels.pursue(
-            (*self._kernels.addresses(self.limited), *self.addresses()),
+            self._calls,
             self._programs,
             memory,
             tuple([place.numbers for place in places]),

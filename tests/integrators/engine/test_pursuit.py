@@ -100,7 +100,7 @@ def test_units_of_a_pass(name, monkeypatch):
 
     def set_units(conditions: Any, *given: Any) -> Any:
         begun = pursuit.set_out(conditions, *given)
-        first = found[-1].first
+        first = found[-1].first()
         same(tuple(found[-1].units), tuple(first_units(conditions, first.iterate, first.assembled)))
         return begun
 
