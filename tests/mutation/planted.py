@@ -465,8 +465,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "members of a batch come in the order in which they left": Planted(
         f"{ENGINE}/descent.py",
-        "order = np.argsort(whole.member)",
-        "order = np.arange(len(whole.member))",
+        "order = np.argsort(np.concatenate([state.member for state in states]))",
+        "order = np.arange(len(counts))",
         (
             f"{SOLVER}::test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_none",
             f"{SOLVER}::test_a_batch_is_a_loop_over_its_members",
@@ -554,8 +554,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a trial has the multipliers of the first inequality only": Planted(
         f"{ENGINE}/one_stage_kernels.py",
-        "put(read, at, new[1], 0, new[1].size)",
-        "put(read, at, new[1], 0, 1)",
+        "put(read, at, multipliers, 0, multipliers.size)",
+        "put(read, at, multipliers, 0, 1)",
         (TRIAL,),
     ),
     "ends far apart have a compiled pass": Planted(
@@ -672,6 +672,30 @@ PLANTED: dict[str, Planted] = {
         "return left or part_of(written, rows)[0] <= jammed",
         "return left",
         (PURSUIT,),
+    ),
+    "the barrier has no share in the slopes of points": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "slopes[k, i, a] = columns[0, k, i, a, 0] + barrier * columns[0, k, i, a, 1]",
+        "slopes[k, i, a] = columns[0, k, i, a, 0]",
+        (PURSUIT,),
+    ),
+    "inequalities at points do not see what velocities move these by": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], along",
+        "ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], 0.0",
+        (PURSUIT,),
+    ),
+    "what points lack counts in the share of the barrier too": Planted(
+        f"{ENGINE}/collocation_kernels.py",
+        "defects[k, i, a, 0], defects[k, i, a, 1] = missed[0, k, i, a], 0.0",
+        "defects[k, i, a, 0], defects[k, i, a, 1] = missed[0, k, i, a], missed[0, k, i, a]",
+        (PURSUIT,),
+    ),
+    "all points of a step have its whole length as a weight": Planted(
+        f"{ENGINE}/collocation.py",
+        "own = np.array([*self.tableau.weights, 1.0][: self.places])",
+        "own = np.array([*np.ones(self.stages), 1.0][: self.places])",
+        ("tests/integrators/test_inequalities.py",),
     ),
     "nothing is impossible": Planted(
         f"{ENGINE}/barrier.py",

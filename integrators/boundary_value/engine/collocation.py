@@ -112,7 +112,7 @@ class Collocation:
 
     def trial(self, nodes: Nodes, count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        if self.inequalities:
+        if self.at_nodes:
             return None
         known = self._trial
         if known is None or known[0] != count:
@@ -153,10 +153,14 @@ class Collocation:
             return blocks
         return blocks._replace(slope=whole, held=held, pushed=parts.slope)
 
+    def weights(self, data: Data) -> np.ndarray:
+        """Weights of the inequalities, shape (B, N, r, c)."""
+        own = np.array([*self.tableau.weights, 1.0][: self.places])
+        return data.steps[:, :, None, None] * own[:, None] * data.held(self.inequalities, self.places)
+
     def _held(self, of_points: tuple[np.ndarray, np.ndarray], of_ends: Sequence[np.ndarray], data: Data) -> Held:
         """The inequalities of the points, and of the ends if there are some, from their values and derivatives."""
-        asked, weights = data.held(self.inequalities, self.places), [*self.tableau.weights, 1.0][: self.places]
-        weights = data.steps[:, :, None, None] * np.array(weights)[:, None] * asked
+        weights = self.weights(data)
         if not self.at_nodes:
             return Held(*of_points, weights)
         (slope, _, _, value), own, s = of_ends, self.own, self.stages

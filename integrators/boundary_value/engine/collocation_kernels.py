@@ -19,8 +19,10 @@ from .trial_kernels import (
     F2,
     F3,
     F4,
+    F5,
     TRIAL,
     WHOLE,
+    barrier_of,
     change_of,
     clear,
     costates_of,
@@ -31,36 +33,37 @@ from .trial_kernels import (
     lengths_of,
     meet_ends,
     move_covectors,
+    move_slacks,
     multipliers_of,
     nodes_of,
     part_of,
     point_survey_of,
+    price_of,
     put_ends,
+    raise_points,
     read_by,
     tapes_of,
+    ways_of,
 )
 from .vectors import compiled, inner
 
 CENTRES, CONTROLS, ENDS, FRAMES, POINTS, BOTH = range(6)  # the tapes
 # What the kernels here work with, in the order of ``collocation_trial.OWN``.
-MOVED = F1, F1, F3, F3, F3, F2, F1, F4, F3
+MOVED, RAISED = (F1, F1, F3, F3, F3, F2, F1, F4, F3), (F5, F4, F5)
 POINT, END, TABLE = types.UniTuple(F4, 4), types.UniTuple(F3, 4), types.Tuple((F1, F2, F1))
 KEPT, BLOCKS, BOTH_SLOPES = types.Tuple((F3, array(2, WHOLE), F3)), types.UniTuple(F3, 6), types.UniTuple(F2, 2)
 WORK, ROWS = types.Tuple((F2, F2, F2, F1, F2)), types.UniTuple(F1, 3)
-(moved_of, points_of, both_of, kept_of, condensed_of, slopes_of, asked_of, work_of, stepped_of, sums_of), _ = (
-    laid_parts(
-        MOVED,
-        (F4, F4, F4, F4),
-        (F3, F3, F3, F3),
-        (F3, array(2, WHOLE), F3),
-        (F3, F3, F3, F3, F3, F3),
-        (F3, F3, F2, (F2, F2), (F2, F2)),
-        (F4, F4, F4, F3),
-        (F2, F2, F2, F1, F2),
-        (F2, F3, F2, (F1, F1, F1), (F2, F2)),
-        (F2, F2, F2),
-        after=AFTER,
-    )
+(moved_of, points_of, both_of, kept_of, condensed_of), _after = laid_parts(
+    MOVED, (F4, F4, F4, F4), (F3, F3, F3, F3), (F3, array(2, WHOLE), F3), (F3, F3, F3, F3, F3, F3), after=AFTER
+)
+(slopes_of, asked_of, work_of, stepped_of, sums_of, raised_of), _ = laid_parts(
+    (F3, F3, F2, (F2, F2), (F2, F2)),
+    (F4, F4, F4, F3),
+    (F2, F2, F2, F1, F2),
+    (F2, F3, F2, (F1, F1, F1), (F2, F2)),
+    (F2, F2, F2),
+    RAISED,
+    after=_after,
 )
 
 CONDENSE = signature(types.none, WHOLE, WHOLE, POINT, END, TABLE, WORK, KEPT, BLOCKS)
@@ -163,8 +166,8 @@ def _move_unknowns(
 
 
 @pasted
-def _read_points(read: np.ndarray, moved: tuple, lengths: tuple, weights: np.ndarray) -> None:
-    """What the tape of the points reads; and their weights."""
+def _read_points(read: np.ndarray, moved: tuple, lengths: tuple, weights: np.ndarray) -> int:
+    """What the tape of the points reads but for multipliers of inequalities, where these go; and their weights."""
     (x, u, _, velocities, xi, _, covectors, _, _), (h, parameters, _, b) = moved, lengths
     (count, stages, _), at = velocities.shape, 0
     size = x.size // count
@@ -176,7 +179,44 @@ def _read_points(read: np.ndarray, moved: tuple, lengths: tuple, weights: np.nda
     for k in range(count):
         for i in range(stages):
             weights[0, k, i] = h[k] * b[i]
-    put(read, put(read, at, weights, 0, weights.size), parameters, 0, parameters.size)
+    return put(read, put(read, at, weights, 0, weights.size), parameters, 0, parameters.size)
+
+
+@inner
+def _columns(missed: np.ndarray, pull: np.ndarray, defects: np.ndarray, pulls: np.ndarray) -> None:
+    """What the points lack, and the slopes of the ends, in two columns; inequalities have no share in them."""
+    for k in range(missed.shape[1]):
+        for i in range(missed.shape[2]):
+            for a in range(missed.shape[3]):
+                defects[k, i, a, 0], defects[k, i, a, 1] = missed[0, k, i, a], 0.0
+        for a in range(pull.shape[1]):
+            pulls[k, a, 0], pulls[k, a, 1] = pull[k, a], 0.0
+
+
+@inner
+def _driven(columns: np.ndarray, barrier: float, slopes: np.ndarray) -> None:
+    """The slopes of the points with the share of the inequalities at their barrier."""
+    for k in range(slopes.shape[0]):
+        for i in range(slopes.shape[1]):
+            for a in range(slopes.shape[2]):
+                slopes[k, i, a] = columns[0, k, i, a, 0] + barrier * columns[0, k, i, a, 1]
+
+
+@inner
+def _ways(w: np.ndarray, velocities: np.ndarray, of: tuple, ways: np.ndarray) -> None:
+    """The steps ``(dx, dxi, dnu, du)`` of the points."""
+    (h, matrix, _), (_, count, stages, q) = of, ways.shape
+    n = velocities.shape[1] // stages
+    for k in range(count):
+        for i in range(stages):
+            for a in range(n):
+                along = 0.0
+                for j in range(stages):
+                    along += h[k] * matrix[i, j] * velocities[k, j * n + a]
+                ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], along
+                ways[0, k, i, 2 * n + a] = velocities[k, i * n + a]
+            for b in range(q - 3 * n):
+                ways[0, k, i, 3 * n + b] = w[k, n + i * (q - 3 * n) + b]
 
 
 @inner
@@ -218,8 +258,12 @@ def trial(
     if not meet_ends(calls, ENDS, tapes, setting, sizes[0], rows):
         return False
     in_frames(run, FRAMES, tapes, setting, nodal, rows)
-    defect, multipliers, pulled, weights = asked_of(written, rows)
-    _read_points(read_by(tapes, POINTS), moved, lengths, weights)
+    (defect, multipliers, pulled, weights), limited = asked_of(written, rows), price_of(given, rows).shape[3] > 0
+    read = read_by(tapes, POINTS)
+    at = _read_points(read, moved, lengths, weights)
+    if limited:
+        pushing = move_slacks(calls, before, written, given, rows, sizes[1])
+        put(read, at, pushing, 0, pushing.size)
     evaluate(run, table[POINTS], tapes, h.size * velocities.shape[1])
     read, nodes, costates = read_by(tapes, BOTH), nodes_of(written, rows), costates_of(written, rows)
     put_ends(read, put(read, put(read, 0, x, 0, x.size), eta, 0, eta.size), nodes, costates)
@@ -230,6 +274,10 @@ def trial(
         slopes_of(written, rows),
     )
     points, both = points_of(written, rows), both_of(written, rows)
+    if limited:
+        hessian, at_points, columns = raised_of(written, rows)
+        raise_points(calls, given, written, rows, (hessian, at_points), columns)
+        _columns(defect, pull, points[3], both[3])
     _condense(calls[AT_OWN], (0, h.size, points, both, of, work_of(written, rows), kept, blocks))
     _slopes(calls[AT_OWN + 1], (0, h.size, (slope, gradient), pull, kept[2], of, inside, outer))
     survey, (lacks, gap, costs) = point_survey_of(written, rows), sums_of(written, rows)
@@ -246,11 +294,15 @@ def complete(calls: tuple, written: np.ndarray, setting: np.ndarray, rows: np.nd
     (h, _, matrix, b), (w, slopes, pulls, room, found) = lengths_of(setting, rows), stepped_of(written, rows)
     multipliers, change = multipliers_of(written, rows), change_of(written, rows)
     points, both, kept = points_of(written, rows), both_of(written, rows), kept_of(written, rows)
-    (count, z), n = w.shape, both[1].shape[1]
+    (count, z), n, ways = w.shape, both[1].shape[1], ways_of(written, rows)
+    if points[2].shape[3] > 1:
+        _driven(raised_of(written, rows)[2], barrier_of(written, rows)[0], slopes)
     nodes = view(multipliers, 0, (count, n)), view(multipliers, n, (count, n))
     solved = w, nodes[0], nodes[1], z, slopes, pulls
     _expand(calls[AT_OWN + 3], (0, count, points, both, (h, matrix, b), room, kept, solved, found))
     (velocities, lambdas), inside = found, slopes_of(written, rows)[3]
+    if points[2].shape[3] > 1:
+        _ways(w, velocities, (h, matrix, b), ways)
     defect, change[0], change[1] = view(asked_of(written, rows)[0], 0, velocities.shape), 0.0, 0.0
     for k in range(count):
         for i in range(velocities.shape[1]):

@@ -19,6 +19,7 @@ from .trial_kernels import (
     FIVE,
     HELD_SURVEY,
     INEQUALITIES,
+    MOVE,
     PLACES,
     RAISE,
     REAL,
@@ -30,16 +31,15 @@ from .trial_kernels import (
     driven_of,
     held_of,
     held_survey,
+    inequalities_of,
     limits_of,
     measure,
     numbers_of,
     part_of,
-    raised_of,
     slacks_of,
-    steps_of,
     surveyed_of,
     turned_of,
-    weights_of,
+    ways_of,
 )
 from .vectors import compiled, inner
 
@@ -63,7 +63,7 @@ _turn_points = called(TURN_POINTS)
 def addresses() -> tuple[int, ...]:
     """Where the kernels stand in this process."""
     of_points = (kernels.survey, HELD_SURVEY), (kernels.raise_points, RAISE), (kernels.turn, TURN_POINTS)
-    own = (lower_barrier, LOWER), (drive_slopes, DRIVE), (turn_slacks, TURN), (jams, JAMMED)
+    own = (kernels.move, MOVE), (lower_barrier, LOWER), (drive_slopes, DRIVE), (turn_slacks, TURN), (jams, JAMMED)
     return tuple([address(*kernel) for kernel in (*of_points, *own)])
 
 
@@ -95,8 +95,7 @@ def lower_barrier(
     barrier[0] = less
     clear(view(surveyed, 0, (surveyed.size,)))
     clear(view(numbers, 0, (numbers.size,)))
-    _, _, values, pushes, _, _ = raised_of(written, rows)
-    held, slacks = (values, pushes, weights_of(given, rows)), slacks_of(written, given, rows)
+    held, slacks = inequalities_of(written, given, rows), slacks_of(written, given, rows)
     held_survey(calls[AT_HELD_SURVEY], (0, 1, held, slacks, limits, sizes[0], sizes[1], surveyed))
     measure(calls, written, setting, given, rows, shares)
     set_out(standing, numbers)
@@ -117,11 +116,9 @@ def drive_slopes(written: np.ndarray, rows: np.ndarray) -> None:
 def turn_slacks(calls: tuple, given: np.ndarray, written: np.ndarray, rows: np.ndarray, share: float) -> None:
     """The steps of slacks, multipliers and excesses, and how far these may go; ``share``: of the way to the
     boundary."""
-    _, _, values, pushes, _, _ = raised_of(written, rows)
-    (part, dual), moves, found, _ = turned_of(written, rows)
-    held, steps = (values, pushes, weights_of(given, rows)), steps_of(written, rows)
-    ways = view(steps, 0, (1, steps.shape[1], 1, steps.shape[2]))
-    _turn_points(calls[AT_TURN_POINTS], (0, 1, held, slacks_of(written, given, rows), ways, share, moves, found))
+    ((part, dual), moves, found, _), held = turned_of(written, rows), inequalities_of(written, given, rows)
+    ways, slacks = ways_of(written, rows), slacks_of(written, given, rows)
+    _turn_points(calls[AT_TURN_POINTS], (0, 1, held, slacks, ways, share, moves, found))
     part[0], dual[0] = found[0, 0], found[0, 1]
 
 

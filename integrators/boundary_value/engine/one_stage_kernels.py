@@ -5,12 +5,9 @@ from functools import cache
 import numpy as np
 
 from ....kernels import pasted
-from ....linked import address, called, put, view
-from . import inequality_kernels
+from ....linked import address, put, view
 from .trial_kernels import (
-    AT_OWN,
     AT_RUN,
-    MOVE,
     TRIAL,
     clear,
     costates_of,
@@ -20,28 +17,29 @@ from .trial_kernels import (
     lengths_of,
     meet_ends,
     move_covectors,
+    move_slacks,
     nodes_of,
     part_of,
     point_survey_of,
+    price_of,
     put_ends,
+    raise_points,
+    raised_of,
     read_by,
-    slacks_of,
     steps_of,
     tapes_of,
-    turned_of,
     u_of,
     x_of,
 )
 from .vectors import compiled
 
 MOVED, ENDS, FRAMES, STEPS = range(4)  # the tapes
-_move = called(MOVE)
 
 
 @cache
-def addresses(limited: bool) -> tuple[int, ...]:
+def addresses() -> tuple[int, ...]:
     """Where the kernels stand in this process that are those of a discretization map."""
-    return address(trial, TRIAL), 0, address(inequality_kernels.move, MOVE) if limited else 0, 0, 0, 0
+    return address(trial, TRIAL), 0, 0, 0, 0, 0
 
 
 @pasted
@@ -85,14 +83,15 @@ def trial(
     if not meet_ends(calls, ENDS, tapes, setting, sizes[0], rows):
         return False
     in_frames(run, FRAMES, tapes, setting, nodal, rows)
-    read, new = read_by(tapes, STEPS), held_of(written, rows)[0]
+    read, limited = read_by(tapes, STEPS), price_of(given, rows).shape[3] > 0
     at = put_ends(read, put(read, 0, moved, 0, moved.size), nodes_of(written, rows), costates_of(written, rows))
     at = put(read, put(read, at, h, 0, h.size), parameters, 0, parameters.size)
-    if new[1].size > 0:
-        parts, turn, _, _ = turned_of(before, rows)
-        _move(calls[AT_OWN], (0, 1, slacks_of(before, given, rows), turn, parts, sizes[1], new))
-        put(read, at, new[1], 0, new[1].size)
+    if limited:
+        multipliers = move_slacks(calls, before, written, given, rows, sizes[1])
+        put(read, at, multipliers, 0, multipliers.size)
     evaluate(run, table[STEPS], tapes, h.size)
+    if limited:
+        raise_points(calls, given, written, rows, raised_of(written, rows), held_of(written, rows)[1])
     points = point_survey_of(written, rows)
     clear(view(points, 0, (points.size,)))
     return True

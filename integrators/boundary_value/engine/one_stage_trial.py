@@ -48,7 +48,7 @@ class OneStageTrial(Trial):
     def addresses(self) -> tuple[int, ...]:
         from .one_stage_kernels import addresses
 
-        return addresses(self.limited)
+        return addresses()
 
     def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:
         """There is nothing."""

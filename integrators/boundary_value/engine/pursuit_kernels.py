@@ -80,7 +80,7 @@ from .trial_kernels import (
 )
 from .vectors import compiled, inner
 
-NO_LIMITS = (0,) * 7
+NO_LIMITS = (0,) * 8
 
 FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED = range(7)  # how a pass ends
 

@@ -42,7 +42,7 @@ OUT = (
     *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
     *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "sums", "zeros"),
     *("driven|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
-    *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier"),
+    *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier", "ways"),
 )
 
 
@@ -340,19 +340,21 @@ def common_rows(fields: Fields) -> np.ndarray:
         for sign in ("", "|"):
             known.setdefault(f"{name}{sign}", known[f"{first}{sign}"])
     known["zeros"] = "surveyed", (fields.size - fields.begins["surveyed"],)
+    _, count, z = fields.shapes["steps"]
+    known.setdefault("ways", ("steps", (1, count, 1, z)))
     return fields.rows(known[name] for name in OUT)
 
 
 def _written(steps: Any, count: int) -> Shapes:
     """The shapes of what all passes write."""
     e, n, z, c = steps.state.size, steps.manifold.dimension, steps.dimension, steps.inequalities
-    each, at = (1, count), (1, count + 1)
+    each, at, points = (1, count), (1, count + 1), (1, count, steps.stages, c)
     return {
         "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
         "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
         "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
         "change": (2,), "standing": (len(Standing._fields),), **dict.fromkeys(TOLD, (1,)),
-        **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), (*each, 1, c)),
+        **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), points),
         "part": (1,), "dual": (1,), "turned": (1, 4), "barrier": (1,), **({"driven": (*each, z)} if c else {}),
         "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         "points": (1, OF_POINTS, n),
@@ -376,7 +378,7 @@ def _setting(steps: Any, count: int, tableau: tuple[np.ndarray, np.ndarray]) -> 
 def _given(steps: Any, count: int) -> Shapes:
     """The shapes of what is given to a pass."""
     n, z, c = steps.manifold.dimension, steps.dimension, steps.inequalities
-    each = (1, count, 1, c)
+    each = (1, count, steps.stages, c)
     return {
         "nodes": (1, n), "unknowns": (1, z), "least": (1,), "wide_nodes": (1, n), "unit": (1,),
         "wide": (1, z), "inverse": (1, n), "cost": (1,), "raised": (1,), "scales": (1, z),

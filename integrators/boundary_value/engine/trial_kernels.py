@@ -42,18 +42,24 @@ def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
 
 
 # What a pass takes and gives, each in one vector. What it gives, in the order of ``trial.OUT``:
-(arrays_of, met_of, blocks_of, raised_of, extent_of, told_of, held_of, found_of, _, turned_of), _after = laid_parts(
+(arrays_of, met_of, blocks_of, raised_of, values_of, paid_of), _after = laid_parts(
     (F3, F3, F2, F1, F4, F3, F3, F3),
     (F3, F3, array(2, TRUTH), F2),
     (F4, F4, F4, F3, F3),
-    (F5, F4, F4, F5, F2, F1),
+    (F5, F4),
+    (F4, F5),
+    (F2, F1),
+    after=0,
+)
+(extent_of, told_of, held_of, found_of, _, turned_of, ways_of), _after = laid_parts(
     EXTENT,
     (F2, F2, F2, F2, F3),
     ((F4, F4, F4), F5, F2, F1),
     (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
     (F1, F1),
     ((F1, F1), (F4, F4, F4), F2, F1),
-    after=0,
+    F4,
+    after=_after,
 )
 # What of these is asked for alone.
 cost_of, standing_of, x_of, u_of, covectors_of, change_of, barrier_of, part_of, dual_of = (
@@ -98,8 +104,9 @@ spread_of = laid((F2, F2, F3), OUT.index("highest"))
 
 # Which address is whose; those from ``AT_OWN`` on are for what a transcription has for itself.
 AT_RUN, AT_MEET, AT_SURVEY, AT_MEASURE, AT_SOLVE, AT_UNITS = range(6)
-AT_HELD_SURVEY, AT_RAISE, AT_TURN_POINTS, AT_LOWER, AT_DRIVE, AT_TURN, AT_JAMMED = range(6, 13)  # of inequalities
-AT_TRIAL, AT_COMPLETE, AT_OWN = range(13, 16)
+# Of inequalities:
+AT_HELD_SURVEY, AT_RAISE, AT_TURN_POINTS, AT_MOVE, AT_LOWER, AT_DRIVE, AT_TURN, AT_JAMMED = range(6, 14)
+AT_TRIAL, AT_COMPLETE, AT_OWN = range(14, 17)
 ADDRESSES = types.UniTuple(WHOLE, AT_OWN + 4)
 # A trial, from what was written before to what it writes: whether ends of steps are near each other.
 TRIAL = signature(TRUTH, ADDRESSES, INDICES, F1, F1, F1, F1, F1, PLACES, types.UniTuple(REAL, 2))
@@ -157,7 +164,7 @@ SOLVE = signature(
 solve, trial, complete, units_by = map(called, (SOLVE, TRIAL, COMPLETE, UNITS))
 
 _run, _meet, _survey, _measure = called(machine.RUN), called(MEET), called(SURVEY), called(MEASURE)
-_raise, held_survey = called(RAISE), called(HELD_SURVEY)
+_raise, _move, held_survey = called(RAISE), called(MOVE), called(HELD_SURVEY)
 
 
 @cache
@@ -267,15 +274,36 @@ def slacks_of(written: np.ndarray, given: np.ndarray, rows: np.ndarray) -> tuple
 
 
 @pasted
+def inequalities_of(written: np.ndarray, given: np.ndarray, rows: np.ndarray) -> tuple:
+    """Values of the inequalities at the points, their derivatives, and their weights."""
+    values, pushes = values_of(written, rows)
+    return values, pushes, weights_of(given, rows)
+
+
+@pasted
+def move_slacks(
+    calls: tuple, before: np.ndarray, written: np.ndarray, given: np.ndarray, rows: np.ndarray, kept: float
+) -> np.ndarray:
+    """Write slacks, multipliers and excesses after parts of their steps; the multipliers."""
+    (parts, turn, _, _), new = turned_of(before, rows), held_of(written, rows)[0]
+    _move(calls[AT_MOVE], (0, 1, slacks_of(before, given, rows), turn, parts, kept, new))
+    return new[1]
+
+
+@pasted
+def raise_points(
+    calls: tuple, given: np.ndarray, written: np.ndarray, rows: np.ndarray, points: tuple, slopes: np.ndarray
+) -> None:
+    """Add the share of the inequalities to the Hessians of the points; and their slopes in two columns."""
+    (hessian, slope), held = points, inequalities_of(written, given, rows)
+    _raise(calls[AT_RAISE], (0, 1, held, slacks_of(written, given, rows), hessian, slope, slopes))
+
+
+@pasted
 def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarray, sizes: tuple) -> None:
-    """What is largest in what is written, with the shares of the inequalities in the blocks; ``sizes``: what measures
-    values and prices of inequalities."""
-    (_, pushed, sums, zeros), limits, extent = (
-        held_of(written, rows),
-        limits_of(given, rows),
-        extent_of(written, rows),
-    )
-    points_hessian, points_slope, values, pushes, costs, cost = raised_of(written, rows)
+    """What is largest in what is written; ``sizes``: what measures values and prices of inequalities."""
+    (_, _, sums, zeros), limits, extent = held_of(written, rows), limits_of(given, rows), extent_of(written, rows)
+    costs, cost = paid_of(written, rows)
     clear(zeros)
     for i in range(extent[0].size):
         extent[0][0, i], extent[1][0, i] = -np.inf, -np.inf
@@ -283,8 +311,7 @@ def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarra
     for k in range(costs.size):
         cost[0] += costs[0, k]
     if limits[0].shape[1] > 0:
-        held, slacks = (values, pushes, weights_of(given, rows)), slacks_of(written, given, rows)
-        _raise(calls[AT_RAISE], (0, 1, held, slacks, points_hessian, points_slope, pushed))
+        held, slacks = inequalities_of(written, given, rows), slacks_of(written, given, rows)
         told = surveyed_of(written, rows)
         held_survey(calls[AT_HELD_SURVEY], (0, 1, held, slacks, limits, sizes[0], sizes[1], told))
     trajectory = (

@@ -72,12 +72,12 @@ def pursuits(monkeypatch) -> list[Any]:
 
 @pytest.mark.parametrize("name", CASES)
 def test_a_pursuit_is_its_iterations(name, pursuits, monkeypatch):
-    """With costs of ends there is none, nor by collocation with inequalities."""
+    """With costs of ends there is none, nor by collocation with inequalities at nodes."""
     solver, way, options = CASES[name]()
     short, _ = found(solver, way, callback=None, **options)
     pursued = sum(own.taken + own.arrived for own in pursuits if own is not None)
     assert short.success
-    assert (pursued > 0) == (name not in ("a free end", "collocation with limits"))
+    assert (pursued > 0) == (name not in ("a free end", "collocation with a cap at nodes"))
     shown, seen = found(solver, way, **options)
     one_by_one(monkeypatch)
     alone, told = found(solver, way, **options)
@@ -152,10 +152,10 @@ def test_what_is_refused_is_left_to_the_rest_of_the_iteration(method, stiffness,
 
 
 @pytest.mark.parametrize("limit", [1e4, 12.0, 8.0, 7.5, 7.0, 3.0, 1.0])
-def test_limits_of_a_pass(limit, pursuits, monkeypatch):
+def test_limits_of_a_pass(method, limit, pursuits, monkeypatch):
     """From those that hold nothing to those that no slew meets."""
     slew = OptimalControlProblem(RIGID, spacecraft, half_square, 3, control_bounds=(-limit, limit))
-    short, alone = both_ways(Solver(slew, Midpoint(Cayley(RIGID)), 40), SLEWS, monkeypatch)
+    short, alone = both_ways(Solver(slew, method(Cayley(RIGID)), 40), SLEWS, monkeypatch)
     alike(short, alone)
     assert short.success == (limit > 7.2)
     assert short.checks.active == alone.checks.active
@@ -163,37 +163,37 @@ def test_limits_of_a_pass(limit, pursuits, monkeypatch):
 
 
 @pytest.mark.parametrize(("radius", "beside"), [(0.1, 0.05), (0.1, 0.2), (0.3, 0.2), (0.49, 1e-6), (0.55, 0.2)])
-def test_an_obstacle_beside_a_pass(radius, beside, monkeypatch):
+def test_an_obstacle_beside_a_pass(method, radius, beside, monkeypatch):
     """From one that is hardly met to one around an end: steps are cut, Hessians raised, and the way in is elastic."""
     middle = jnp.array([0.5, beside])
     around = {"disk": lambda q, u: radius**2 - jnp.sum((q - middle) ** 2)}
     free = OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2, constraints=around)
     way = np.zeros(2), np.array([1.0, 0.0]), 1.0
-    short, alone = both_ways(Solver(free, Midpoint(Addition(PLANE)), 20), way, monkeypatch)
+    short, alone = both_ways(Solver(free, method(Addition(PLANE)), 20), way, monkeypatch)
     alike(short, alone)
     assert short.success == (radius < 0.5)
 
 
 @pytest.mark.parametrize("height", [0.9, 0.3, -0.1, -0.5])
 @pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
-def test_a_cap_that_a_pass_keeps_out_of(kind, height, monkeypatch):
+def test_a_cap_that_a_pass_keeps_out_of(method, kind, height, monkeypatch):
     """At stages and at nodes, from one that the way hardly meets to one that has an end in it."""
     cap = (lambda q, u: q[1] - height) if kind == "constraints" else (lambda q: q[1] - height)
     turn = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3, **{kind: {"cap": cap}})
     way = np.array([1.0, 0.0, 0.0]), np.array([-0.6, 0.0, 0.8]), 1.0
-    short, alone = both_ways(Solver(turn, Midpoint(default_retraction(SPHERE)), 25), way, monkeypatch)
+    short, alone = both_ways(Solver(turn, method(default_retraction(SPHERE)), 25), way, monkeypatch)
     alike(short, alone)
     assert short.success == (height > 0)
 
 
 @pytest.mark.parametrize("bound", [0.2, 0.5, 0.8, 1.5, 4.0])
 @pytest.mark.parametrize("hill", [0.0, 3.0])
-def test_a_swing_with_little_torque(bound, hill, monkeypatch):
+def test_a_swing_with_little_torque(method, bound, hill, monkeypatch):
     """From too little to swing up to so much that no bound is met."""
     cost = lambda q, u: u @ u / 2 + hill * jnp.cos(3.0 * q[0])  # noqa: E731
     swing = OptimalControlProblem(PLANE, pendulum, cost, 1, control_bounds=(-bound, bound))
     way = np.zeros(2), np.array([np.pi, 0.0]), 6.0
-    short, alone = both_ways(Solver(swing, Midpoint(Addition(PLANE)), 60), way, monkeypatch)
+    short, alone = both_ways(Solver(swing, method(Addition(PLANE)), 60), way, monkeypatch)
     alike(short, alone, atol=1e-9)
     assert short.success == (bound > 0.6)
 

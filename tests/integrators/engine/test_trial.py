@@ -75,6 +75,11 @@ CASES: dict[str, Callable[[], tuple[Solver, tuple, dict[str, Any]]]] = {
         Solver(OptimalControlProblem(RIGID, spacecraft, half_square, 3, control_bounds=(-10.0, 10.0)),
                Gauss(2, Cayley(RIGID)), 10), SLEWS, {}
     ),
+    "collocation with a cap at nodes": lambda: (
+        Solver(OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2,
+                                     node_constraints={"cap": lambda q: obstacle(q, 0)}),
+               Gauss(2, Addition(PLANE)), 8), (np.zeros(2), np.array([1.0, 0.0]), 1.0), {}
+    ),
     "a free end": lambda: (
         Solver(OptimalControlProblem(PLANE, *PARTICLE, terminal_cost=lambda q: 5.0 * jnp.sin(q[0]) ** 2),
                Midpoint(Addition(PLANE)), 10), (np.ones(2), Free(np.zeros(2)), 1.0), {}
@@ -131,7 +136,7 @@ def test_a_trial_is_what_its_parts_are(name, monkeypatch):
     monkeypatch.setattr(Conditions, "tried", checked)
     assert solver.solve(*way, **options).success
     # The cost of an end asks for an evaluation between the frames and the steps.
-    assert bool(calls) == (name not in ("a free end", "collocation with limits"))
+    assert bool(calls) == (name not in ("a free end", "collocation with a cap at nodes"))
 
 
 def test_ends_far_apart_go_the_longer_way(monkeypatch):
