@@ -602,9 +602,27 @@ PLANTED: dict[str, Planted] = {
     ),
     "a pursuit takes what a trial is refused for": Planted(
         f"{ENGINE}/pursuit_kernels.py",
-        "if not good or shift > 0:",
-        "if shift > 0:",
+        "if not good or shift >= stiff:",
+        "if shift >= stiff:",
         (f"{PURSUIT}::test_what_is_refused_is_left_to_the_rest_of_the_iteration",),
+    ),
+    "a pass forgets the shift of the Hessians": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "raised[0][0] = standing_of(written, rows)[SHIFT]",
+        "raised[0][0] = 0.0",
+        (PURSUIT,),
+    ),
+    "a pass keeps its shift to the end": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "kept[SHIFT] = 0.0 if arrived else kept[SHIFT]",
+        "kept[SHIFT] = kept[SHIFT]",
+        (PURSUIT,),
+    ),
+    "rounding refuses what leads to a solution": Planted(
+        f"{ENGINE}/acceptance_kernels.py",
+        "less = now[1] + now[2] <= least + rounded * (abs(before[1]) + abs(before[2]))",
+        "less = now[1] + now[2] <= least",
+        (ACCEPTANCE,),
     ),
     "a search sets out wherever its first step leads": Planted(
         f"{ENGINE}/pursuit_kernels.py",
@@ -689,7 +707,7 @@ PLANTED: dict[str, Planted] = {
         f"{ENGINE}/collocation_kernels.py",
         "defects[k, i, a, 0], defects[k, i, a, 1] = missed[0, k, i, a], 0.0",
         "defects[k, i, a, 0], defects[k, i, a, 1] = missed[0, k, i, a], missed[0, k, i, a]",
-        (PURSUIT,),
+        (TRIAL,),
     ),
     "all points of a step have its whole length as a weight": Planted(
         f"{ENGINE}/collocation.py",

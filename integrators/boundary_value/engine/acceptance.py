@@ -5,6 +5,7 @@ from typing import NamedTuple, Self, final
 
 import numpy as np
 
+from ....manifolds.numerics.tolerances import EPS
 from .conditions import Conditions
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
@@ -17,7 +18,8 @@ SHORTEST = 2.0**-4  # a share of a step
 FOLLOWED = 0.75
 RAISE, LOWER = 10.0, 4.0
 FIRST_SHIFT, SMALLEST_SHIFT = 1e-4, 1e-8
-RULES = NARROWER, RECORD, FAST, SHORTEST, ARMIJO, SWITCH, GENTLY, FIRMLY
+ROUNDED = 10 * EPS  # of the cost: a decrease by less is lost in what it is a sum of
+RULES = NARROWER, RECORD, FAST, SHORTEST, ARMIJO, SWITCH, GENTLY, FIRMLY, ROUNDED
 SHIFTS = RAISE, LOWER, FOLLOWED, FIRST_SHIFT, SMALLEST_SHIFT
 
 

@@ -25,9 +25,10 @@ def _improves(
     ``now``, ``before``: infeasibility, cost and the multipliers on what is lacking; ``promised``: how much less cost;
     ``funnel``: its width, and the share of this that is well inside.
     """
-    (width, well), (armijo, switch, gently, half) = funnel, rules
+    (width, well), (armijo, switch, gently, half, rounded) = funnel, rules
     if promised >= switch * before[0] * before[0]:
-        less = now[1] + now[2] <= before[1] + before[2] - armijo * promised
+        least = before[1] + before[2] - armijo * promised
+        less = now[1] + now[2] <= least + rounded * (abs(before[1]) + abs(before[2]))
         return less and now[0] <= width, width + gently * (now[0] - width)
     return now[0] <= well * width, width + half * (now[0] - width)
 

@@ -2,12 +2,13 @@
 
 A trial is accepted inside a funnel, a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret 2025]:
 where the step promises less cost by more than a share of the squared infeasibility, if the cost decreases as Armijo
-asks; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers of the trial: the
-bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others each time, and
-from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little. Accepted too is what
-brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than the funnel. Indefinite
-reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs no inertia [Chiang,
-Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was taken.
+asks, but for rounding; else if it comes well into the funnel. The cost is that of the Lagrangian with the multipliers
+of the trial: the bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others
+each time, and from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little.
+Accepted too is what brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than
+the funnel. Indefinite reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs
+no inertia [Chiang, Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was
+taken.
 """
 
 from collections.abc import Callable
@@ -25,12 +26,11 @@ from .first_multipliers import with_first_multipliers
 from .found import Found, Iteration
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
-from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, pursued, set_out
+from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
 from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-STIFF = 1e2  # a shift at which hard inequalities are made elastic
 SLOW = 1e-6  # a share of a step that is cut no further
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent

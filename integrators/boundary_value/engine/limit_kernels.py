@@ -44,7 +44,7 @@ from .trial_kernels import (
 from .vectors import compiled, inner
 
 # What stands between the trials of a pass.
-PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED = range(10)
+PROMISED, TURNED, MISSING, COST, HELD, FUNNEL, BEST, FIRST, CORRECTION, ISOLATED, SHIFT = range(11)
 SAME, LESS, CHEAP = range(3)  # what becomes of a barrier: it stays, it is lowered, or excesses are too cheap for that
 
 RULES = types.Tuple(

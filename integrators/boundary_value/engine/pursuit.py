@@ -21,6 +21,7 @@ CURVATURE = 1e-9  # relative: a step of less does not descend
 SHRINKS = 0.1
 EXACT = 64.0  # times eps: a residual that is rounding
 JAMMED = 1e-3  # a share of a step at which hard inequalities are made elastic
+STIFF = 1e2  # a shift at which they are
 
 
 def set_out(
@@ -70,6 +71,7 @@ def pursued(
         first=first and state.iterate.slacks is None,
         correction=state.correction.item(),
         isolated=bool(state.isolated[0]),
+        shift=state.shift.item(),
     )
     going = _rules(conditions, tolerance), standing, min(most, MOST)
     before = state.iterate, state.assembled, state.step
@@ -84,16 +86,16 @@ def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
     """What decides about whole steps, as the kernel takes it."""
     share = DIAMETER / np.sqrt(max(conditions.at_nodes.dimension, 1))
     own = (CURVATURE, SOFTEST, share, UNCHANGED), (FAR, UNMET, MET), (np.sqrt(tolerance), SHRINKS)
-    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS, JAMMED
+    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS, (JAMMED, STIFF)
 
 
 def _is_plain(conditions: "Conditions", state: State) -> bool:
     """Whether this is a trajectory whose next step is a whole one that descends, as far as inequalities let it go."""
     if conditions.joint or not state.descends[0]:
         return False
-    free = np.all(state.step.reach == 1.0) if state.iterate.slacks is None else np.all(state.step.reach > JAMMED)
-    whole = free and state.shift[0] == 0 and state.fraction[0] == 1
-    return bool(whole and np.all(state.step.followed == 1.0) and conditions.at_nodes.flat_controls)
+    whole = state.step.reach == 1.0 if state.iterate.slacks is None else state.step.reach > JAMMED
+    made = np.all(whole) and np.all(state.step.followed == 1.0) and state.fraction[0] == 1
+    return bool(made and conditions.at_nodes.flat_controls)
 
 
 def _reached(conditions: "Conditions", found: Pursuit) -> tuple[State, int] | None:
@@ -108,9 +110,9 @@ def _reached(conditions: "Conditions", found: Pursuit) -> tuple[State, int] | No
 
 
 def _state(tried: Tried, found: Pursuit) -> State:
-    """The state at the end of a pursuit, of a single member: nothing is shifted or cut there."""
-    promised, turned, *merit, funnel, best, _, correction, isolated = np.array([found.standing], float).T
-    one, no, settled = np.ones(1), np.zeros(1), isolated > 0
+    """The state at the end of a pursuit, of a single member: nothing is cut there."""
+    promised, turned, *merit, funnel, best, _, correction, isolated, shift = np.array([found.standing], float).T
+    one, settled = np.ones(1), isolated > 0
     at = np.arange(1), tried.iterate, tried.assembled, tried.appraisal.residuals, found.step, one > 0
-    numbers = promised, turned, Merit(*merit), funnel, one, no, best, correction
+    numbers = promised, turned, Merit(*merit), funnel, one, shift, best, correction
     return State(*at, *numbers, settled, settled, np.array([found.arrived]))

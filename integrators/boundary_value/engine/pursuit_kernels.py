@@ -20,6 +20,7 @@ from .limit_kernels import (
     LESS,
     MISSING,
     PROMISED,
+    SHIFT,
     TURNED,
     drive,
     is_jammed,
@@ -91,17 +92,17 @@ def addresses(limited: bool) -> tuple[int, ...]:
 
 
 @inner
-def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, rules: tuple) -> bool:
-    """Whether a whole step, as far as it may go, is taken and the next is to be a whole one; what stands then follows
-    it."""
+def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, stiff: float, rules: tuple) -> bool:
+    """Whether a whole step, as far as it may go, is taken and the next is to be a whole one, with less of a shift than
+    a stiff one; what stands then follows it."""
     made = True, standing[PROMISED], standing[TURNED], reach, 1.0, 1.0
     before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
-    reached = standing[FUNNEL], standing[BEST], 0.0, numbers[8, 0], numbers[13, 0], cost
+    reached = standing[FUNNEL], standing[BEST], standing[SHIFT], numbers[8, 0], numbers[13, 0], cost
     funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
-    if not good or shift > 0:
+    if not good or shift >= stiff:
         return False
     standing[MISSING], standing[COST], standing[HELD] = now
-    standing[FUNNEL], standing[BEST], standing[FIRST] = funnel, best, 0.0
+    standing[FUNNEL], standing[BEST], standing[FIRST], standing[SHIFT] = funnel, best, 0.0, shift
     return True
 
 
@@ -221,6 +222,7 @@ def _stepped(
     curvature, sizes, (_, _, support) = curvature_of(written, rows), sizes_of(written, rows), spread_of(written, rows)
     (_, count, n, _), units, raised = left.shape, wide_of(given, rows), raising_of(given, rows)
     limited, fixed = price_of(given, rows).shape[3] > 0, fixed_of(setting, rows)
+    raised[0][0] = standing_of(written, rows)[SHIFT]
     if limited:  # with a barrier the curvature of the Hessian has no bound
         drive(calls[AT_DRIVE], (written, rows))
         for i in range(curvature.shape[1]):
@@ -338,11 +340,12 @@ def pursue(
     point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, and the share of
     the way to the boundary that a step may go; those of ``_leads_on``; those of ``_settled``; a residual that is
     rounding; from which share on ends are far apart, and what a multiplier is kept within; those of ``survey``; those
-    of ``measure``; the last barrier relative to the tolerance, those of ``lowered``, and a share of a step at which it
-    jams.
+    of ``measure``; the last barrier relative to the tolerance, those of ``lowered``, a share of a step at which it
+    jams, and a stiff shift.
     """
     (setting, given, room), done, tolerance, end = vectors, 0, rules[0], 0
     before, limited = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0
+    stiff = rules[9][3] if limited else np.inf
     while True:
         written = places[2] if fresh else places[done % 2]
         barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
@@ -356,13 +359,14 @@ def pursue(
         _copied(kept, standing)
         if fresh:
             set_out(kept, numbers)
-        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, rules):
+        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, stiff, rules):
             return done, TRIED
         if limited:
             of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
             end = lower(calls[AT_LOWER], (calls, setting, given, written, rows, kept, of))
         lacking, along = lacking_of(written, rows), along_of(written, rows)
         arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
+        kept[SHIFT] = 0.0 if arrived else kept[SHIFT]
         last = arrived and kept[ISOLATED] > 0 and end != CHEAP
         refused = end == CHEAP or not (last or _stepped(calls, room, setting, given, written, rows, rules[2]))
         if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):

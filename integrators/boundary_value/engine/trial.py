@@ -92,6 +92,7 @@ class Standing(NamedTuple):
     first: bool = False  # no trial was judged before
     correction: float = np.inf
     isolated: bool = False
+    shift: float = 0.0
 
 
 class SetOut(NamedTuple):
@@ -116,7 +117,7 @@ class Pursuit(NamedTuple):
     far: bool  # it takes more than a pass
 
 
-NOT_JUDGED = 0.0, ((0.0,) * 8, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0, 0.0
+NOT_JUDGED = 0.0, ((0.0,) * 9, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0, (0.0,) * 2
 SIZES = (FAR, KEPT), (VALUE, PRICES), SHARES
 SETTING_KINDS = {"start_entries": bool, "end_entries": bool, "columns": int, "arrays": int}
 ROOM_KINDS = {"pivots": int, "order": int, "swaps": int, "curved": bool}
@@ -300,7 +301,7 @@ class Trial(ABC):
             tuple([place.numbers for place in places]),
             (setting.numbers, given, room),
             self._rows,
-            (rules[0], judge, (*steps, self._weight, BOUNDARY), *others[:-1], *SIZES, (LAST, LOWERING, others[-1])),
+            (rules[0], judge, (*steps, self._weight, BOUNDARY), *others[:-1], *SIZES, (LAST, LOWERING, *others[-1])),
             *going,
         )
 

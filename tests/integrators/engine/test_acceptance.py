@@ -5,28 +5,31 @@ from typing import Any
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.acceptance import RECORD, Judgement, Merit, judged
+from retrax.integrators.boundary_value.engine.acceptance import RECORD, ROUNDED, Judgement, Merit, judged
 
 TOLERANCE, WIDTH, BEST = 1e-9, 1e-2, 1e-4
 
 
-def judgement(residual: float, shortfall: float) -> Judgement:
-    """Of a whole step that promises less cost and comes to more, lacking ten times what the funnel is wide."""
+def judgement(
+    residual: float, shortfall: float, promised: float = 1.0, cost: float = 2.0, missing: float = 10.0
+) -> Judgement:
+    """Of a whole step that promises less cost than 1 and comes to another, lacking so many times what the funnel is
+    wide."""
     one = np.ones(1)
     step = SimpleNamespace(reach=one, followed=one)
     state: Any = SimpleNamespace(
         step=step,
         descends=np.ones(1, bool),
-        promised=-one,
+        promised=-promised * one,
         turned=0 * one,
-        merit=Merit(WIDTH * one, one, 0 * one),
+        merit=Merit(min(missing, 1.0) * WIDTH * one, one, 0 * one),
         funnel=WIDTH * one,
         fraction=one,
         best=BEST * one,
         shift=0 * one,
     )
-    trial = Merit(10 * WIDTH * one, 2 * one, 0 * one)
-    return judged(state, trial, (residual * one, shortfall * one, 2 * one), False, TOLERANCE)
+    trial = Merit(missing * WIDTH * one, cost * one, 0 * one)
+    return judged(state, trial, (residual * one, shortfall * one, cost * one), False, TOLERANCE)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.99, 1.01, 10.0, 1e6])
@@ -42,3 +45,10 @@ def test_a_residual_is_a_record_well_below_the_best_one(share):
     found = judgement(share * RECORD * BEST, WIDTH / 2)
     assert found.good.tolist() == [share < 1]
     assert found.funnel.tolist() == [10 * WIDTH if share < 1 else WIDTH]
+
+
+@pytest.mark.parametrize("share", [-10.0, 0.0, 0.5, 0.9, 1.5, 10.0, 1e6])
+def test_a_cost_that_is_more_by_rounding_is_accepted(share):
+    """Where a step promises less than that: beside a solution nothing else is left."""
+    found = judgement(10 * BEST, 0.0, promised=1e-3 * ROUNDED, cost=1 + share * ROUNDED, missing=0.0)
+    assert found.good.tolist() == [share < 1]

@@ -174,6 +174,16 @@ def test_an_obstacle_beside_a_pass(method, radius, beside, monkeypatch):
     assert short.success == (radius < 0.5)
 
 
+@pytest.mark.parametrize("beside", np.linspace(0.2, 0.3, 6))
+def test_rounding_refuses_nothing_beside_a_solution(method, beside, monkeypatch):
+    """Past an obstacle that is hardly met, with a shift of the Hessians until the last step."""
+    around = {"disk": lambda q, u: 0.01 - jnp.sum((q - jnp.array([0.5, beside])) ** 2)}
+    free = OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2, constraints=around)
+    way = np.zeros(2), np.array([1.0, 0.0]), 1.0
+    for own in both_ways(Solver(free, method(Addition(PLANE)), 20), way, monkeypatch):
+        assert own.statistics.iterations <= 14
+
+
 @pytest.mark.parametrize("height", [0.9, 0.3, -0.1, -0.5])
 @pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
 def test_a_cap_that_a_pass_keeps_out_of(method, kind, height, monkeypatch):
