@@ -43,6 +43,21 @@ def test_two_waypoints_are_the_default_guess(method):
     )
 
 
+def test_the_curve_of_a_default_guess_does_not_depend_on_the_number_of_steps():
+    """From three quarters of half a turn on the curve of the Cayley map is too uneven, and the geodesic is taken."""
+    taken = []
+    for angle in np.deg2rad(np.linspace(120.0, 150.0, 31)):
+        end = rotation(angle * np.array([1.0, 2.0, -2.0]) / 3), REST
+        first = [default_guess(SLEW, METHOD, START, end, n).states[0][n // 6] for n in (3, 9, 81)]  # of six parts
+        few, many, more = first
+        np.testing.assert_allclose(many, few, atol=1e-12)
+        np.testing.assert_allclose(more, few, atol=1e-12)
+        taken.append(np.arccos((np.trace(few) - 1) / 2) > 1.2 * angle / 6)
+    assert not taken[-1]
+    assert taken == sorted(taken, reverse=True)
+    assert taken[0]
+
+
 def test_waypoints_are_passed_at_their_times():
     aside = rotation([0.3, -0.2, 0.1]), REST
     guess = Guess.from_waypoints(SLEW, METHOD, [START, aside, END], 40, times=[0.0, 15.5, 40.0])
