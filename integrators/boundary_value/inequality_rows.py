@@ -31,6 +31,7 @@ class InequalityRows:
         self.state, bound = Layout.of(problem.manifold), problem.with_parameters(parameters)
         self.limits, self.sizes, self.node_sizes = problem.limits, bound.inequality_sizes, bound.node_sizes
         self.own, self.nodes = len(bound.inequality_names), sum(map(count, self.node_sizes.values()))
+        self._any = problem.limits.any
 
     @property
     def places(self) -> int:
@@ -43,7 +44,7 @@ class InequalityRows:
         At an end those are asked for that depend on something free, and at the first of periodic ends those that are
         not at the last one too; at a first node that is ``repeated``, the last one of another phase, none.
         """
-        if not self.limits.any:
+        if not self._any:
             return None
         holds = np.zeros((steps, self.places, self.own + 2 * self.nodes), bool)
         once = [False for side in self.limits.bounded.values() for _ in side]

@@ -100,6 +100,15 @@ def entries(tree: Any, index: Any) -> Any:
 
 def taken(tree: Any, index: Any) -> Any:
     """``leaf[index]`` of every array of a tree, as one of NumPy: nothing is compiled for it."""
+    kind = type(tree)
+    if kind is np.ndarray:
+        return tree[index]
+    if kind is dict:  # these two and named tuples in half the time of ``jax.tree.map``
+        return {name: taken(part, index) for name, part in tree.items()}
+    if kind is tuple:
+        return tuple([taken(part, index) for part in tree])
+    if isinstance(tree, tuple) and hasattr(kind, "_make"):
+        return kind._make([taken(part, index) for part in tree])
     return jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree)
 
 

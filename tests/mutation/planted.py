@@ -466,7 +466,7 @@ PLANTED: dict[str, Planted] = {
     "members of a batch come in the order in which they left": Planted(
         f"{ENGINE}/descent.py",
         "order = np.argsort(np.concatenate([state.member for state in states]))",
-        "order = np.arange(len(counts))",
+        "order = np.arange(sum(map(len, counts)))",
         (
             f"{SOLVER}::test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_none",
             f"{SOLVER}::test_a_batch_is_a_loop_over_its_members",

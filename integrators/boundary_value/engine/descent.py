@@ -360,18 +360,18 @@ class Descent:
         if self.state is not None:
             self.left.append((self.state, self.trials))
         states = [state for state, _ in self.left]
-        counts = np.repeat([trials for _, trials in self.left], [len(state.member) for state in states])
-        whole = states[0]
+        counts = [np.full(len(state.member), trials) for state, trials in self.left]
+        whole, iterations = states[0], counts[0]
         if len(states) > 1:
             order = np.argsort(np.concatenate([state.member for state in states]))
-            whole, counts = taken(joined(states), order), counts[order]
+            whole, iterations = taken(joined(states), order), np.concatenate(counts)[order]
         strict = whole.step.strict & (whole.shift == 0)
         if whole.iterate.slacks is not None:
             strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
         missing = whole.assembled.extent.lacking / self.conditions.judging.nodes
         ended = (
             strict & whole.isolated,
-            counts - 1,
+            iterations - 1,
             whole.claimed & (whole.residuals.final <= self.tolerance),  # it may have gone on from where it was
             _solvable(whole),
             self.stopped,

@@ -112,7 +112,7 @@ def _reached(conditions: "Conditions", found: Pursuit) -> tuple[State, int] | No
 def _state(tried: Tried, found: Pursuit) -> State:
     """The state at the end of a pursuit, of a single member: nothing is cut there."""
     promised, turned, *merit, funnel, best, _, correction, isolated, shift = np.array([found.standing], float).T
-    one, settled = np.ones(1), isolated > 0
+    one, settled = np.array([1.0]), isolated > 0
     at = np.arange(1), tried.iterate, tried.assembled, tried.appraisal.residuals, found.step, one > 0
     numbers = promised, turned, Merit(*merit), funnel, one, shift, best, correction
     return State(*at, *numbers, settled, settled, np.array([found.arrived]))

@@ -9,7 +9,7 @@ transcription: ``one_stage_trial``, ``collocation_trial``.
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
-from functools import cache, cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
 import numpy as np
@@ -205,7 +205,7 @@ class Trial(ABC):
         count, end = self._run(setting, numbers, places, rules, (stands, most, True))
         if end == self._kernels.APART:
             return None
-        units, first = Units(v["unknowns"], v["nodes"], v["unit"]), cache(lambda: self._tried(places[2].v))
+        units, first = Units(v["unknowns"], v["nodes"], v["unit"]), partial(self._tried, places[2].v)
         if end == self._kernels.LOST:
             return SetOut(first, units, None)
         last = None if count else (first(), self._step(places[2].v))
@@ -320,12 +320,12 @@ class Trial(ABC):
     def _step(self, v: Any) -> Step:
         """The step that the kernel has written."""
         count, (negative, smallest) = v["multipliers"].size, (v["negative"], v["smallest"])
-        every, inner, turn = np.ones(1, bool), self.inner(v), None
+        every, inner, turn = np.array([True]), self.inner(v), None
         inertia = positive_definite(negative, smallest, count), negative == count
         whole = v["steps"], v["multipliers"], v["grown"]
         if self.limited:
             turn = Turn(v["turn_s"], v["turn_nu"], v["turn_t"], *v["turned"].T)
-        return Step(*whole, *inertia, every, inner, turn, share=np.ones(1), followed=np.ones(1))
+        return Step(*whole, *inertia, every, inner, turn, share=np.array([1.0]), followed=np.array([1.0]))
 
 
 def common_rows(fields: Fields) -> np.ndarray:
