@@ -28,6 +28,7 @@ Function = Callable[..., Any]  # of flat vectors
 MOST_TAPES = 256
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 # As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
+PLANS = 8  # of a tape, for as many shapes of its arrays
 IN_ONE_PASS = 4.0
 _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
@@ -135,8 +136,6 @@ def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Ta
 class _Plan:
     """Where a tape finds the numbers of some arrays, and where it writes: fixed by their shapes."""
 
-    axes: int
-    given: list[tuple[int, ...]]  # shapes of the arrays
     count: int
     read: list[tuple[int, int, tuple[int, ...]]]  # the parts of what is read, and their shapes: arrays are copied there
     sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
@@ -152,7 +151,7 @@ class _Plan:
         filled = [shape if one else (*leading, *shape[axes:]) for one, shape in zip(shared, given, strict=True)]
         sources = _rows((size, 1 if one else count) for one, size in zip(shared, sizes, strict=True))
         targets = _rows((math.prod(shape), count) for shape in found)
-        return cls(axes, given, count, _cut(filled), sources, targets, _cut([(*leading, *shape) for shape in found]))
+        return cls(count, _cut(filled), sources, targets, _cut([(*leading, *shape) for shape in found]))
 
     @property
     def numbers(self) -> tuple[int, int]:
@@ -188,15 +187,12 @@ class _OnTape(Evaluated):
 
     def __init__(self, tape: "Tape") -> None:
         self.tape = tape
-        self._planned: tuple[_Plan, _Small | None] | None = None
+        self._plans: dict[Any, tuple[_Plan, _Small | None]] = {}
         _ = tape.program
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
-        planned = self._planned
-        if planned is None or planned[0].axes != axes or planned[0].given != [a.shape for a in arguments]:
-            plan = _Plan.of(axes, [a.shape for a in arguments], self.tape.shapes)
-            planned = self._planned = plan, _Small.of(self.tape, plan)
-        plan, small = planned
+        key = axes, *[a.shape for a in arguments]
+        plan, small = self._plans.get(key) or self._planned(key)
         if small is not None:
             return small.at(arguments)
         read, written = map(np.empty, plan.numbers)
@@ -204,6 +200,15 @@ class _OnTape(Evaluated):
             place[...] = a
         self.tape.run(plan.count, (read, plan.sources, written, plan.targets))
         return tuple(_parts(written, plan.written))
+
+    def _planned(self, key: tuple[Any, ...]) -> "tuple[_Plan, _Small | None]":
+        """What arrays of some shapes ask for; that of the last few is kept."""
+        axes, *shapes = key
+        plan = _Plan.of(axes, shapes, self.tape.shapes)
+        if len(self._plans) == PLANS:
+            self._plans = {}
+        found = self._plans[key] = plan, _Small.of(self.tape, plan)
+        return found
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)

@@ -17,6 +17,7 @@ from ...layout import Layout
 
 ASIDE = 0.05  # of the chord
 PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
+PLACES = np.linspace(0.0, 1.0, PIECES + 1)
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
 
@@ -67,39 +68,36 @@ class Start:
         if len(self._curves) <= place:
             self._curves.append(self._curve(retraction))
         leave, go = self._curves[place]
-        vectors, uneven = leave.at(1, starts, ends)
-        arrived = uneven[:, 0] <= 0  # not where it is not a number
+        vectors, lengths = leave.at(1, starts, ends)
+        (points,) = go.at(2, starts[:, None], vectors[:, None], PLACES[None, :, None])
+        arrived = np.isfinite(lengths) & self._even(points)
         if not arrived.any():
             return np.empty((len(starts), len(fractions), self.layout.size)), arrived
         (states,) = go.at(2, starts[:, None], vectors[:, None], fractions[None, :, None])
         return states, arrived & np.isfinite(states).all(axis=(1, 2))
 
     def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
-        """What gives the vector ``v`` from a start to an end, with how uneven the curve is, which is positive where it
-        is too much; and what gives the points ``R(start, s v)``."""
-
-        def at(start: Array, vector: Array, s: Array) -> Array:
-            return self.layout.flat(retraction(self.layout.point(start), vec.scale(s, self.layout.point(vector))))
+        """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s
+        v)``."""
 
         def leave(start: Array, end: Array) -> tuple[Array, Array]:
-            v = self.layout.flat(retraction.preimage(self.layout.point(start), self.layout.point(end)))
-            points = jax.vmap(lambda s: at(start, v, s))(jnp.linspace(0.0, 1.0, PIECES + 1))
-            return v, self._unevenness(points)[None]
+            v = retraction.preimage(self.layout.point(start), self.layout.point(end))
+            return self.layout.flat(v), vec.size(v)
 
         def go(start: Array, vector: Array, s: Array) -> tuple[Array]:
-            return (at(start, vector, s[0]),)
+            return (self.layout.flat(retraction(self.layout.point(start), vec.scale(s[0], self.layout.point(vector)))),)
 
         size = self.layout.size
         return Automatic().values(leave, size, size), Automatic().values(go, size, size, 1)
 
-    def _unevenness(self, points: Array) -> Array:
-        """By how much the largest step between points exceeds ``UNEVEN`` mean ones, in any array of a point."""
-        steps, most = points[1:] - points[:-1], jnp.zeros(())
-        for place in self.layout.places:
-            lengths, sizes = (jnp.linalg.norm(rows[:, place], axis=1) for rows in (steps, points))
-            largest = UNEVEN * jnp.mean(lengths) + default_tolerance() * jnp.max(sizes)
-            most = jnp.maximum(most, jnp.max(lengths) - largest)
-        return most
+    def _even(self, points: np.ndarray) -> np.ndarray:
+        """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point; not
+        where a point is not finite."""
+        change, arrays = points[:, 1:] - points[:, :-1], self.layout.in_arrays.T
+        lengths = np.sqrt((change * change) @ arrays)
+        size = np.sqrt(((points * points) @ arrays).max(axis=1, initial=0.0))
+        most = lengths.max(axis=1, initial=0.0)
+        return (most <= UNEVEN / PIECES * lengths.sum(axis=1) + default_tolerance() * size).all(axis=1)
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it
