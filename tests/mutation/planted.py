@@ -33,6 +33,7 @@ STEPS = f"{TESTS}/test_tape_steps.py"
 SYMPLECTIC = f"{TESTS}/test_symplectic_step.py"
 DIRAC = f"{TESTS}/test_dirac.py"
 PARTS = f"{TESTS}/test_step_parts.py"
+NO_MINIMUM = f"{TESTS}/test_no_minimum.py"
 NUMERICS = "tests/manifolds/test_numerics.py"
 TAPE = "tests/tape/test_tape.py"
 PRIMITIVES = "tests/tape/test_primitives.py"
@@ -818,5 +819,23 @@ PLANTED: dict[str, Planted] = {
         "stays &= np.isinf(state.correction)",
         "stays &= state.correction > 0",
         (RESTING,),
+    ),
+    "a cost that falls less and less has no end": Planted(
+        f"{ENGINE}/falling.py",
+        "found[member] = far and late >= early",
+        "found[member] = far",
+        (NO_MINIMUM,),
+    ),
+    "a cost that hardly falls has no end": Planted(
+        f"{ENGINE}/falling.py",
+        "far = early + late > FALLEN * unit[member] and trials[-1] >= FEWEST",
+        "far = trials[-1] >= FEWEST",
+        (NO_MINIMUM,),
+    ),
+    "no horizon is to be longer": Planted(
+        "integrators/boundary_value/formulated.py",
+        "cheaper = pull > UNMET * solution.checks.hamiltonian_size",
+        "cheaper = False",
+        (NO_MINIMUM,),
     ),
 }
