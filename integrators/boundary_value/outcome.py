@@ -25,6 +25,14 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     )
 
 
+def compiled_longer(solution: Solution, seconds: float) -> Solution:
+    """The solution with so many more seconds to trace and compile; the same one if there are none."""
+    if not seconds:
+        return solution
+    spent = solution.statistics
+    return replace(solution, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
+
+
 def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.ndarray, list[str]]:
     """Which of the finished iterations have success, and the results of all of them in words."""
     largest = found.residuals.largest
