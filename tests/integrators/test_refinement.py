@@ -14,8 +14,8 @@ from retrax.integrators import (
     solve,
     step_errors,
 )
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
-from retrax.retractions import Addition, Gauss, Midpoint, default_retraction
+from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError, hat
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
@@ -315,3 +315,25 @@ def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, 
     solution = solve(problem, Gauss(2, default_retraction(space)), start, (rest, rest), 3.0, 10, accuracy=accuracy)
     assert solution.checks.strict_minimum
     assert solution.cost == pytest.approx({1.4: 6.88101245, 2.0: 5.343992}[slope], rel=max(10 * accuracy, 1e-7))
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-7])
+@pytest.mark.parametrize("degrees", [15.0, 16.0, 18.0, 20.0])
+def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accuracy):
+    """A slew past a cone that is left alone up to 16 degrees, and touched at one time by a wider one: finer stages
+    beside that time hold almost the same."""
+    inertia, space = jnp.array([3.0, 2.0, 1.0]), SO(3) * Euclidean(3)
+    aim = np.array([np.cos(0.8) * np.cos(0.3), np.sin(0.8) * np.cos(0.3), np.sin(0.3)])
+
+    def dynamics(q, u):
+        return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
+
+    def outside(q, u):
+        return q[0][:, 0] @ aim - np.cos(np.deg2rad(degrees))
+
+    problem = OptimalControlProblem(space, dynamics, energy, 3, constraints={"outside": outside})
+    turned = np.array([[np.cos(1.6), -np.sin(1.6), 0.0], [np.sin(1.6), np.cos(1.6), 0.0], [0.0, 0.0, 1.0]])
+    ends, method = ((np.eye(3), np.zeros(3)), (turned, np.zeros(3))), Gauss(2, Cayley(space))
+    solution = solve(problem, method, *ends, 5.0, 10, accuracy=accuracy)
+    assert solution.checks.strict_minimum
+    assert (solution.checks.active["outside"] > 0) == (degrees > 17)

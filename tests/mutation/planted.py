@@ -832,6 +832,18 @@ PLANTED: dict[str, Planted] = {
         "far = trials[-1] >= FEWEST",
         (NO_MINIMUM,),
     ),
+    "two constraints that hold almost the same show no minimum": Planted(
+        f"{ENGINE}/augmented.py",
+        "found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)), softly=True)",
+        "found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)))",
+        (f"{REFINED}::test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy",),
+    ),
+    "a slope that passes through zero tells how far controls go": Planted(
+        f"{ENGINE}/room.py",
+        "curvature = np.where(curvature > 0, np.maximum(curvature, LEAST * _largest(curvature)), curvature)",
+        "pass",
+        (f"{REFINED}::test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy",),
+    ),
     "no horizon is to be longer": Planted(
         "integrators/boundary_value/formulated.py",
         "cheaper = pull > UNMET * solution.checks.hamiltonian_size",
