@@ -15,6 +15,7 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.compiler import Option, known_options
 from ..reading import one_reading, traced
 from ..undisturbed import with_room
+from .compiling import told
 from .functions import is_transformed
 from .program_keys import PLAIN, content_key, program_key
 
@@ -146,10 +147,11 @@ def _executable(program: _Program, data: list) -> Any:
         def run(constants: list, data: list) -> list:
             return jaxpr_as_fun(ClosedJaxpr(program.closed.jaxpr, constants))(*data)
 
-        lowered = with_room(jax.jit(run).lower, program.closed.consts, data)
         if len(_compiled) >= MOST_COMPILED:
             del _compiled[next(iter(_compiled))]
-        _compiled[key] = lowered.compile(compiler_options())
+        with told():
+            lowered = with_room(jax.jit(run).lower, program.closed.consts, data)
+            _compiled[key] = lowered.compile(compiler_options())
     return _compiled[key]
 
 

@@ -115,6 +115,6 @@ def _free_leaves(tree: Any, fixed: tuple[bool, ...]) -> list[np.ndarray]:
 
 
 def _is_one_number(values: np.ndarray, slope: Any) -> bool:
-    """Whether values of a function, and the largest of its slopes, say that it is constant."""
+    """Whether values of a function, and the largest of its slopes, say that it is constant; what overflows is not."""
     rounding = rounding_of(values) * np.max(np.abs(values))
-    return bool(np.ptp(values) <= rounding and slope <= rounding)
+    return bool(np.isfinite(rounding) and np.ptp(values) <= rounding and slope <= rounding)

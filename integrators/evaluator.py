@@ -17,6 +17,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from ..reading import traced
 from .compilation import compiler_options
+from .compiling import told
 from .program_keys import content_key
 
 if TYPE_CHECKING:
@@ -79,7 +80,8 @@ class Evaluator(ABC):
 
     def values(self, function: Function, *sizes: int) -> Evaluated:
         """The values of a function, a tuple of arrays."""
-        return self._made(function, sizes, first=None)
+        with told():
+            return self._made(function, sizes, first=None)
 
     def derivatives(self, function: Function, *sizes: int) -> Evaluated:
         """``(hessian, gradient, *jacobians, *vectors, *others)`` at ``d = 0`` of ``function(d, ...)``.
@@ -87,7 +89,8 @@ class Evaluator(ABC):
         It returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them. ``sizes`` are those
         of all arguments; ``d`` is left out of the arguments of what is returned.
         """
-        return self._made(function, sizes[1:], first=sizes[0])
+        with told():
+            return self._made(function, sizes[1:], first=sizes[0])
 
     @abstractmethod
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
@@ -320,7 +323,8 @@ class _Compiled(Evaluated):
         wide = ((np.broadcast_to(a, (*leading, a.shape[-1])), a.shape[-1]) for a in arguments)
         filled = [a.reshape(count, size).astype(working_precision()) for a, size in wide]
         if count not in self.executables:
-            self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
+            with told():
+                self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
         # Copies: the arrays of XLA are read-only, and the assembly adds to them.
         found = self.executables[count](*filled)
         return tuple(np.array(v, dtype=float, order="C").reshape(*leading, *v.shape[1:]) for v in found)

@@ -137,6 +137,8 @@ def kinks_near(problem: "OptimalControlProblem", solution: "Solution") -> str:
 
     From a few stages along every coordinate of U, and in Euclidean space along the control itself, towards zero.
     """
+    if not problem.controls.dimension:
+        return ""
     leaves = [
         np.asarray(leaf)
         for leaf in jax.tree.leaves((solution.stage_costates, solution.controls, solution.stage_states))

@@ -46,6 +46,11 @@ class Result(eqx.Enumeration):
         "The inequalities contradict each other or the ends, or a better guess is needed: this is the trajectory near "
         "the guess that violates them least; try wider bounds, a longer horizon, or free ends."
     )
+    falling = (
+        "The conditions are not met, and the cost fell as fast at the end as before: there may be no minimum; try "
+        "bounds for controls and states, an upper bound of a free horizon, a cost that grows with them, or, if there "
+        "is a minimum, more iterations or a better guess."
+    )
     wrong_point = (
         "The equations have a solution here that does not end at the requested boundary point; try a "
         "guess that ends there."

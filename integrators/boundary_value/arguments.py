@@ -17,7 +17,7 @@ from ..problem import OptimalControlProblem
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
 from .engine.found import Iteration
-from .iteration_table import printed
+from .iteration_table import Printed
 
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
@@ -60,7 +60,7 @@ class Options(NamedTuple):
             raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
         if callback is not None and not callable(callback):
             raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
-        return cls(float(limit), int(max_iterations), printed(callback) if verbose else callback)
+        return cls(float(limit), int(max_iterations), Printed(callback) if verbose else callback)
 
 
 def structure_of(parameters: Any, axes: int = 0) -> Any:

@@ -34,7 +34,12 @@ UNDETERMINED = (
     "The horizon tends to {:.3g}, or is hidden by other costs: the Hamiltonian, zero at an extremal, is {:.1e} of its "
     "parts there; try another guess of it, a lower or an upper bound, or a guess of the trajectory."
 )
+GROWN = (
+    " The horizon grew from {:.3g} to {:.3g}, where a longer one still costs less: there may be no best one; try an "
+    "upper bound of it, or a cost of the time."
+)
 HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
+LONG = 1e3  # times the guess: a horizon that is found without success, and named
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 
@@ -86,7 +91,18 @@ class Formulated:
                 effort = _sum(effort, found.statistics)
                 if found.success or found.result == sentence("stopped"):
                     return self._renewed(found, statistics=effort)
-        return self._renewed(first, statistics=effort)
+        return self._renewed(first, statistics=effort, result=first.result + self._grown(horizon, first))
+
+    def _grown(self, horizon: Free, solution: Solution) -> str:
+        """A sentence on a horizon that has become far longer than guessed where it is without success; empty for any
+        other one.
+
+        The cost changes by ``-H`` with the horizon.
+        """
+        longer = solution.horizon >= LONG * guessed(horizon) and HELD * solution.horizon < horizon.upper
+        pull = np.mean(solution.hamiltonians) if longer and not self.reader.problem.time_dependent else 0.0
+        cheaper = pull > UNMET * solution.checks.hamiltonian_size
+        return GROWN.format(guessed(horizon), solution.horizon) if cheaper else ""
 
     def _in_own_units(self, request: Request, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.

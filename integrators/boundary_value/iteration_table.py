@@ -1,7 +1,7 @@
-"""The table of iterations that ``verbose=True`` prints."""
+"""What ``verbose=True`` prints: the table of iterations, and lines on long work before it."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 
@@ -11,10 +11,14 @@ TITLES = f"{'iteration':>9} {'cost':>16} {'gap':>9} {'stationarity':>12} {'shift
 LIMITED = f" {'violation':>9} {'barrier':>8}"  # with inequalities
 
 
-def printed(callback: Callable[[Iteration], Any] | None) -> Callable[[Iteration], Any]:
+@final
+class Printed:
     """A callback that prints a line for each iteration, and then calls another one."""
 
-    def shown(iteration: Iteration) -> Any:
+    def __init__(self, callback: Callable[[Iteration], Any] | None) -> None:
+        self._callback = callback
+
+    def __call__(self, iteration: Iteration) -> Any:
         limited = bool(np.any(iteration.barrier > 0))
         if not iteration.number:
             print(TITLES + (LIMITED if limited else ""))
@@ -27,6 +31,10 @@ def printed(callback: Callable[[Iteration], Any] | None) -> Callable[[Iteration]
             line += f" {iteration.violation[worst]:>9.1e} {iteration.barrier[worst]:>8.1e}"
         more = len(iteration.members)
         print(line + (f"  the worst of {more} members" if more > 1 else ""))
-        return callback(iteration) if callback is not None else None
+        return self._callback(iteration) if self._callback is not None else None
 
-    return shown
+
+def say(callback: Callable[[Iteration], Any] | None, words: str) -> None:
+    """Print a line on what is done now, if the callback is one that prints."""
+    if isinstance(callback, Printed):
+        print(words, flush=True)

@@ -11,6 +11,8 @@ from ..results import sentence
 from .engine.found import Found
 from .solution import Solution
 
+NEAR = 0.1  # relative: the cost of what lacks more, or violates inequalities by more, tells nothing of a minimum
+
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
@@ -23,6 +25,14 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     )
 
 
+def compiled_longer(solution: Solution, seconds: float) -> Solution:
+    """The solution with so many more seconds to trace and compile; the same one if there are none."""
+    if not seconds:
+        return solution
+    spent = solution.statistics
+    return replace(solution, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
+
+
 def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.ndarray, list[str]]:
     """Which of the finished iterations have success, and the results of all of them in words."""
     largest = found.residuals.largest
@@ -32,12 +42,15 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.nd
         return success, [sentence("successful")] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
     apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))
+    residuals = found.residuals
+    trespass = np.maximum(residuals.gap, np.maximum(residuals.violation, residuals.excess))
     undetermined = (largest <= tolerance) & (not found.stopped)
     ways = {
         "not_finite": ~finite,
         "successful": found.claimed,
         "infeasible": found.contradictory,
         "wrong_point": apart,
+        "falling": found.falling & (trespass <= NEAR) & (not found.stopped),
         "singular": (~found.solvable & ~meets) | undetermined,
         "stopped": np.full(len(largest), found.stopped),
         "too_many_iterations": found.iterations >= max_iterations,

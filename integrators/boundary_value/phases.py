@@ -27,6 +27,7 @@ from .engine.newton import newton
 from .engine.stopwatch import Stopwatch
 from .formulated import AGAIN, FAR, MAGNITUDES
 from .independence import equation_words, qualified, require_independent
+from .outcome import compiled_longer
 from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
@@ -161,8 +162,9 @@ class _Task:
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
             solutions = [part.recorded(phase_of(found, k, owns), seconds) for k, part in enumerate(parts)]
-        free = any(is_free(phase.duration) for phase in phases)
-        solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
+            free = any(is_free(phase.duration) for phase in phases)
+            solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
+            solutions = [compiled_longer(solution, watch.seconds()[0] - compiling) for solution in solutions]
         joined: Any = found.assembled
         rows = joined.coupled.multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
         cuts = np.cumsum([0, *sizes.values()])

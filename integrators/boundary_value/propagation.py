@@ -164,12 +164,13 @@ class Propagator:
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any
     ) -> _Given:
         steps, rows = np.diff(times), self.state.rows(states, 1)
-        controls = self.control.rows(controls, 1).reshape(len(steps), -1, self.control.size)
+        stages = len(stage_times) // len(steps)
+        controls = self.control.rows(controls, 1).reshape(len(steps), stages, self.control.size)
         longest = np.argmax(np.abs(steps))
         places = (stage_times.reshape(len(steps), -1)[longest] - times[longest]) / steps[longest]
         frames, sizes = self._frame(rows)
-        bases, stages = controls[:, 0], controls.shape[1]
-        (offsets,) = self._offset(np.repeat(bases, stages, axis=0), controls.reshape(-1, self.control.size))
+        bases = controls[:, 0]
+        (offsets,) = self._offset(np.repeat(bases, stages, axis=0), np.concatenate(controls))
         if not np.all(np.isfinite(offsets)):
             raise DomainError(
                 f"the controls of a step are not in one retraction chart of {self.problem.controls}, expected stages "
@@ -177,7 +178,7 @@ class Propagator:
             )
         scales = np.max(sizes, axis=0)
         scales = np.where(scales > 0, scales, 1.0)
-        offsets = offsets.reshape(len(steps), stages, -1)
+        offsets = offsets.reshape(len(steps), stages, self.problem.controls.dimension)
         given = self.parameter.rows(parameters, 0)[None] if self.parameter.size else np.zeros((1, 0))
         return _Given(times[:-1], steps, rows, frames, scales, places, bases, offsets, given)
 

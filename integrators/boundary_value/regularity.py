@@ -10,9 +10,12 @@ from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
 from ..inspection import Inspection, probes
 from ..singular import Classification, classify
+from .iteration_table import say
 from .posed import Posing
 from .request import Request
 from .solution import Solution
+
+CLASSIFYING = "the problem is singular, and is classified: functions are compiled; classification=... saves it"
 
 
 @final
@@ -45,6 +48,8 @@ class Regularity:
                 raise InvalidInputError(self.refusal)
             problem.require_cost(known, last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
+            if not regular:
+                say(request.options.callback, CLASSIFYING)
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 

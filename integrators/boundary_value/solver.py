@@ -27,7 +27,7 @@ from .formulated import SINGULAR, Formulated
 from .formulation import Formulation
 from .guess import Guess
 from .interpolation import Interpolant
-from .outcome import explained
+from .outcome import compiled_longer, explained
 from .posed import Posed, Posing
 from .recording import Recording
 from .regular_extremals import extremals
@@ -184,7 +184,9 @@ class Solver:
 
     def examined(self, solution: Solution, request: Request) -> Solution:
         """The solution with what its conditions do not tell."""
-        examined = self._examination(solution, is_free(request.given.horizon), request.ends.prescribed)
+        with Stopwatch() as watch:
+            examined = self._examination(solution, is_free(request.given.horizon), request.ends.prescribed)
+            examined = compiled_longer(examined, watch.seconds()[0])
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]
@@ -297,9 +299,10 @@ class Solver:
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
             fields, member = self._recording.of(posed, request.parameters(), found, request.options, seconds)
+            later = watch.seconds()[0] - compiling
 
         def kept(k: int) -> Solution:
-            solution = member(k)
+            solution = compiled_longer(member(k), later)
             self._kept[solution] = _Kept(posed, found, k, solution.parameters)
             return solution
 

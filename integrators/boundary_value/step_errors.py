@@ -109,8 +109,8 @@ class Estimator:
 
     def _controls(self, solution: Solution, parameters: Any, switches: np.ndarray | None) -> np.ndarray:
         times, count = solution.times, solution.steps
-        rows = self.propagator.control.rows(solution.controls, 1).reshape(count, -1, self.propagator.control.size)
         at = solution.stage_times.reshape(count, -1)
+        rows = self.propagator.control.rows(solution.controls, 1).reshape(*at.shape, self.propagator.control.size)
         size = np.max(np.abs(rows), axis=(0, 1), initial=0.0)
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False

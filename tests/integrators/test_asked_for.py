@@ -154,6 +154,17 @@ def test_other_costs_that_vanish_somewhere_are_not_constant():
     OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST, REST)
 
 
+@pytest.mark.parametrize("growth", [0.0, 1e-3, 0.03, 0.1, 0.3, 1.0, 3.0])
+def test_costs_that_overflow_far_off_are_not_constant(growth):
+    """Controls of some thousands are tried, at which cosh is infinite where it grows fast."""
+    given = OptimalControlProblem(PLANE, cart, lambda q, u: jnp.cosh(growth * u[0]), 1)
+    if growth:
+        assert solve(given, MIDPOINT, REST, AHEAD, 1.0, 10).checks.strict_minimum
+    else:
+        with pytest.raises(InvalidInputError, match="the running cost is 1 at every state and control"):
+            solve(given, MIDPOINT, REST, AHEAD, 1.0, 10)
+
+
 def test_what_is_missing_is_named():
     given = OptimalControlProblem(PLANE, cart, effort, 1)
     with pytest.raises(

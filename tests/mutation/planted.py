@@ -33,6 +33,7 @@ STEPS = f"{TESTS}/test_tape_steps.py"
 SYMPLECTIC = f"{TESTS}/test_symplectic_step.py"
 DIRAC = f"{TESTS}/test_dirac.py"
 PARTS = f"{TESTS}/test_step_parts.py"
+NO_MINIMUM = f"{TESTS}/test_no_minimum.py"
 NUMERICS = "tests/manifolds/test_numerics.py"
 TAPE = "tests/tape/test_tape.py"
 PRIMITIVES = "tests/tape/test_primitives.py"
@@ -860,5 +861,35 @@ PLANTED: dict[str, Planted] = {
         "stays &= np.isinf(state.correction)",
         "stays &= state.correction > 0",
         (RESTING,),
+    ),
+    "a cost that falls less and less has no end": Planted(
+        f"{ENGINE}/falling.py",
+        "found[member] = far and late >= early",
+        "found[member] = far",
+        (NO_MINIMUM,),
+    ),
+    "a cost that hardly falls has no end": Planted(
+        f"{ENGINE}/falling.py",
+        "far = early + late > FALLEN * unit[member] and trials[-1] >= FEWEST",
+        "far = trials[-1] >= FEWEST",
+        (NO_MINIMUM,),
+    ),
+    "two constraints that hold almost the same show no minimum": Planted(
+        f"{ENGINE}/augmented.py",
+        "found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)), softly=True)",
+        "found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)))",
+        (f"{REFINED}::test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy",),
+    ),
+    "a slope that passes through zero tells how far controls go": Planted(
+        f"{ENGINE}/room.py",
+        "curvature = np.where(curvature > 0, np.maximum(curvature, LEAST * _largest(curvature)), curvature)",
+        "pass",
+        (f"{REFINED}::test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy",),
+    ),
+    "no horizon is to be longer": Planted(
+        "integrators/boundary_value/formulated.py",
+        "cheaper = pull > UNMET * solution.checks.hamiltonian_size",
+        "cheaper = False",
+        (NO_MINIMUM,),
     ),
 }

@@ -24,6 +24,7 @@ from .transcription import Blocks
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+STIFFEST, IDLE = 1e6, 1e6  # in units of the cost and of the inequality, and one over these
 TOGETHER = 16  # members: the large systems of more do not fit into the caches
 
 
@@ -38,19 +39,19 @@ def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembl
 
 
 def solved(
-    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray
+    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray, softly: bool = False
 ) -> BlockSolution:
     """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a
     step.
 
     ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c,
-    k).
+    k). ``softly``: as ``augmented``, in the units that success is judged in, which no step has made wider.
     """
-    units = conditions.measured
+    units = conditions.judging if softly else conditions.measured
     system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *conditions.fixed_ends)
     if iterate.slacks is not None:
         limits = conditions.transcription.limits(blocks, conditions.data.steps)
-        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
+        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks, softly)
     return eliminate(system, units)
 
 
@@ -74,17 +75,25 @@ def _is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: 
     batch, count, stages, c = held.values.shape
     slope = np.zeros((batch, count, blocks.hessian.shape[3] + stages * c, 1))
     found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)))
-    others = count * stages * c  # each has a negative eigenvalue of its own
-    return is_strict_minimum(found._replace(negative=found.negative - others), assembled.gap[0].size)
+    others, size = count * stages * c, assembled.gap[0].size  # each of the others has a negative eigenvalue of its own
+    found = found._replace(negative=found.negative - others)
+    strict = is_strict_minimum(found, size)
+    if np.all(strict | (found.negative != size)):
+        return strict
+    found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)), softly=True)
+    return strict | is_strict_minimum(found._replace(negative=found.negative - others), size)
 
 
 def augmented(
-    system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks
+    system: BlockSystem, units: Units, limits: np.ndarray, held: Held, slacks: Slacks, softly: bool = False
 ) -> tuple[BlockSystem, Units]:
     """The system of the Lagrangian alone with its inequalities, and their units.
 
     ``limits``: derivatives in the unknowns of the steps, shape (B, N, c, z) with the inequalities of all points of a
-    step. The slope of the system comes with their rows, shape (B, N, z + c, k).
+    step. The slope of the system comes with their rows, shape (B, N, z + c, k). ``softly``: no inequality is stiffer
+    than ``STIFFEST`` and those that are next to not stiff are not at all. What is positive definite with less stiffness
+    is so with more, and two inequalities that hold almost the same, as at points beside the one that a trajectory
+    touches, leave no small pivots.
     """
     shape, (c, z) = limits.shape[:2], limits.shape[2:]
     with np.errstate(all="ignore"):
@@ -92,6 +101,10 @@ def augmented(
         limits = np.where(np.isfinite(give)[..., None], limits, 0.0)  # else it is not asked for
         reach = np.max(np.sum(np.abs(limits) * units.unknowns[:, None, None], axis=3), axis=1)
         own = np.where(reach > 0, units.cost[:, None] / reach, units.cost[:, None])
+        if softly:
+            unit = (units.cost[:, None] / own**2)[:, None]
+            give = np.where(give < IDLE * unit, np.maximum(give, unit / STIFFEST), np.inf)
+            limits = np.where(np.isfinite(give)[..., None], limits, 0.0)
     give = np.where(np.isfinite(give), give, (units.cost[:, None] / own**2)[:, None])
     hessian = np.zeros((*shape, z + c, z + c))
     hessian[..., :z, :z], hessian[..., :z, z:], hessian[..., z:, :z] = system.hessian, limits.mT, limits

@@ -141,9 +141,9 @@ class Sensitivities:
     def _of_controls(self, iterate: Iterate, steps: np.ndarray) -> np.ndarray:
         u = iterate.unknowns.controls
         n, columns = self.nodes.problem.manifold.dimension, steps.shape[3]
-        turns = steps[:, :, n:].reshape(*u.shape[:3], -1, columns)
+        turns = steps[:, :, n:].reshape(*u.shape[:3], self.nodes.problem.controls.dimension, columns)
         (found,) = self._turned.at(4, u[:, :, :, None], np.moveaxis(turns, 4, 3))
-        return np.moveaxis(found, 3, 1).reshape(len(u), columns, -1, u.shape[3])
+        return np.moveaxis(found, 3, 1).reshape(len(u), columns, u.shape[1] * u.shape[2], u.shape[3])
 
     def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
         n, point = self.nodes.problem.manifold.dimension, self.nodes.layout.point(q)

@@ -22,6 +22,7 @@ from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, j
 from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
+from .falling import Fall
 from .first_multipliers import with_first_multipliers
 from .found import Found, Iteration
 from .inequalities import Slacks
@@ -54,6 +55,7 @@ class Descent:
         self.state: State | None = None
         self._own: tuple[np.ndarray, Conditions] | None = None
         self.left: list[tuple[State, int]] = []
+        self.fall = Fall()
         self.trials = 0
         self.stopped = False
 
@@ -76,6 +78,7 @@ class Descent:
         state = self.set_out(guess)
         while True:
             self.state = state
+            self.fall.note(self.trials, state.member, state.assembled.cost)
             self.report(state, state.descends)
             state = self.leave(state, state.done if state.done.all() else self.finished(state))
             if state is None or self.stopped:
@@ -368,16 +371,18 @@ class Descent:
         strict = whole.step.strict & (whole.shift == 0)
         if whole.iterate.slacks is not None:
             strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
-        missing = whole.assembled.extent.lacking / self.conditions.judging.nodes
+        missing, unit = whole.assembled.extent.lacking / self.conditions.judging.nodes, self.conditions.judging.cost
+        claimed = whole.claimed & (whole.residuals.final <= self.tolerance)  # it may have gone on from where it was
         ended = (
             strict & whole.isolated,
             iterations - 1,
-            whole.claimed & (whole.residuals.final <= self.tolerance),  # it may have gone on from where it was
+            claimed,
             _solvable(whole),
             self.stopped,
             missing,
             self.contradictory(whole),
-            self.conditions.judging.cost,
+            unit,
+            self.fall.lasts(~claimed, unit),
         )
         return Found(whole.iterate, whole.assembled, whole.residuals, *ended)
 

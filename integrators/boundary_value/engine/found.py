@@ -40,5 +40,6 @@ class Found(NamedTuple):
     missing: np.ndarray  # what the nodes lack in each coordinate, in units, shape (B, n)
     contradictory: np.ndarray  # the inequalities, or they and the ends
     unit: np.ndarray  # of the cost, in which success was judged, shape (B,)
+    falling: np.ndarray  # without success: the cost, as if it had no lower bound
     boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: list[str] | None = None  # what is to be said of each member beside its result

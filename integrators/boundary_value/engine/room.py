@@ -14,6 +14,9 @@ from .kkt_system import Assembled, Iterate
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+# Of the largest slope, or curvature, of an inequality in a control along the trajectory: where one passes through zero,
+# as those of a cone do, it says nothing of the way.
+LEAST = 1e-2
 SUM_ROUNDING = 1e-13  # of a curvature: less of it than this is what its sum with another is rounded by
 
 
@@ -28,8 +31,9 @@ def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tu
     if not m:
         return np.zeros((len(held.values), 0)), np.zeros((len(held.values), 0))
     slopes = held.jacobian[..., -m:] * held.asked[..., None]
+    size = np.maximum(np.abs(slopes), LEAST * _largest(np.abs(slopes)))
     with np.errstate(all="ignore"):
-        straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None] / slopes))
+        straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None]) / size)
     bounds = sum(map(len, conditions.at_nodes.problem.limits.bounded.values()))  # these are straight
     left = [k for k in range(bounds, held.values.shape[3]) if np.any(held.asked[..., k])]
     curved = (_curved(conditions, iterate, assembled, k) for k in left)
@@ -38,6 +42,11 @@ def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tu
     ways = np.minimum(sides, ball)
     found = np.where(np.isfinite(ways), ways, 0.0).sum(axis=0) / np.maximum(np.isfinite(ways).sum(axis=0), 1)
     return tuple(a.max(axis=1).reshape(len(a), -1) for a in (found, ways.mean(axis=0)))
+
+
+def _largest(parts: np.ndarray) -> np.ndarray:
+    """The largest of all points of each member."""
+    return np.where(np.isfinite(parts), parts, 0.0).max(axis=(1, 2), keepdims=True)
 
 
 def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k: int) -> np.ndarray:
@@ -57,6 +66,7 @@ def _curved(conditions: "Conditions", iterate: Iterate, assembled: Assembled, k:
     slope, value = held.jacobian[..., k, -curvature.shape[3] :], np.abs(held.values[..., k, None])
     with np.errstate(all="ignore"):
         curvature = curvature / held.weights[..., k, None]
+        curvature = np.where(curvature > 0, np.maximum(curvature, LEAST * _largest(curvature)), curvature)
         own = np.sum(np.where(curvature > 0, slope**2 / curvature, 0.0), axis=3, keepdims=True)
         way = (np.sqrt(own) + np.sqrt(own + 2 * value)) / np.sqrt(curvature)
     return np.where((curvature > 0) & np.isfinite(way), way, np.inf)

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -21,10 +21,12 @@ from ...problem import OptimalControlProblem
 from ...results import Result
 from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
 from ...stages import ControlStage
+from ...text import many
 from ..arguments import copied
 from ..checks import SingularChecks
 from ..engine.diagnosis import Diagnosis
 from ..guess import default_guess
+from ..iteration_table import say
 from ..request import Request
 from ..solution import SingularArc, Solution, Statistics
 from .claims import Stationarity, broken_claim, broken_end, stationarity
@@ -64,13 +66,18 @@ def solve_on_final_manifold(request: Request, c: Classification) -> Solution:
 
 def _on_piece(request: Request, conditions: EndConditions, c: Classification) -> Solution:
     """An extremal on the first piece of ``P_f``."""
-    began = time.perf_counter()
+    began, shown = time.perf_counter(), partial(say, request.options.callback)
+    if request.integrator is None:
+        shown(f"an integrator on P_f, of dimension {c.dimension}, is chosen, and compiled; integrator=... saves it")
     shooting, strategy = _shooting(request, c)
+    shown("points of P_f are looked for that meet the ends")
     first, last = points_at_ends(c, conditions, request.discretization.retraction)
     _require_choice(conditions, c)
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, request.integrator))
     prepared = time.perf_counter()
-    found = meet_conditions(shooting, conditions, guess, *request.options[:2])
+    shown(f"shooting over {many(shooting.segments, 'segment')} of {many(shooting.length, 'step')} is compiled")
+    found = meet_conditions(shooting, conditions, guess, *request.options[:2], shown)
+    shown("the trajectory is examined")
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged

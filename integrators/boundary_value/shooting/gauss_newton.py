@@ -24,6 +24,7 @@ STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual
 DECREASE = 1e-6  # of the conditions: what a step takes away at least
 PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
 SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
+TITLES = f"{'iteration':>9} {'conditions':>10} {'gap':>9} {'damping':>8}"
 
 
 class Found(NamedTuple):
@@ -65,9 +66,15 @@ class _State(NamedTuple):
 
 
 def meet_conditions(
-    shooting: Shooting, conditions: EndConditions, guess: Iterate, tolerance: float, max_iterations: int
+    shooting: Shooting,
+    conditions: EndConditions,
+    guess: Iterate,
+    tolerance: float,
+    max_iterations: int,
+    shown: Callable[[str], None],
 ) -> Found:
-    """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
+    """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm; ``shown`` is
+    called with a line for each iteration.
 
     Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
     and does not vanish: the conditions contradict each other there.
@@ -76,7 +83,9 @@ def meet_conditions(
     weights = _weights(shooting, guess)
     state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
     damping, rank, count, result, sizes = RELATIVE.first, 0, 0, Result.too_many_iterations, []
+    shown(TITLES)
     for count in range(max_iterations + 1):
+        shown(f"{count:>9} {state.size:>10.1e} {float(state.at.distance):>9.1e} {damping:>8.0e}")
         if not np.isfinite(state.size):
             return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
         matrix, excess = _matrix(state), _excess(shooting, state.iterate)

@@ -1,9 +1,16 @@
-"""Compiling kernels is not counted as running."""
+"""Compiling, of kernels and of programs, is not counted as running."""
 
 import time
 
+import jax.numpy as jnp
 import numba
+import numpy as np
+import pytest
+from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.engine.stopwatch import Stopwatch
+from retrax.integrators.compiling import told
+from retrax.manifolds import Euclidean
+from retrax.retractions import Exponential, Midpoint
 
 
 def test_kernels_that_compile_are_counted_apart():
@@ -23,3 +30,42 @@ def test_kernels_that_compile_are_counted_apart():
     assert 0.5 * called < compiling <= called
     assert quiet[1] <= running < quiet[1] + called
     assert after == compiling
+
+
+@pytest.mark.parametrize("seconds", [(), (0.02,), (0.02, 0.03)])
+def test_programs_that_xla_compiles_are_counted_apart(seconds):
+    with told():
+        time.sleep(0.02)  # outside: not heard
+    with Stopwatch() as watch, Stopwatch() as other:
+        for each in seconds:
+            with told():
+                time.sleep(each)
+        time.sleep(0.01)
+        compiling, running = watch.seconds()
+    with told():
+        time.sleep(0.02)
+    assert sum(seconds) <= compiling <= sum(seconds) + 0.05
+    assert 0.01 <= running < 0.06
+    assert watch.seconds()[0] == other.seconds()[0] == compiling
+
+
+@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+def test_the_seconds_of_a_solve_are_those_that_it_takes(evaluator):
+    line = Euclidean(1)
+
+    def cost(q, u):
+        return jnp.cosh(u[0]) + q @ q / 2
+
+    solver = Solver(OptimalControlProblem(line, lambda q, u: u, cost, 1), Midpoint(Exponential(line)), 7, evaluator)
+    seconds = []
+    for _ in range(2):
+        began = time.perf_counter()
+        spent = solver.solve(np.ones(1), None, 1.0).statistics
+        seconds.append((spent.compile_seconds, spent.run_seconds, time.perf_counter() - began))
+    (first_compiled, first_run, first), (compiled, run, second) = seconds
+    assert first_compiled + first_run <= first
+    assert compiled + run <= second
+    if evaluator == "xla":
+        assert first_compiled > 0.7 * first
+        assert first_run < 0.3 * first
+    assert compiled < 0.2 * first_compiled

@@ -386,3 +386,15 @@ def test_an_iterate_that_overflows_leaves_no_warning():
     )
     ends = np.zeros(2), np.array([1.0, 0.0])
     assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+@pytest.mark.parametrize("known", [(), ("classification",), ("classification", "integrator")])
+def test_what_is_done_before_the_iterations_is_printed_where_it_is_asked_for(verbose, known, capsys):
+    given = {"classification": (c := classified(ALY_CHAN)), "integrator": singular_integrator(c, MIDPOINT)[0]}
+    options = {"verbose": verbose, **{name: given[name] for name in known}}
+    solution = solve(ALY_CHAN, MIDPOINT, (ZERO, None), (ONE, None), np.pi / 2, 4, **options)
+    words = ["is classified", "is chosen", "are looked for", "is compiled", "iteration"][len(known) :]
+    numbers = [f"{count:>9} " for count in range(solution.statistics.iterations + 1)]
+    expected, lines = [*words, *numbers, "is examined"] if verbose else [], capsys.readouterr().out.splitlines()
+    assert [part in line for part, line in zip(expected, lines, strict=True)] == [True] * len(expected)

@@ -1,0 +1,79 @@
+"""Costs without a lower bound: what the iteration saw of that is said, and of costs that have a minimum it is not."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Free, OptimalControlProblem, Solver, solve
+from retrax.integrators.boundary_value.engine.falling import FALLEN, FEWEST, Fall
+from retrax.integrators.results import sentence
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Cayley, Exponential, Midpoint
+from scipy.spatial.transform import Rotation
+
+PLANE, ROTATIONS = Euclidean(2), SO(3)
+ON_PLANE, ON_ROTATIONS = Midpoint(Exponential(PLANE)), Midpoint(Cayley(ROTATIONS))
+TARGET = Rotation.from_rotvec([0.3, 0.4, 0.5]).as_matrix()
+FALLING = sentence("falling")
+
+
+def pushed(q, u):
+    return jnp.array([q[1], u[0]])
+
+
+def slew(curvature, quartic=0.0):
+    def cost(q, u):
+        return curvature * u @ u / 2 + quartic * (u @ u) ** 2
+
+    return OptimalControlProblem(ROTATIONS, lambda q, u: q @ hat(u), cost, 3)
+
+
+@pytest.mark.parametrize("curvature", [1.0, 0.1, 0.01, -0.01, -0.1, -1.0])
+def test_a_concave_cost_of_a_turn_falls_without_end(curvature):
+    solution = solve(slew(curvature), ON_ROTATIONS, np.eye(3), TARGET, 1.0, 10, throw=False)
+    assert solution.success == (curvature > 0)
+    assert (solution.result == FALLING) == (curvature < 0)
+
+
+@pytest.mark.parametrize("quartic", [1.0, 1e-2, 1e-3, 1e-4, 0.0])
+def test_a_concave_cost_that_far_off_is_convex_has_a_minimum(quartic):
+    solution = solve(slew(-1.0, quartic), ON_ROTATIONS, np.eye(3), TARGET, 1.0, 20, throw=False)
+    assert (solution.result == FALLING) == (quartic == 0)
+
+
+@pytest.mark.parametrize("most", [1, FEWEST - 2, FEWEST - 1, 40, 100])
+@pytest.mark.parametrize("power", [2, 4])
+def test_states_that_pay_more_than_they_cost_escape(power, most):
+    problem = OptimalControlProblem(PLANE, pushed, lambda q, u: u @ u / 2 - jnp.sqrt(1 + q[0] ** 2) ** power / 40, 1)
+    solution = solve(problem, ON_PLANE, np.ones(2), None, 2.0, 10, throw=False, max_iterations=most)
+    assert solution.success == (power == 2)
+    assert (solution.result == FALLING) == (power == 4 and most + 1 >= FEWEST)  # the guess is tried too
+
+
+@pytest.mark.parametrize("rate", [1.0, 1e-8, 1e-14, 0.0, -1e-8, -1.0])
+def test_a_horizon_that_is_never_long_enough_is_named(rate):
+    problem = OptimalControlProblem(PLANE, pushed, lambda q, u: rate + u @ u / 2, 1)
+    solver, ends = Solver(problem, ON_PLANE, 20), (np.zeros(2), np.array([1.0, 0.0]))
+    free = solver.solve(*ends, Free(1.0), throw=False)
+    assert free.success == (rate > 0)
+    assert ("a longer one still costs less" in free.result) == (rate <= 0)
+    assert (FALLING in free.result) == (rate == -1)
+    held = solver.solve(*ends, Free(1.0, upper=50.0), throw=False)
+    assert held.success
+    assert held.horizon == pytest.approx(min(50.0, 2.06 * rate**-0.25 if rate > 0 else 50.0), rel=1e-2)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.9, 1.0, 3.0])
+@pytest.mark.parametrize("trials", [FEWEST - 1, FEWEST, 100])
+def test_a_fall_lasts_that_does_not_slow_down(trials, late):
+    fall, half = Fall(), trials // 2
+    early = np.linspace(0.0, -1.0, half + 1)
+    later = -1 - late * np.linspace(0.0, 1.0, trials - half + 1)[1:]
+    for k, cost in enumerate(np.concatenate([early, later])):
+        members = np.array([0, 1]) if k < 3 else np.array([1])
+        fall.note(k, members, np.full(len(members), cost))
+    fallen = 1 + late
+    expected = [False, late >= 1 and trials >= FEWEST]
+    np.testing.assert_array_equal(fall.lasts(np.ones(2, bool), np.full(2, 0.99 * fallen / FALLEN)), expected)
+    assert not fall.lasts(np.ones(2, bool), np.full(2, 1.01 * fallen / FALLEN)).any()
+    assert not fall.lasts(np.zeros(2, bool), np.full(2, 0.0)).any()
+    assert not Fall().lasts(np.ones(2, bool), np.full(2, 0.0)).any()

@@ -1,0 +1,68 @@
+"""Problems without controls: a trajectory is found from its ends, and nothing stops at arrays without entries."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import (
+    Free,
+    OptimalControlProblem,
+    Solver,
+    discretization_error,
+    solve,
+    step_errors,
+)
+from retrax.manifolds import ConvergenceError, Euclidean
+from retrax.retractions import Exponential, Gauss
+
+PLANE = Euclidean(2)
+METHOD = Gauss(2, Exponential(PLANE))
+START = np.array([1.0, -2.0])
+DECAYED = (1 - np.exp(-2.0)) / 2  # int_0^1 exp(-2 t) dt
+
+
+def decaying(controls, **more):
+    def dynamics(q, u):
+        return -q + jnp.sum(u)
+
+    return OptimalControlProblem(PLANE, dynamics, lambda q, u: q @ q + 1e9 * u @ u, controls, **more)
+
+
+@pytest.mark.parametrize("controls", [2, 1, 0, Euclidean(0)])
+def test_controls_that_hardly_help_and_no_controls_give_the_same(controls):
+    problem, m = decaying(controls), getattr(controls, "dimension", controls)
+    solver = Solver(problem, METHOD, 8)
+    solution = solver.solve(START, None, 1.0)
+    sensitivity = solver.sensitivity(solution)
+    assert solution.checks.strict_minimum
+    assert solution.cost == pytest.approx(5 * DECAYED, rel=1e-6)
+    np.testing.assert_allclose(sensitivity.start.cost, 2 * DECAYED * START, rtol=1e-6)
+    assert sensitivity.start.controls.shape == (2, 16, m)
+    assert solution.controls.shape == (16, m)
+    assert discretization_error(problem, METHOD.retraction, solution).largest["R^2"] < 1e-5
+    assert step_errors(problem, solution).largest < 1e-5
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-8])
+def test_without_controls_an_accuracy_is_met(accuracy):
+    solution = solve(decaying(0), METHOD, START, None, 1.0, 5, accuracy=accuracy)
+    assert solution.checks.error <= accuracy
+    assert solution.cost == pytest.approx(5 * DECAYED, rel=accuracy)
+
+
+@pytest.mark.parametrize("off", [0.0, 1e-3, 1.0])
+def test_without_controls_only_the_end_of_the_trajectory_is_reached(off):
+    end = solve(decaying(0), METHOD, START, None, 1.0, 8).states[-1]
+    if not off:
+        assert solve(decaying(0), METHOD, START, end, 1.0, 8).cost == pytest.approx(5 * DECAYED, rel=1e-6)
+        return
+    with pytest.raises(ConvergenceError, match="cannot be reached"):
+        solve(decaying(0), METHOD, START, end + off, 1.0, 8)
+
+
+@pytest.mark.parametrize("place", [0.5, 2.0])
+def test_without_controls_a_start_and_a_horizon_are_found(place):
+    settled = decaying(0, initial_cost=lambda q: (q - place) @ (q - place))
+    begun = solve(settled, METHOD, None, None, 1.0, 8, guess=solve(decaying(0), METHOD, START, None, 1.0, 8))
+    np.testing.assert_allclose(begun.states[0], place / (1 + DECAYED), rtol=1e-6)
+    halved = solve(decaying(0), METHOD, START, START / 2, Free(1.0, 0.1, 3.0), 8)
+    assert halved.horizon == pytest.approx(np.log(2), rel=1e-6)
