@@ -603,8 +603,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a pursuit takes what a trial is refused for": Planted(
         f"{ENGINE}/pursuit_kernels.py",
-        "if not good or shift >= stiff:",
-        "if shift >= stiff:",
+        "if not good or (limited and shift >= rules[9][3]):",
+        "if limited and shift >= rules[9][3]:",
         (f"{PURSUIT}::test_what_is_refused_is_left_to_the_rest_of_the_iteration",),
     ),
     "a pass forgets the shift of the Hessians": Planted(

@@ -92,14 +92,16 @@ def addresses(limited: bool) -> tuple[int, ...]:
 
 
 @inner
-def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, stiff: float, rules: tuple) -> bool:
-    """Whether a whole step, as far as it may go, is taken and the next is to be a whole one, with less of a shift than
-    a stiff one; what stands then follows it."""
+def _accepted(
+    standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, limited: bool, rules: tuple
+) -> bool:
+    """Whether a whole step, as far as it may go, is taken and the next is to be a whole one, with inequalities by less
+    of a shift than a stiff one; what stands then follows it."""
     made = True, standing[PROMISED], standing[TURNED], reach, 1.0, 1.0
     before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
     reached = standing[FUNNEL], standing[BEST], standing[SHIFT], numbers[8, 0], numbers[13, 0], cost
     funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
-    if not good or shift >= stiff:
+    if not good or (limited and shift >= rules[9][3]):
         return False
     standing[MISSING], standing[COST], standing[HELD] = now
     standing[FUNNEL], standing[BEST], standing[FIRST], standing[SHIFT] = funnel, best, 0.0, shift
@@ -345,7 +347,6 @@ def pursue(
     """
     (setting, given, room), done, tolerance, end = vectors, 0, rules[0], 0
     before, limited = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0
-    stiff = rules[9][3] if limited else np.inf
     while True:
         written = places[2] if fresh else places[done % 2]
         barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
@@ -359,13 +360,13 @@ def pursue(
         _copied(kept, standing)
         if fresh:
             set_out(kept, numbers)
-        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, stiff, rules):
+        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, limited, rules):
             return done, TRIED
         if limited:
             of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
             end = lower(calls[AT_LOWER], (calls, setting, given, written, rows, kept, of))
-        lacking, along = lacking_of(written, rows), along_of(written, rows)
-        arrived, resting = numbers[7, 0] <= tolerance, _is_resting(numbers, lacking, along, tolerance)
+        resting = _is_resting(numbers, lacking_of(written, rows), along_of(written, rows), tolerance)
+        arrived = numbers[7, 0] <= tolerance
         kept[SHIFT] = 0.0 if arrived else kept[SHIFT]
         last = arrived and kept[ISOLATED] > 0 and end != CHEAP
         refused = end == CHEAP or not (last or _stepped(calls, room, setting, given, written, rows, rules[2]))
