@@ -132,7 +132,7 @@ class Descent:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear)
-        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0))
+        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0) | ~step.strict)
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
             step, shift, descends = self.regularised(guess, assembled, zero, linear)

@@ -206,9 +206,10 @@ class Trial(ABC):
         if end == self._kernels.APART:
             return None
         units, first = Units(v["unknowns"], v["nodes"], v["unit"]), partial(self._tried, places[2].v)
-        if end == self._kernels.LOST:
+        begun = self._step(places[2].v)
+        if end == self._kernels.LOST or not begun.strict[0]:  # what is flat asks for multipliers first
             return SetOut(first, units, None)
-        last = None if count else (first(), self._step(places[2].v))
+        last = None if count else (first(), begun)
         return SetOut(first, units, self._pursuit(places, (count, end, stands), last))
 
     def pursue(
