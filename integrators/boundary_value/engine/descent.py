@@ -6,9 +6,10 @@ asks, but for rounding; else if it comes well into the funnel. The cost is that 
 of the trial: the bare cost refuses good steps along curved constraints [Ulbrich 2004]. But these multipliers are others
 each time, and from far off nearly all steps lower it, round and round: so they narrow the funnel too, a little.
 Accepted too is what brings the KKT residual below nine tenths of the best so far while nothing alone lacks more than
-the funnel. Indefinite reduced Hessians: the diagonal is raised until the step has positive curvature, a test that needs
-no inertia [Chiang, Zavala 2016], and further after steps that had to be cut, so that the next is as long as what was
-taken.
+the funnel. Indefinite reduced Hessians: the diagonal is raised until the inertia is that of a minimum, else the way to
+one leads past saddles, and further after steps that had to be cut, so that the next is as long as what was taken. Where
+constraints depend on each other no inertia is: from some shift on positive curvature along the step is enough [Chiang,
+Zavala 2016].
 """
 
 from collections.abc import Callable
@@ -32,6 +33,7 @@ from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
+GAINED = 0.1  # times the residual: a step that leads to less is Newton's own, near what it leads to
 SLOW = 1e-6  # a share of a step that is cut no further
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
@@ -176,9 +178,10 @@ class Descent:
         reached = before.isolated & good & arrived
         if not (again & ~reached).any():
             return state._replace(done=reached)
-        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
+        # This near to a solution, or where its steps gain a digit, Newton's method leads to it, be it a minimum or a
         # saddle.
-        keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
+        near = (residual <= np.sqrt(self.tolerance)) | (residual <= GAINED * before.residuals.largest)
+        keep = arrived | (good & near)
         shift = np.where(arrived, 0.0, state.shift)
         step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
         # No shift shortens what the constraints ask for: there the same step is cut further.
@@ -274,8 +277,7 @@ class Descent:
         """
         conditions = conditions or self.conditions
         step, curvature, size = conditions.eliminate(iterate, assembled, shift)
-        loose = np.full(len(shift), iterate.slacks is None)
-        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
+        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX))
         while True:
             going = ~(descends | keep) & (shift < LARGEST_SHIFT)
             if not going.any():
@@ -286,8 +288,7 @@ class Descent:
             own, kept = taken((iterate, assembled), places)
             again, curvature, size = part.eliminate(own, kept, shift[places])
             step = put(step, places, again)
-            convex = again.convex | (shift[places] >= CONVEX) | loose[places]
-            descends[places] = (curvature >= CURVATURE * size) & convex
+            descends[places] = (curvature >= CURVATURE * size) & (again.convex | (shift[places] >= CONVEX))
 
     def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
         """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted

@@ -236,9 +236,7 @@ def _stepped(
     system, found = (hessian, left, right, slopes, lacks, start, end), (steps, multipliers, finite, largest)
     own = units, raised, rules[4], work_of(room, rows), factors_of(room, rows)
     solve(calls[AT_SOLVE], (0, 1, system, *own, found, told))
-    if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0]):
-        return False
-    if limited and told[0][0] != (count + 1) * n:
+    if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0] and told[0][0] == (count + 1) * n):
         return False
     groups = columns_of(setting, rows)
     points = view(x_of(written, rows), 0, (count, groups[0].size))
